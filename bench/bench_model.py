@@ -57,7 +57,7 @@ def ours_grid(u: FloatArray, y: FloatArray) -> Any:
     """400 orders from one pass."""
     from flysid.model.gram import reduce_data
     from flysid.model.linear.data import Scaling
-    from flysid.model.linear.orders import Choice, Grid, best_of, grid_gram
+    from flysid.model.linear.orders import Grid, OrderChoice, best_of, grid_gram
     from flysid.model.regressors import chunks
 
     data = Dataset.from_arrays(u, y, 0.01)
@@ -65,7 +65,7 @@ def ours_grid(u: FloatArray, y: FloatArray) -> Any:
     scaling = Scaling.of(data)
     triangle = reduce_data(lambda: chunks(data, lags, transform=scaling), grid_gram(data, lags, scaling))
     grid = Grid(triangle, 1, 1, 20, 20, offset=True)
-    return best_of(grid, [Choice(a, (b,), (1,)) for a in range(1, 21) for b in range(1, 21)])
+    return best_of(grid, [OrderChoice(a, (b,), (1,)) for a in range(1, 21) for b in range(1, 21)])
 
 
 def numpy_qr(u: FloatArray, y: FloatArray) -> Any:

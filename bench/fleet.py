@@ -34,7 +34,7 @@ from flysid.fleet.cluster import Cluster, connected
 from flysid.fleet.compaction import compact, files_of
 from flysid.fleet.ingest_many import Threads, find, ingest
 from flysid.fleet.lakes import create_lake
-from flysid.fleet.reading import Log, Outcome, Settings
+from flysid.fleet.reading import Log, LogOutcome, Settings
 from flysid.ingest.lake.batch import work_on
 from flysid.ingest.lake.flighttable import merge
 from flysid.place import Place
@@ -102,10 +102,10 @@ def overhead(count: int) -> None:
         print(f"again: {again.known} logs known, {time.process_time() - began:.2f} s of CPU, no log fetched")
 
 
-def nothing(logs: Sequence[Log], settings: Settings) -> list[Outcome]:
+def nothing(logs: Sequence[Log], settings: Settings) -> list[LogOutcome]:
     """A batch that does nothing."""
     assert settings
-    return [Outcome(log, "unchanged") for log in logs[:0]]
+    return [LogOutcome(log, "unchanged") for log in logs[:0]]
 
 
 def tasks(count: int) -> None:
@@ -130,11 +130,11 @@ def tasks(count: int) -> None:
 WAIT_S = 0.2
 
 
-def waits(logs: Sequence[Log], settings: Settings) -> list[Outcome]:
+def waits(logs: Sequence[Log], settings: Settings) -> list[LogOutcome]:
     """A batch that waits, as for a store that is far away."""
     assert settings
     time.sleep(WAIT_S)
-    return [Outcome(log, "unchanged") for log in logs[:0]]
+    return [LogOutcome(log, "unchanged") for log in logs[:0]]
 
 
 def workers(count: int) -> None:

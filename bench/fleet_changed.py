@@ -19,7 +19,7 @@ import pyarrow as pa
 
 from flysid.fleet.models.changed import compare_parts
 from flysid.fleet.models.common_grid import Sampling, choose_sampling, spread
-from flysid.fleet.models.differences import Judged, Part
+from flysid.fleet.models.differences import FlightPart, JudgedChannel
 from flysid.fleet.models.gather import PILOTS
 from flysid.fleet.models.triangles import triangle_of
 from flysid.flight import BOOT, TIME, Flight, Source
@@ -90,22 +90,24 @@ def fly_fleet(order: Order) -> Fleet:
 
 
 @on_one_thread
-def parts_of(fleet: Fleet, recipe: Recipe, channel: str) -> tuple[Sampling, list[Part], list[Part]]:
+def parts_of(
+    fleet: Fleet, recipe: Recipe, channel: str
+) -> tuple[Sampling, list[FlightPart], list[FlightPart]]:
     """The channel's grid, and its parts with the changes and without."""
     pilots = spread([str(i) for i in range(len(fleet.flights))], PILOTS)
     sampling = choose_sampling(align([fleet.flights[int(i)] for i in pilots], recipe, channel).dataset)
 
-    def part(i: int, log: FlightLog) -> Part:
+    def part(i: int, log: FlightLog) -> FlightPart:
         _, segments = segments_of(log, recipe, channel, sampling.dt_s)
         triangle = triangle_of(segments, sampling)
-        return Part(log.name, f"v{fleet.systems[i]:03d}", "", fleet.starts[i], triangle)
+        return FlightPart(log.name, f"v{fleet.systems[i]:03d}", "", fleet.starts[i], triangle)
 
     parts = [part(i, log) for i, log in enumerate(fleet.flights)]
     without = [part(i, fleet.unchanged[i]) if i in fleet.unchanged else p for i, p in enumerate(parts)]
     return sampling, parts, without
 
 
-def flags(judged: Sequence[Judged]) -> dict[str, list[str]]:
+def flags(judged: Sequence[JudgedChannel]) -> dict[str, list[str]]:
     """Flagged vehicle -> what was flagged."""
     found: dict[str, list[str]] = {}
     for test in (t for j in judged for t in j.tests if t.flagged):

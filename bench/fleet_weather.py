@@ -28,7 +28,7 @@ from bench.fleet import fill, resident_bytes, server, synthesised
 from flysid.catalogue import FlightFacts
 from flysid.fleet.ingest_many import Threads, find, ingest
 from flysid.fleet.lakes import create_lake
-from flysid.fleet.reading import Log, Outcome, Settings
+from flysid.fleet.reading import Log, LogOutcome, Settings
 from flysid.fleet.upkeep import check
 from flysid.place import Place
 
@@ -210,11 +210,11 @@ class MadeUp:
 
     def run(
         self, batches: Sequence[tuple[Log, ...]], settings: Settings
-    ) -> Iterator[tuple[tuple[Log, ...], list[Outcome]]]:
+    ) -> Iterator[tuple[tuple[Log, ...], list[LogOutcome]]]:
         """See `flysid.fleet.ingest_many.Engine`."""
         assert settings
         for part in batches:
-            yield part, [Outcome(log, "ingested", made_up_flight(log)) for log in part]
+            yield part, [LogOutcome(log, "ingested", made_up_flight(log)) for log in part]
 
 
 def made_up_flight(log: Log) -> FlightFacts:

@@ -23,13 +23,13 @@ from flysid.ingest.synth.manoeuvres import random_phase_multisine
 from flysid.model.arx import ARX
 from flysid.model.rules.fitted import FittedTS
 from flysid.model.ts import TS
-from flysid.plan.flightplan import Axis, make_plan
+from flysid.plan.flightplan import CommandedAxis, make_plan
 from flysid.plan.multisines import largest_correlation, relative_peak_factor
 from flysid.plan.precision import Known, known_of_model
 
 RATE_HZ = 25.0
 BAND_HZ = (0.1, 4.0)
-AXES = tuple(Axis(name, 1.0) for name in ("roll", "pitch", "yaw"))
+AXES = tuple(CommandedAxis(name, 1.0) for name in ("roll", "pitch", "yaw"))
 SECONDS = 60.0
 MORE = 180.0
 NOISE = 0.2

@@ -24,7 +24,7 @@ from flysid.design.designing import Wish, design_run, ready_channel
 from flysid.design.drawn_plants import PlantSet, grid
 from flysid.design.firmware import SCHEMES, Firmware
 from flysid.design.gain_search import OUT_OF_BOUNDS, Bounds
-from flysid.design.law import Gains, Parts
+from flysid.design.law import Gains, LoopParts
 from flysid.design.loopfigures import Figures, Laws, figures
 from flysid.design.rule_gains import law_figures, search_rule_gains
 from flysid.design.rule_plants import rule_plant
@@ -50,7 +50,7 @@ def sought_tuner(plants: PlantSet, bounds: Bounds, other: Gains, seed: int, *, f
     other : law of the axis that is not judged.
     """
     trials = [Trial.drawn(Doubtful(), SOUGHT_FROM + seed, i) for i in range(SOUGHT_ON)]
-    parts = Parts.at(plants.omega, plants.dt_s)
+    parts = LoopParts.at(plants.omega, plants.dt_s)
 
     def of(x: FloatArray) -> Tuner:
         v = [float(value) for value in np.exp(x)]
@@ -76,7 +76,7 @@ def sought_tuner(plants: PlantSet, bounds: Bounds, other: Gains, seed: int, *, f
     return of(found.x)
 
 
-def tuner_figures(tuner: Tuner, plants: PlantSet, parts: Parts) -> Figures:
+def tuner_figures(tuner: Tuner, plants: PlantSet, parts: LoopParts) -> Figures:
     """Of the laws between which the gains move, each standing still."""
     laws = tuner.laws()
     return figures(Laws.of(laws[0], np.array([law.tuned() for law in laws])), plants.responses, parts)
@@ -102,7 +102,7 @@ def main(arguments: list[str]) -> int:
             print(f"seed {seed}: refused: {error.message}")
             continue
         spent = time.process_time() - started
-        found = law_figures(law, ready.plants, Parts.at(ready.plants.omega, ready.plants.dt_s))
+        found = law_figures(law, ready.plants, LoopParts.at(ready.plants.omega, ready.plants.dt_s))
         pid = axes[CHANNELS[0]].meanings["goal"]
         print(
             f"seed {seed}: {len(law.gains)} rules, {law.plant.order} states, {spent:.1f} s of CPU; "
@@ -116,14 +116,14 @@ def main(arguments: list[str]) -> int:
         trials = [Trial.drawn(Doubtful(), TRIALS_FROM + seed, i) for i in range(vehicles)]
         omega = grid(PERIOD_S)
         true = np.array([true_plants(t.vehicle, omega)["x"] for t in trials])
-        parts = Parts.at(omega, PERIOD_S)
+        parts = LoopParts.at(omega, PERIOD_S)
         margins = law_figures(law, replace(ready.plants, responses=true, omega=omega), parts)
         pd = {
             name: sought_tuner(ready.plants, ready.bounds, y, seed, fixed=name == "fixed PD")
             for name in ("fixed PD", "self-tuning PD")
         }
         for name, tuner in pd.items():
-            told = tuner_figures(tuner, ready.plants, Parts.at(ready.plants.omega, ready.plants.dt_s))
+            told = tuner_figures(tuner, ready.plants, LoopParts.at(ready.plants.omega, ready.plants.dt_s))
             print(f"  {name}: {tuner}; on the models: Ms {told.ms.max():.2f}, noise {told.noise.max():.1f}")
         rows = {
             "published": [fly_trial(t, (published, y), Doubtful())["x"] for t in trials],

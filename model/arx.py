@@ -24,7 +24,7 @@ from flysid.model.linear.data import CHOICE_ROWS, Parts, Scaling, as_tuple, judg
 from flysid.model.linear.difference_equation import FittedLinear
 from flysid.model.linear.initial_state import equation_starts
 from flysid.model.linear.oe_search import SHARE, Refined, search
-from flysid.model.linear.orders import Choice, Grid, best_per_order, grid_triangle
+from flysid.model.linear.orders import Grid, OrderChoice, best_per_order, grid_triangle
 from flysid.model.linear.output_error import delay_steps, runner, widened
 from flysid.model.linear.settings import Auto, PolynomialSettings
 from flysid.model.linear.stability import settled
@@ -133,10 +133,10 @@ class _LeastSquaresFit:
                 hint="record longer, or ask for lower orders",
             )
 
-    def _fixed(self) -> Choice:
+    def _fixed(self) -> OrderChoice:
         s = self.settings
         n_u = self.n_u
-        return Choice(int(s.na), as_tuple(s.nb, n_u), as_tuple(s.nk, n_u))  # type: ignore[arg-type]
+        return OrderChoice(int(s.na), as_tuple(s.nb, n_u), as_tuple(s.nk, n_u))  # type: ignore[arg-type]
 
     def final(self) -> FittedLinear:
         """The chosen orders on all training data."""
@@ -147,7 +147,7 @@ class _LeastSquaresFit:
         grid = _grid(data, [self.choice], self.settings.offset, parts.scaling)
         return self._model(self.choice, grid.fit(self.choice), self.note, parts=parts)
 
-    def _candidates(self, *, highest_na: int = 6) -> tuple[list[Choice], Grid]:
+    def _candidates(self, *, highest_na: int = 6) -> tuple[list[OrderChoice], Grid]:
         s = self.settings
         n_u = self.n_u
         rows = len(self.parts.fit)
@@ -165,14 +165,18 @@ class _LeastSquaresFit:
             nks: list[list[int]] = [widened(own, k, reach) for k in s.nk_hint or (1,) * n_u]
         else:
             nks = [[k] for k in as_tuple(s.nk, n_u)]
-        corner = Choice(max(nas), tuple(max(x) for x in zip(*nbs, strict=True)), tuple(max(k) for k in nks))
+        corner = OrderChoice(
+            max(nas), tuple(max(x) for x in zip(*nbs, strict=True)), tuple(max(k) for k in nks)
+        )
         grid = _grid(self.parts.fit, [corner], s.offset)
         choices = best_per_order(grid, list(nas), nbs, nks)
         if not choices:  # collinear throughout: the smallest choice, by its shortest solution
-            choices = [Choice(min(nas), nbs[0], tuple(k[0] for k in nks))]
+            choices = [OrderChoice(min(nas), nbs[0], tuple(k[0] for k in nks))]
         return choices, grid
 
-    def _system(self, choice: Choice, fits: Sequence[LeastSquares]) -> tuple[Difference, tuple[int, ...]]:
+    def _system(
+        self, choice: OrderChoice, fits: Sequence[LeastSquares]
+    ) -> tuple[Difference, tuple[int, ...]]:
         """The equation of the coefficients, and where each output's coefficients stand in flat order."""
         n_y = self.n_y
         n_u = self.n_u
@@ -201,7 +205,7 @@ class _LeastSquaresFit:
 
     def _model(
         self,
-        choice: Choice,
+        choice: OrderChoice,
         fits: Sequence[LeastSquares],
         note: str,
         window: int | None = None,
@@ -240,7 +244,7 @@ class _LeastSquaresFit:
         )
 
 
-def _grid(data: Source, choices: Sequence[Choice], offset: bool, scaling: Scaling | None = None) -> Grid:
+def _grid(data: Source, choices: Sequence[OrderChoice], offset: bool, scaling: Scaling | None = None) -> Grid:
     """The triangle over all lags that the choices need, in one pass.
 
     Parameters
@@ -276,7 +280,7 @@ def _from_disk(settings: ARX, data: OnDisk, validation: Dataset | None) -> Fitte
     return _noted(found, f"Fitted to all {len(data)} samples on disk, one step ahead.")
 
 
-def _order_note(choices: Sequence[Choice], errors: Sequence[FloatArray], index: int) -> str:
+def _order_note(choices: Sequence[OrderChoice], errors: Sequence[FloatArray], index: int) -> str:
     if len(choices) == 1:
         return f"Orders: {choices[0]}."
     rmse = [

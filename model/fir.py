@@ -23,7 +23,7 @@ from flysid.model.linear.difference_equation import FittedLinear
 from flysid.model.linear.orders import grid_gram
 from flysid.model.linear.settings import check_inputs
 from flysid.model.noise import noise_model
-from flysid.model.regressors import Lags
+from flysid.model.regressors import LagTerms
 from flysid.model.stream import Source
 from flysid.model.threads import on_one_thread
 
@@ -72,7 +72,7 @@ class FIR:
         check_inputs(n_u)
         parts = Parts.measured(train, centred=self.offset)
         taps = self._taps(parts.train, cut=len(parts.train) < len(train))
-        lags = Lags.arx((0,) * n_y, (taps,) * n_u, as_tuple(self.nk, n_u))
+        lags = LagTerms.arx((0,) * n_y, (taps,) * n_u, as_tuple(self.nk, n_u))
         gram = grid_gram(train, lags, parts.scaling)
         rows = float(gram[-1, -1])
         means = gram[-1] / gram[-1, -1]
@@ -92,7 +92,7 @@ class FIR:
         return taps
 
     def _model(
-        self, parts: Parts, lags: Lags, posteriors: Sequence[Posterior], means: FloatArray
+        self, parts: Parts, lags: LagTerms, posteriors: Sequence[Posterior], means: FloatArray
     ) -> FittedLinear:
         n_y = len(lags.y)
         n_u = len(lags.u)
@@ -197,7 +197,7 @@ def _noise(system: Difference, parts: Parts) -> FloatArray:
     return noise
 
 
-def _covariance(posteriors: Sequence[Posterior], scaling: Scaling, lags: Lags) -> FloatArray:
+def _covariance(posteriors: Sequence[Posterior], scaling: Scaling, lags: LagTerms) -> FloatArray:
     size = lags.count
     joint = np.zeros((size * len(posteriors),) * 2)
     for i, posterior in enumerate(posteriors):

@@ -27,13 +27,13 @@ from flysid.errors import DataError, FitError, UsageError
 from flysid.model.iv_orders import orders_by_reference, words_of
 from flysid.model.linear.data import CHOICE_ROWS, Parts, judging_window
 from flysid.model.linear.difference_equation import FittedLinear
-from flysid.model.linear.iv_stages import Columns, Orders, fitted_by_iv, scaled_blocks
+from flysid.model.linear.iv_stages import IVOrders, SignalRoles, fitted_by_iv, scaled_blocks
 from flysid.model.linear.oe_search import SHARE
 from flysid.model.linear.output_error import HIGHEST_ORDER, ORDER_LOSS, find_delays
 from flysid.model.linear.settings import PolynomialSettings
 from flysid.model.linear.stability import settled
 from flysid.model.selection import block_errors, simplest
-from flysid.model.simulation_error import Orders as SearchOrders
+from flysid.model.simulation_error import OutputOrders as SearchOrders
 from flysid.model.stream import OnDisk, Source, blocks_of
 from flysid.model.threads import on_one_thread
 
@@ -86,7 +86,7 @@ class IV(PolynomialSettings):
         return settled(model, small, stable=self.stable)
 
 
-def _columns(settings: IV, data: Source) -> Columns:
+def _columns(settings: IV, data: Source) -> SignalRoles:
     names = [s.name for s in data.inputs]
     for name in settings.reference:
         if name not in names:
@@ -95,10 +95,10 @@ def _columns(settings: IV, data: Source) -> Columns:
     inputs = tuple(i for i in range(len(names)) if i not in references)
     if not inputs:
         raise UsageError("every input is a reference: none is left for the model")
-    return Columns(inputs, references)
+    return SignalRoles(inputs, references)
 
 
-def _chosen(settings: IV, parts: Parts, columns: Columns) -> tuple[list[Orders], str]:
+def _chosen(settings: IV, parts: Parts, columns: SignalRoles) -> tuple[list[IVOrders], str]:
     """Orders of every output: with references by the response measured through them, else delays by the
     simulation error and the order by the validation free run."""
     n_u = len(columns.inputs)
@@ -114,7 +114,7 @@ def _chosen(settings: IV, parts: Parts, columns: Columns) -> tuple[list[Orders],
     if len(candidates) == 1:
         return candidates[0], f"Orders: {words_of(candidates[0])}."
     skip = judging_window(parts, max(o.depth for orders in candidates for o in orders))
-    tried: list[tuple[list[Orders], FloatArray]] = []
+    tried: list[tuple[list[IVOrders], FloatArray]] = []
     for orders in candidates:
         try:
             model = fitted_by_iv(parts, blocks_of(parts.fit), orders, columns, skip)
@@ -132,7 +132,7 @@ def _chosen(settings: IV, parts: Parts, columns: Columns) -> tuple[list[Orders],
     )
 
 
-def _delays(settings: IV, parts: Parts, columns: Columns, output: int, probe: int) -> tuple[int, ...]:
+def _delays(settings: IV, parts: Parts, columns: SignalRoles, output: int, probe: int) -> tuple[int, ...]:
     if settings.nk != "auto":
         return columns.pick(settings.nk)
     counts = columns.pick(probe if settings.nb == "auto" else settings.nb)
@@ -146,9 +146,9 @@ def _delays(settings: IV, parts: Parts, columns: Columns, output: int, probe: in
     return find_delays(data, output, SearchOrders(probe, counts, spoken_for, settings.offset))
 
 
-def _orders(settings: IV, na: int, nk: tuple[int, ...], columns: Columns) -> Orders:
+def _orders(settings: IV, na: int, nk: tuple[int, ...], columns: SignalRoles) -> IVOrders:
     if settings.nb == "auto":
         nb = tuple(max(na, 1) + (1 if k == 0 else 0) for k in nk)
     else:
         nb = columns.pick(settings.nb)
-    return Orders(na, nb, nk, settings.offset)
+    return IVOrders(na, nb, nk, settings.offset)

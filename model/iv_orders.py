@@ -16,21 +16,21 @@ from flysid.errors import DataError, FitError
 from flysid.model.frequency.response import MeasuredResponse, measure_response
 from flysid.model.frequency.simulation_fit import response_bic
 from flysid.model.linear.data import Parts
-from flysid.model.linear.iv_stages import Columns, Orders, Path, driven_by, estimated_by_iv
+from flysid.model.linear.iv_stages import IVOrders, Path, SignalRoles, driven_by, estimated_by_iv
 from flysid.model.linear.settings import PolynomialSettings
 from flysid.model.polynomials import ComplexArray
 from flysid.model.selection import STRONG
 from flysid.model.stream import Blocks, blocks_of
 
 
-def words_of(orders: Sequence[Orders]) -> str:
+def words_of(orders: Sequence[IVOrders]) -> str:
     """For people; equal orders of several outputs once."""
     return "; ".join(f"na = {o.na}, nb = {o.nb}, nk = {o.nk}" for o in dict.fromkeys(orders))
 
 
 def orders_by_reference(
-    settings: PolynomialSettings, parts: Parts, columns: Columns, nas: Sequence[int]
-) -> tuple[list[Orders], str] | None:
+    settings: PolynomialSettings, parts: Parts, columns: SignalRoles, nas: Sequence[int]
+) -> tuple[list[IVOrders], str] | None:
     """Orders of every output and a sentence about them; None where the references show no response."""
     blocks = blocks_of(parts.whole)
     n_y = len(parts.train.outputs)
@@ -44,7 +44,7 @@ def orders_by_reference(
             return None
         if any(measured.band(j) is None for j in range(len(columns.inputs))):
             return None
-        search = _Search(parts, blocks, columns, driven, output, measured)
+        search = _OrderSearch(parts, blocks, columns, driven, output, measured)
         best = search.best(settings, nas)
         if best is None:
             return None
@@ -52,14 +52,14 @@ def orders_by_reference(
     return found, (f"{words_of(found)}: by BIC on the response measured through {' and '.join(names)}.")
 
 
-class _Search:
+class _OrderSearch:
     """Estimates of one output, each fitted once."""
 
     def __init__(
         self,
         parts: Parts,
         blocks: Blocks,
-        columns: Columns,
+        columns: SignalRoles,
         driven: dict[int, Path],
         output: int,
         measured: MeasuredResponse,
@@ -70,11 +70,11 @@ class _Search:
         self.driven = driven
         self.output = output
         self.measured = measured
-        self.tried: dict[Orders, tuple[bool, float]] = {}
+        self.tried: dict[IVOrders, tuple[bool, float]] = {}
 
     def best(
         self, settings: PolynomialSettings, nas: Sequence[int], *, longest_delay: int = 10, probe_na: int = 2
-    ) -> Orders | None:
+    ) -> IVOrders | None:
         """First delays for a probe of low order, then all orders with delays beside those: the lowest order
         against which there is no very strong evidence."""
         probe = min(max(nas), max(probe_na, min(nas)))
@@ -89,18 +89,18 @@ class _Search:
         (explodes, least), _ = min(known, key=lambda k: k[0])
         return next(o for (e, bic), o in known if e == explodes and bic <= least + STRONG)
 
-    def _orders(self, settings: PolynomialSettings, na: int, k: int) -> Orders:
+    def _orders(self, settings: PolynomialSettings, na: int, k: int) -> IVOrders:
         n_u = len(self.columns.inputs)
         nk = (k,) * n_u if settings.nk == "auto" else self.columns.pick(settings.nk)
         nb = (max(na, 1),) * n_u if settings.nb == "auto" else self.columns.pick(settings.nb)
-        return Orders(na, nb, nk, settings.offset)
+        return IVOrders(na, nb, nk, settings.offset)
 
-    def _least(self, candidates: Sequence[Orders]) -> Orders | None:
+    def _least(self, candidates: Sequence[IVOrders]) -> IVOrders | None:
         scored = [(*self._bic(orders), orders) for orders in dict.fromkeys(candidates)]
         scored = [s for s in scored if np.isfinite(s[1])]
         return min(scored, key=lambda s: s[:2])[2] if scored else None
 
-    def _bic(self, orders: Orders) -> tuple[bool, float]:
+    def _bic(self, orders: IVOrders) -> tuple[bool, float]:
         """Whether it explodes faster than the response tells of, and BIC."""
         if orders not in self.tried:
             try:
@@ -120,7 +120,7 @@ class _Search:
         return bool(np.abs(np.roots(a)).max(initial=0.0) > np.exp(lowest * self.measured.dt_s))
 
 
-def _response(orders: Orders, theta: FloatArray, measured: MeasuredResponse) -> ComplexArray:
+def _response(orders: IVOrders, theta: FloatArray, measured: MeasuredResponse) -> ComplexArray:
     """(F, n_u) of the estimate."""
     a, b, _ = orders.polynomials(theta)
     back = np.exp(-1j * measured.omega * measured.dt_s)[:, None]

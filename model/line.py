@@ -12,7 +12,7 @@ from flysid.model.freerun import Difference
 from flysid.model.gram import reduce_data, solve
 from flysid.model.linear.data import Parts
 from flysid.model.linear.difference_equation import FittedLinear
-from flysid.model.regressors import Lags, chunks
+from flysid.model.regressors import LagTerms, chunks
 from flysid.model.threads import on_one_thread
 
 
@@ -45,7 +45,7 @@ class Line:
         n_u = len(train.inputs)
         n_y = len(train.outputs)
         data = parts.whole if self.offset else train
-        lags = Lags(y=((),) * n_y, u=((0,),) * n_u)
+        lags = LagTerms(y=((),) * n_y, u=((0,),) * n_u)
         triangle = reduce_data(lambda: chunks(data, lags))
         fits = [solve(triangle, range(n_u), i) for i in range(n_y)]
         b = np.stack([f.theta for f in fits])[None]

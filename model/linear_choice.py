@@ -29,7 +29,7 @@ LOST = 1e6
 
 
 @dataclass(frozen=True)
-class Choice:
+class BaselineChoice:
     """The baseline, and why.
 
     Attributes
@@ -62,7 +62,7 @@ def linear_estimators(nk_hint: tuple[int, ...] = ()) -> dict[str, Estimator]:
 
 def best_linear(
     train: Dataset, validation: Dataset | None, candidates: Mapping[str, Estimator]
-) -> tuple[Choice, Fitted]:
+) -> tuple[BaselineChoice, Fitted]:
     """The candidate that `flysid fit` takes as the baseline, fitted to all training data.
 
     Parameters
@@ -96,7 +96,7 @@ def _asked(train: Dataset, candidates: Mapping[str, Estimator]) -> Hashable | No
 
 
 @once(_asked)
-def choose_baseline(train: Dataset, candidates: Mapping[str, Estimator]) -> Choice:
+def choose_baseline(train: Dataset, candidates: Mapping[str, Estimator]) -> BaselineChoice:
     """Fit every candidate to a part of `train`, judge it by its free run over the rest.
 
     Raises
@@ -107,11 +107,11 @@ def choose_baseline(train: Dataset, candidates: Mapping[str, Estimator]) -> Choi
         fit, check = parts_to_choose_on(train)
         errors = _of_the_bounded(_fitted(candidates, fit, check), check)
     except DataError:
-        return Choice(_first(candidates), words="the training part is too short to choose on")
+        return BaselineChoice(_first(candidates), words="the training part is too short to choose on")
     return _chosen(errors)
 
 
-def _chosen(errors: Mapping[str, FloatArray]) -> Choice:
+def _chosen(errors: Mapping[str, FloatArray]) -> BaselineChoice:
     label = _first(errors)
     for name, e in errors.items():
         if clearly_better(e, errors[label]):
@@ -120,10 +120,12 @@ def _chosen(errors: Mapping[str, FloatArray]) -> Choice:
     said = ", ".join(f"{name.upper()} {value:.3g}" for name, value in rmse.items())
     if rmse[label] > min(rmse.values()):
         said += f"; none is clearly better than {label.upper()}"
-    return Choice(label, rmse, f"validation free-run RMSE, in standard deviations of the output: {said}")
+    return BaselineChoice(
+        label, rmse, f"validation free-run RMSE, in standard deviations of the output: {said}"
+    )
 
 
-def confirmed(choice: Choice, models: Mapping[str, Fitted], train: Dataset) -> Choice:
+def confirmed(choice: BaselineChoice, models: Mapping[str, Fitted], train: Dataset) -> BaselineChoice:
     """The choice, unless ARX follows all of the training data better once both are fitted to them.
 
     Validation is one flight or a few: what wins there and then fits the whole worse has won by luck.

@@ -33,7 +33,7 @@ from flysid.model.documents import array_of, head_of, signals_of, with_null
 from flysid.model.freerun import saturated
 from flysid.model.linear.data import Parts
 from flysid.model.polynomials import Z95
-from flysid.model.rotorcraft.axis_fit import Axis, Record, fit_axis
+from flysid.model.rotorcraft.axis_fit import FittedAxis, Record, fit_axis
 from flysid.model.rotorcraft.rotor_axis import (
     CURVE,
     DAMPING,
@@ -171,7 +171,7 @@ class FittedMultirotor(FreeRuns):
     outputs: tuple[Signal, ...]
     output_limits: FloatArray
     integrates: tuple[bool, ...]
-    axes: tuple[Axis, ...]
+    axes: tuple[FittedAxis, ...]
     u_scale: FloatArray
     u_mean: FloatArray
     y_scale: FloatArray
@@ -266,14 +266,14 @@ class FittedMultirotor(FreeRuns):
         error = math.sqrt(max(float(axis.covariance[-1, -1]), 0.0)) if known else np.nan
         return ratio, Z95 * error * abs(far) * ratio
 
-    def _torques(self, axis: Axis) -> FloatArray:
+    def _torques(self, axis: FittedAxis) -> FloatArray:
         return axis.theta[FIRST : FIRST + len(self.motors)]
 
     def _driven(self, u: FloatArray) -> tuple[FloatArray, FloatArray | None]:
         """Commands over their largest (N, n), and the logarithm of the voltage over its mean (N,)."""
         return u[:, self.motors] / self.u_scale[self.motors], _volts(u, self.battery, self.u_mean)
 
-    def _figure(self, axis: Axis, name: str, index: int, unit: str, least: float = 0.0) -> AxisFigure:
+    def _figure(self, axis: FittedAxis, name: str, index: int, unit: str, least: float = 0.0) -> AxisFigure:
         value = float(axis.theta[index])
         known = index in axis.free
         half = Z95 * float(np.sqrt(max(axis.covariance[index, index], 0.0))) if known else np.nan
@@ -454,7 +454,7 @@ def from_dict(document: Mapping[str, Any]) -> FittedMultirotor:
         if not forgets(row, dt_s, kind):
             raise ValueError("its predictor never forgets")
         table = np.array(covariance, dtype=np.float64).reshape(size, size)
-        axes.append(Axis(row, tuple(int(i) for i in free), table))
+        axes.append(FittedAxis(row, tuple(int(i) for i in free), table))
     scales = {key: array_of(document, key, len(inputs)) for key in ("u_scale", "u_mean")}
     y_scale = array_of(document, "y_scale", len(outputs))
     if not ((scales["u_scale"] > 0.0).all() and (y_scale > 0.0).all()):

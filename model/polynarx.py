@@ -25,7 +25,7 @@ from flysid.model.linear.settings import Auto
 from flysid.model.narx.fitted_polynomial import FittedPolyNARX, Units
 from flysid.model.narx.polynomial_terms import depth_of
 from flysid.model.narx.term_search import (
-    Candidate,
+    RefinedTerms,
     TermSearch,
     finished,
     grown,
@@ -139,5 +139,5 @@ class _Found:
     """Where a search ended, and the way."""
 
     search: TermSearch
-    chosen: Candidate
+    chosen: RefinedTerms
     notes: tuple[str, ...]

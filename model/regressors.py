@@ -1,7 +1,7 @@
 """(u, y) -> Phi: lagged inputs and outputs as rows of a regression, never across a segment's edge.
 
-Row k of Phi holds y_j(k - i) and u_j(k - i) for the lags i of `Lags`, outputs first, each signal's lags in
-the order given. Rows before the deepest lag are left out, so a segment of N samples gives N - depth rows.
+Row k of Phi holds y_j(k - i) and u_j(k - i) for the lags i of `LagTerms`, outputs first, each signal's lags
+in the order given. Rows before the deepest lag are left out, so a segment of N samples gives N - depth rows.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ CHUNK_ROWS = 16_384
 
 
 @dataclass(frozen=True)
-class Lags:
+class LagTerms:
     """Which past samples enter a regression.
 
     Attributes
@@ -40,7 +40,7 @@ class Lags:
             raise UsageError("an input's lag must not be negative: the model would not be causal")
 
     @classmethod
-    def arx(cls, na: Sequence[int], nb: Sequence[int], nk: Sequence[int]) -> Lags:
+    def arx(cls, na: Sequence[int], nb: Sequence[int], nk: Sequence[int]) -> LagTerms:
         """Lags 1..na of every output and nk..nk+nb-1 of every input."""
         return cls(
             y=tuple(tuple(range(1, n + 1)) for n in na),
@@ -69,7 +69,7 @@ def lagged_name(name: str, lag: int) -> str:
 
 
 def regressors(
-    u: FloatArray, y: FloatArray, lags: Lags, start: int | None = None, stop: int | None = None
+    u: FloatArray, y: FloatArray, lags: LagTerms, start: int | None = None, stop: int | None = None
 ) -> FloatArray:
     """(stop - start, lags.count) rows k = start..stop-1 of Phi.
 
@@ -92,7 +92,7 @@ def regressors(
     return phi
 
 
-def stacked(data: Dataset, lags: Lags, start: int | None = None) -> tuple[FloatArray, FloatArray]:
+def stacked(data: Dataset, lags: LagTerms, start: int | None = None) -> tuple[FloatArray, FloatArray]:
     """Phi and Y of all segments: (M, lags.count) and (M, n_y).
 
     Raises
@@ -124,7 +124,7 @@ class RegressorTransform(Protocol):
 
 def chunks(
     data: Dataset,
-    lags: Lags,
+    lags: LagTerms,
     start: int | None = None,
     rows: int = CHUNK_ROWS,
     transform: RegressorTransform | None = None,

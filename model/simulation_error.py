@@ -40,7 +40,7 @@ class Record:
 
 
 @dataclass(frozen=True)
-class Orders:
+class OutputOrders:
     """Orders of one output: na, and per input nb coefficients from lag nk on.
 
     `drift`: every segment has an offset and a drift of its own, instead of one offset for all.
@@ -94,7 +94,7 @@ class Transfer:
         return is_stable(self.a)
 
 
-def to_transfer(theta: FloatArray, orders: Orders) -> Transfer:
+def to_transfer(theta: FloatArray, orders: OutputOrders) -> Transfer:
     """Coefficients from difference coordinates [alpha, beta_1.., c]."""
     base, matrix = monic_basis(orders.na)
     a = np.concatenate([[1.0], base + matrix @ theta[: orders.na]])
@@ -107,7 +107,7 @@ def to_transfer(theta: FloatArray, orders: Orders) -> Transfer:
     return Transfer(a, tuple(b), float(theta[position]) if orders.offset else 0.0)
 
 
-def from_transfer(transfer: Transfer, orders: Orders) -> FloatArray:
+def from_transfer(transfer: Transfer, orders: OutputOrders) -> FloatArray:
     """Difference coordinates of a transfer of these orders."""
     base, matrix = monic_basis(orders.na)
     parts = [np.linalg.solve(matrix, transfer.a[1:] - base)]
@@ -154,7 +154,7 @@ class OutputError:
     """The least-squares problem: records and orders."""
 
     records: tuple[Record, ...]
-    orders: Orders
+    orders: OutputOrders
 
     def start_row(self) -> int:
         """First row of a record whose error counts."""

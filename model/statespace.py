@@ -23,7 +23,7 @@ from flysid.model.linear.settings import check_hint, check_inputs
 from flysid.model.linear.stability import unstable_words
 from flysid.model.selection import block_errors
 from flysid.model.shared import fit_key, once
-from flysid.model.simulation_error import Orders
+from flysid.model.simulation_error import OutputOrders
 from flysid.model.stream import Late, OnDisk, Source, delayed_inputs
 from flysid.model.subspace.fitted_model import FittedStateSpace
 from flysid.model.subspace.order_search import (
@@ -35,7 +35,7 @@ from flysid.model.subspace.order_search import (
     mean_of,
     searched,
 )
-from flysid.model.subspace.refinement import SimulationError, mirrored
+from flysid.model.subspace.refinement import SystemFit, mirrored
 from flysid.model.subspace.triangle import (
     METHODS,
     Method,
@@ -198,7 +198,7 @@ def _delays(settings: StateSpace, train: Dataset, validation: Dataset | None) ->
     if settings.order != "auto" and settings.past != "auto" and settings.method != "auto":
         return [none]
     data = Parts.of(train, validation).fit
-    probe = Orders(2, (2,) * n_u, tuple(settings.nk_hint) or (1,) * n_u, offset=True)
+    probe = OutputOrders(2, (2,) * n_u, tuple(settings.nk_hint) or (1,) * n_u, offset=True)
     found = [find_delays(data, output, probe) for output in range(len(train.outputs))]
     late = tuple(max(min(nk[j] for nk in found) - 1, 0) for j in range(n_u))
     shortest = min(len(s) for s in train.segments)
@@ -255,17 +255,17 @@ def _refined(settings: StateSpace, parts: Parts, choice: Choice, plain: FittedSt
     return replace(model, notes=(*plain.notes, note))
 
 
-def _problem(parts: Parts, model: FittedStateSpace) -> SimulationError:
+def _problem(parts: Parts, model: FittedStateSpace) -> SystemFit:
     """The simulation error over the training data, from a model of them on."""
     scaling = parts.scaling
     inverse = replace(scaling, u_scale=1.0 / scaling.u_scale, y_scale=1.0 / scaling.y_scale)
-    return SimulationError(
+    return SystemFit(
         parts.whole.segments, model.realisation.in_units(inverse), bool(model.realisation.d.any())
     )
 
 
 def _simulated(
-    settings: StateSpace, parts: Parts, problem: SimulationError, plain: FittedStateSpace
+    settings: StateSpace, parts: Parts, problem: SystemFit, plain: FittedStateSpace
 ) -> FittedStateSpace:
     """The model of least simulation error from the problem's start, with its noise and its covariance."""
     theta = problem.refine(ITERATIONS).theta
@@ -318,7 +318,7 @@ def _judged(settings: StateSpace, parts: Parts, choice: Choice, skip: int, *, re
     projection = shared.of(choice.method, choice.past)
     found = projection.realise(choice.order)
     if refine:
-        problem = SimulationError(parts.fit.segments, found, projection.columns.feedthrough)
+        problem = SystemFit(parts.fit.segments, found, projection.columns.feedthrough)
         try:
             found = problem.settled(problem.refine(ITERATIONS).theta)
         except FitError:

@@ -15,7 +15,7 @@ from flysid.ingest.align.doubts import Doubt
 from flysid.ingest.excitation.dead_time import DeadTime
 from flysid.model.base import Fitted
 from flysid.model.feedback import feedback
-from flysid.model.linear_choice import Choice
+from flysid.model.linear_choice import BaselineChoice
 from flysid.model.nonlinearity import nonlinearity
 from flysid.progress import part, tell
 from flysid.split import Split
@@ -92,7 +92,7 @@ class ChannelJob(Generic[D]):
             fits.files[label] = file
 
     def told(
-        self, fits: Fits, choice: Choice, split: Split, seen: Dataset, late: tuple[DeadTime, ...]
+        self, fits: Fits, choice: BaselineChoice, split: Split, seen: Dataset, late: tuple[DeadTime, ...]
     ) -> ChannelRun:
         """What the run remembers of the channel.
 

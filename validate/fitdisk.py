@@ -16,7 +16,7 @@ from flysid.dataset import Dataset
 from flysid.datasetfile import DatasetFile
 from flysid.ingest.excitation.dead_time import dead_times, delays_to_try
 from flysid.model.base import Fitted
-from flysid.model.linear_choice import Choice, free_run_errors
+from flysid.model.linear_choice import BaselineChoice, free_run_errors
 from flysid.model.selection import clearly_better
 from flysid.progress import tell
 from flysid.validate.channeljob import ChannelJob, Fits
@@ -83,7 +83,7 @@ class DiskJob(ChannelJob[DatasetFile]):
         )
 
 
-def _baseline(models: dict[str, Fitted], look: Dataset) -> Choice:
+def _baseline(models: dict[str, Fitted], look: Dataset) -> BaselineChoice:
     """ARX, unless another model free-runs the first training samples better.
 
     All were fitted to many more samples than these, so that none knows them by heart.
@@ -95,4 +95,4 @@ def _baseline(models: dict[str, Fitted], look: Dataset) -> Choice:
     rmse = {name: float(np.sqrt(e.mean())) for name, e in errors.items()}
     said = ", ".join(f"{name.upper()} {value:.3g}" for name, value in rmse.items())
     words = f"free-run RMSE over the first {len(look):,} training samples, in standard deviations: {said}"
-    return Choice(label, rmse, words)
+    return BaselineChoice(label, rmse, words)

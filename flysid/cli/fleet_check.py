@@ -14,7 +14,7 @@ from flysid.cli.output import ExitCode, printable, say
 from flysid.showing import counted
 
 if TYPE_CHECKING:
-    from flysid.fleet.upkeep import State
+    from flysid.fleet.upkeep import LakeState
 
 
 @click.command("check")
@@ -62,7 +62,7 @@ def command(lake: str, repair: bool, older: float, as_json: bool, quiet: bool, d
     return 0 if state.is_whole else ExitCode.CHECK_FAILED
 
 
-def faults(state: State) -> list[str]:
+def faults(state: LakeState) -> list[str]:
     """What is wrong, a line for each kind."""
     kinds = {
         "manifests that cannot be read": [f"{key}: {why}" for key, why in state.damaged.items()],
@@ -79,7 +79,7 @@ def _some(names: list[str], *, most: int = 5) -> str:
     return ", ".join(names[:most]) + (", ..." if len(names) > most else "")
 
 
-def as_document(lake: str, state: State, removed: int) -> dict[str, object]:
+def as_document(lake: str, state: LakeState, removed: int) -> dict[str, object]:
     """What was found, for `--json`."""
     return {
         "lake": lake,

@@ -19,7 +19,7 @@ from flysid.showing import counted, first_of
 
 if TYPE_CHECKING:
     from flysid.fleet.ingest_many import Engine, Sorted
-    from flysid.fleet.reading import Outcome
+    from flysid.fleet.reading import LogOutcome
     from flysid.ingest.formats.base import Limits
     from flysid.ingest.lake.workers import Bounds
 
@@ -92,11 +92,11 @@ def done(
     options: LakeOptions,
     quiet: bool,
     display: Display,
-) -> list[Outcome]:
+) -> list[LogOutcome]:
     """What became of every log that was read, by address."""
     from flysid.fleet.ingest_many import ingest
 
-    outcomes: list[Outcome] = []
+    outcomes: list[LogOutcome] = []
     with display.shown():
         for outcome in ingest(found, settings, engine, options.batch):
             outcomes.append(outcome)
@@ -116,7 +116,7 @@ def engine_for(options: LakeOptions, jobs: int, quiet: bool) -> Iterator[Engine]
         yield cluster
 
 
-def describe(outcome: Outcome) -> str:
+def describe(outcome: LogOutcome) -> str:
     """What became of one log, in one line."""
     facts = outcome.facts
     if outcome.status == "ingested" and facts is not None:
@@ -128,7 +128,7 @@ def describe(outcome: Outcome) -> str:
     return f"{outcome.log.name}: {said.get(outcome.status, outcome.status)}{outcome.reason}"
 
 
-def summarise(found: Sorted, outcomes: Sequence[Outcome], quiet: bool) -> None:
+def summarise(found: Sorted, outcomes: Sequence[LogOutcome], quiet: bool) -> None:
     """How many of what, and what to do about it; what went wrong even where it shall be quiet."""
     many = Counter(outcome.status for outcome in outcomes)
     many["unchanged"] += found.known
@@ -154,7 +154,7 @@ def summarise(found: Sorted, outcomes: Sequence[Outcome], quiet: bool) -> None:
         say(f"not done: {reasons.most_common(1)[0][0]}; run the same command again")
 
 
-def exit_code(outcomes: Sequence[Outcome]) -> int:
+def exit_code(outcomes: Sequence[LogOutcome]) -> int:
     """75 where a log waits, 1 where none could be read, 3 where one cannot, or lost something, else 0."""
     if any(outcome.status == "waiting" for outcome in outcomes):
         return PlaceError.exit_code
@@ -165,7 +165,7 @@ def exit_code(outcomes: Sequence[Outcome]) -> int:
     return ExitCode.LOSSES if bad or lossy else 0
 
 
-def as_document(data: str, found: Sorted, outcomes: Sequence[Outcome]) -> dict[str, Any]:
+def as_document(data: str, found: Sorted, outcomes: Sequence[LogOutcome]) -> dict[str, Any]:
     """The whole ingest for `--json`."""
     return {
         "data": data,

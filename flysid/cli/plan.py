@@ -16,7 +16,7 @@ from flysid.errors import UsageError
 
 if TYPE_CHECKING:
     from flysid.ingest.lake.chosen_flights import Selection
-    from flysid.plan.flightplan import Axis, FlightPlan
+    from flysid.plan.flightplan import CommandedAxis, FlightPlan
     from flysid.plan.precision import Known
 
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 class Beginning:
     """What a source tells a plan: its axes, a band, the recipe of its log, and how well it is known."""
 
-    axes: tuple[Axis, ...] = ()
+    axes: tuple[CommandedAxis, ...] = ()
     band_hz: tuple[float, float] | None = None
     recipe: str = ""
     known: tuple[Known, ...] = ()
@@ -199,7 +199,7 @@ def _of_run(folder: Path, channels: tuple[str, ...], data: Path | None) -> Begin
     )
 
 
-def _once(found: list[tuple[Axis, ...]]) -> tuple[Axis, ...]:
+def _once(found: list[tuple[CommandedAxis, ...]]) -> tuple[CommandedAxis, ...]:
     """Every axis once; channels may share inputs."""
     return tuple({axis.name: axis for axes in found for axis in axes}.values())
 

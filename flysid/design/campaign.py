@@ -13,7 +13,7 @@ from flysid.dataset import FloatArray
 from flysid.design.designed import SAID, Axis
 from flysid.design.drawn_plants import grid
 from flysid.design.firmware import SCHEMES, Firmware
-from flysid.design.law import Gains, Parts
+from flysid.design.law import Gains, LoopParts
 from flysid.design.loopfigures import Laws, figures
 from flysid.design.trialflight import (
     AXES,
@@ -211,7 +211,7 @@ def _row(
     own = [f[axis] for f in flown[law]]
     ise = np.array([f.ise for f in own])
     base = np.array([f[axis].ise for f in flown["present"]])
-    margins = figures(Laws.of(gains), true, Parts.at(omega, PERIOD_S))
+    margins = figures(Laws.of(gains), true, LoopParts.at(omega, PERIOD_S))
     settled = np.array([math.inf if math.isnan(f.settled_s) else f.settled_s for f in own])
     middle = float(np.median(settled))
     return Row(

@@ -14,7 +14,7 @@ import numpy as np
 from flysid.design.drawn_plants import PlantSet
 from flysid.design.firmware import SAFETY, parameter_file
 from flysid.design.gain_search import Bounds
-from flysid.design.law import TUNED, Gains, Parts
+from flysid.design.law import TUNED, Gains, LoopParts
 from flysid.design.loopfigures import Laws, figures
 from flysid.errors import StoreError, UsageError
 
@@ -31,7 +31,7 @@ SAID = {
 
 
 @dataclass(frozen=True)
-class Meaning:
+class DesignMeaning:
     """What a law means over all plants: the smallest and the largest of each figure.
 
     Attributes
@@ -52,11 +52,11 @@ class Meaning:
     tracking: tuple[float, float]
 
     @classmethod
-    def of(cls, gains: Gains, plants: PlantSet) -> Meaning:
+    def of(cls, gains: Gains, plants: PlantSet) -> DesignMeaning:
         """The figures of one law."""
         import control
 
-        found = figures(Laws.of(gains), plants.responses, Parts.at(plants.omega, plants.dt_s))
+        found = figures(Laws.of(gains), plants.responses, LoopParts.at(plants.omega, plants.dt_s))
         loops = found.loop[0]
         sides = [
             control.stability_margins((np.abs(x), np.degrees(np.unwrap(np.angle(x))), plants.omega))
@@ -117,7 +117,7 @@ class Axis:
     sign: float
     dt_s: float
     laws: Mapping[str, Gains]
-    meanings: Mapping[str, Meaning]
+    meanings: Mapping[str, DesignMeaning]
     bounds: Bounds
     plants: tuple[str, ...]
     band_hz: tuple[float, float]
@@ -233,7 +233,7 @@ def open_design(path: Path) -> tuple[Axis, ...]:
 
 def _axis(body: Mapping[str, Any]) -> Axis:
     meanings = {
-        name: Meaning(bool(told["stable"]), **{k: _pair(v) for k, v in told.items() if k != "stable"})
+        name: DesignMeaning(bool(told["stable"]), **{k: _pair(v) for k, v in told.items() if k != "stable"})
         for name, told in body["meanings"].items()
     }
     return Axis(

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from flysid.design.designed import Axis, Design, Meaning
+from flysid.design.designed import Axis, Design, DesignMeaning
 from flysid.design.drawn_plants import PlantSet, Spread, plants_of
 from flysid.design.firmware import Firmware, firmware_for
 from flysid.design.gain_search import Bounds, Box, search
@@ -178,7 +178,7 @@ def _one_flight(ready: Ready, present: Gains, wish: Wish, *, largest_step: float
 
 def _refuse_beyond(present: Gains, plants: PlantSet, bounds: Bounds) -> None:
     """Raise DataError where the present loop crosses at frequencies that the flights did not show."""
-    crossover = Meaning.of(present, plants).crossover_hz[1]
+    crossover = DesignMeaning.of(present, plants).crossover_hz[1]
     highest = bounds.crossover_rad_s / (2.0 * np.pi)
     if crossover > highest:
         raise DataError(
@@ -205,10 +205,10 @@ def with_feedforward(gains: Gains, plants: PlantSet) -> Gains:
     """
     from scipy.optimize import minimize_scalar
 
-    from flysid.design.law import Parts
+    from flysid.design.law import LoopParts
     from flysid.design.loopfigures import Laws, figures
 
-    parts = Parts.at(plants.omega, plants.dt_s)
+    parts = LoopParts.at(plants.omega, plants.dt_s)
     found = figures(Laws.of(gains), plants.responses, parts)
     slow = plants.omega <= found.crossover[0].max()
     centre = (gains.velocity + gains.integral * parts.total) * parts.filtered(gains.error_hz)
@@ -236,7 +236,7 @@ def _axis(ready: Ready, laws: Mapping[str, Gains], bounds: Bounds, notes: tuple[
         ready.sign,
         train.dt_s,
         laws,
-        {name: Meaning.of(law, ready.plants) for name, law in laws.items()},
+        {name: DesignMeaning.of(law, ready.plants) for name, law in laws.items()},
         bounds,
         ready.plants.labels,
         (ready.data.band[0] / (2.0 * np.pi), ready.data.band[1] / (2.0 * np.pi)),

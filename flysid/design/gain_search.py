@@ -13,7 +13,7 @@ import numpy as np
 
 from flysid.dataset import FloatArray
 from flysid.design.drawn_plants import PlantSet
-from flysid.design.law import TUNED, Gains, Parts
+from flysid.design.law import TUNED, Gains, LoopParts
 from flysid.design.loopfigures import Figures, Laws, figures
 from flysid.errors import DataError, UsageError
 
@@ -126,7 +126,7 @@ def search(plants: PlantSet, bounds: Bounds, box: Box, seed: int = 0) -> Gains:
     low = box.low.tuned()
     high = box.high.tuned()
     moving = high > low
-    parts = Parts.at(plants.omega, plants.dt_s)
+    parts = LoopParts.at(plants.omega, plants.dt_s)
 
     def cost(every: FloatArray) -> FloatArray:
         own = bounds.cost(figures(Laws.of(box.low, every), plants.responses, parts))

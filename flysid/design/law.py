@@ -82,7 +82,7 @@ def keeping(cut_hz: npt.ArrayLike, dt_s: float) -> FloatArray:
 
 
 @dataclass(frozen=True, eq=False)
-class Parts:
+class LoopParts:
     """(F,) responses of what a loop is made of, at omega in rad/s, computed every dt_s.
 
     Attributes
@@ -99,7 +99,7 @@ class Parts:
     total: ComplexArray
 
     @classmethod
-    def at(cls, omega: FloatArray, dt_s: float) -> Parts:
+    def at(cls, omega: FloatArray, dt_s: float) -> LoopParts:
         """At these frequencies."""
         z = np.exp(1j * omega * dt_s)
         return cls(dt_s, omega, 1.0 / z, 0.5 * dt_s * (z + 1.0) / (z - 1.0), dt_s * z / (z - 1.0))

@@ -14,7 +14,7 @@ import numpy.typing as npt
 from scipy.integrate import trapezoid
 
 from flysid.dataset import FloatArray
-from flysid.design.law import ComplexArray, Gains, Parts
+from flysid.design.law import ComplexArray, Gains, LoopParts
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +58,7 @@ class Figures:
     loop: ComplexArray
 
 
-def figures(laws: Laws, plants: ComplexArray, parts: Parts) -> Figures:
+def figures(laws: Laws, plants: ComplexArray, parts: LoopParts) -> Figures:
     """Of every law on every plant (P, F)."""
     position, velocity, integral, derivative = (laws.tuned[:, k, None, None] for k in range(4))
     through = parts.filtered(laws.error_hz)
@@ -77,7 +77,7 @@ def figures_of_paths(
     asked: ComplexArray,
     seen: ComplexArray,
     plants: ComplexArray,
-    parts: Parts,
+    parts: LoopParts,
     integral: FloatArray | None = None,
 ) -> Figures:
     """Of controllers (S, 1, F) by their paths to the input, on every plant (P, F).

@@ -10,7 +10,7 @@ from typing import Any
 
 from flysid.design.designing import Wish, none_left, ready_channel, wished_channels
 from flysid.design.firmware import SAFETY
-from flysid.design.law import Parts
+from flysid.design.law import LoopParts
 from flysid.design.rule_gains import law_figures, search_rule_gains
 from flysid.design.rule_plants import RuleLaw, rule_plant
 from flysid.errors import DataError, UsageError
@@ -134,7 +134,7 @@ def design_rules(run: Run, wish: Wish, data: str | Path | None = None) -> RuleDe
         except (DataError, UsageError) as error:
             refused[item.channel.name] = (error.message, error.hint or "")
             continue
-        found = law_figures(law, ready.plants, Parts.at(ready.plants.omega, ready.plants.dt_s))
+        found = law_figures(law, ready.plants, LoopParts.at(ready.plants.omega, ready.plants.dt_s))
         train = ready.data.train
         worst = (float(v.max()) for v in (found.ms, found.peak, found.noise, found.tracking))
         units = (train.inputs[0].unit, train.outputs[0].unit)

@@ -24,7 +24,7 @@ from flysid.dataset import FloatArray
 from flysid.design.certificate import proves
 from flysid.design.drawn_plants import PlantSet
 from flysid.design.gain_search import OUT_OF_BOUNDS, Bounds
-from flysid.design.law import Parts
+from flysid.design.law import LoopParts
 from flysid.design.loopfigures import Figures, figures_of_paths
 from flysid.design.rule_plants import RuleLaw, RulePlant
 from flysid.errors import DataError
@@ -54,7 +54,7 @@ def search_rule_gains(
     ------
     DataError : no certified gains keep the bounds.
     """
-    parts = Parts.at(plants.omega, plants.dt_s)
+    parts = LoopParts.at(plants.omega, plants.dt_s)
     best: tuple[float, RuleLaw] | None = None
     for step_m, effort, total in product(STEPS_M, np.geomspace(0.3, 10.0, 7), (0.003, 0.01, 0.03, 0.1)):
         law = certified_gains(plant, effort, total, limit, step_m, decay)
@@ -71,7 +71,7 @@ def search_rule_gains(
     return best[1]
 
 
-def law_figures(law: RuleLaw, plants: PlantSet, parts: Parts) -> Figures:
+def law_figures(law: RuleLaw, plants: PlantSet, parts: LoopParts) -> Figures:
     """(R, P) figures of every rule's gains on every plant."""
     seen, place = law.paths(plants.omega)
     centre = seen + place * parts.place

@@ -16,7 +16,7 @@ from flysid.dataset import FloatArray, Signal
 from flysid.errors import UsageError
 from flysid.export.program import BOUND, Program, Worked
 from flysid.model.multirotor import FittedMultirotor
-from flysid.model.rotorcraft.axis_fit import Axis
+from flysid.model.rotorcraft.axis_fit import FittedAxis
 from flysid.model.rotorcraft.rotor_axis import CURVE, DELAY, FIRST, LAG, TRIM, what_a_row_keeps
 from flysid.model.rules.kernel import Lags
 
@@ -96,12 +96,12 @@ def multirotor_program(model: FittedMultirotor) -> Program:
     )
 
 
-def _whole(axis: Axis, dt: float) -> int:
+def _whole(axis: FittedAxis, dt: float) -> int:
     """Full rows of dead time."""
     return math.floor(float(axis.theta[DELAY]) / dt)
 
 
-def _row_of_a_motor(axis: Axis, dt: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _row_of_a_motor(axis: FittedAxis, dt: float) -> tuple[FloatArray, FloatArray, FloatArray]:
     """(3,) the speed after a row, (3,) its mean over the row, (3, 3) the mean of its square."""
     lag = float(axis.theta[LAG])
     past = float(axis.theta[DELAY]) - _whole(axis, dt) * dt

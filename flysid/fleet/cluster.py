@@ -21,7 +21,7 @@ from itertools import islice
 from typing import Any, TypeVar
 
 from flysid.errors import FlysidError, PlaceError, UsageError
-from flysid.fleet.reading import Log, Outcome, Settings, ingest_batch
+from flysid.fleet.reading import Log, LogOutcome, Settings, ingest_batch
 from flysid.version import __version__
 
 Task = TypeVar("Task")
@@ -45,7 +45,7 @@ class Cluster:
     """An engine of Dask's; see `flysid.fleet.ingest_many.Engine`."""
 
     client: Any
-    do: Callable[[Sequence[Log], Settings], list[Outcome]] = ingest_batch
+    do: Callable[[Sequence[Log], Settings], list[LogOutcome]] = ingest_batch
 
     @property
     def workers(self) -> int:
@@ -62,7 +62,7 @@ class Cluster:
 
     def run(
         self, batches: Sequence[tuple[Log, ...]], settings: Settings
-    ) -> Iterator[tuple[tuple[Log, ...], list[Outcome]]]:
+    ) -> Iterator[tuple[tuple[Log, ...], list[LogOutcome]]]:
         """Each batch with what became of its logs, as they finish.
 
         A batch that Dask gives up is not done; its logs wait for the next time.
@@ -73,7 +73,7 @@ class Cluster:
         """
         for part, outcomes in self.each(partial(_ingested, self.do, settings), batches, _parts_of):
             if outcomes is None:
-                yield part, [Outcome(log, "waiting", reason=KILLED) for log in part]
+                yield part, [LogOutcome(log, "waiting", reason=KILLED) for log in part]
             else:
                 yield part, outcomes
 
@@ -158,8 +158,8 @@ def _unpacked(do: Callable[[Task], Result], packed: bytes) -> Result:
 
 
 def _ingested(
-    do: Callable[[Sequence[Log], Settings], list[Outcome]], settings: Settings, part: Sequence[Log]
-) -> list[Outcome]:
+    do: Callable[[Sequence[Log], Settings], list[LogOutcome]], settings: Settings, part: Sequence[Log]
+) -> list[LogOutcome]:
     return do(part, settings)
 
 

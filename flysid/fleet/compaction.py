@@ -36,7 +36,7 @@ OWN = ("flight", "vehicle", "stream")
 """Columns that a part has beside those of the flights' tables."""
 
 
-class Part(msgspec.Struct, frozen=True):
+class MonthPart(msgspec.Struct, frozen=True):
     """A parquet file with a message's rows of a month; `group` stands for all the flights of that month."""
 
     message: str
@@ -52,7 +52,7 @@ class Parts(msgspec.Struct, frozen=True):
     """All parts of a lake, and the catalogue's commit whose flights they hold."""
 
     commit: Commit = Commit()
-    parts: tuple[Part, ...] = ()
+    parts: tuple[MonthPart, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,7 @@ def compact(place: Place, part_bytes: int = 128 << 20) -> Compacted:
     groups = _groups(flights)
     stale = {key for key, own in groups.items() if present.get(key) != _digest(own)}
     kept = [p for p in before.parts if (key := (p.message, p.month)) in groups and key not in stale]
-    fresh: list[Part] = []
+    fresh: list[MonthPart] = []
     for number, key in enumerate(sorted(stale)):
         tell(f"compacting {key[0]}, {key[1] or 'without a date'}", share=number / len(stale))
         fresh += _write_group(place, key, groups[key], part_bytes)
@@ -144,7 +144,7 @@ def _digest(flights: Sequence[FlightFacts]) -> str:
 
 def _write_group(
     place: Place, key: tuple[str, str], flights: Sequence[FlightFacts], part_bytes: int
-) -> Iterator[Part]:
+) -> Iterator[MonthPart]:
     """Parts of one message and month; a part for each set of columns, and more where it grows too large."""
     message, month = key
     group = _digest(flights)
@@ -169,7 +169,7 @@ def _write_group(
             target = f"{FOLDER}/{slug(message)}/month={month or 'none'}/part-{digest}.parquet"
             place.put(target, part.path)
             size = part.path.stat().st_size
-            yield Part(message, month, target, part.rows, size, tuple(sorted(part.flights)), group)
+            yield MonthPart(message, month, target, part.rows, size, tuple(sorted(part.flights)), group)
 
 
 class _Writer:

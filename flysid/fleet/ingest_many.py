@@ -21,7 +21,7 @@ from typing import Protocol
 from flysid.catalogue import FlightFacts
 from flysid.errors import UsageError
 from flysid.fleet.lakes import DUPLICATES, QUARANTINE, create_lake
-from flysid.fleet.reading import Log, Outcome, Settings, ingest_batch
+from flysid.fleet.reading import Log, LogOutcome, Settings, ingest_batch
 from flysid.ingest.formats.opening import own_name
 from flysid.ingest.formats.registry import known_suffixes
 from flysid.ingest.lake.finding import GLOB_MARKS, find_logs
@@ -58,7 +58,7 @@ class Engine(Protocol):
 
     def run(
         self, batches: Sequence[tuple[Log, ...]], settings: Settings
-    ) -> Iterator[tuple[tuple[Log, ...], list[Outcome]]]:
+    ) -> Iterator[tuple[tuple[Log, ...], list[LogOutcome]]]:
         """Each batch with what became of its logs, as they finish."""
         ...
 
@@ -154,7 +154,7 @@ def _noted(place: Place, folder: str) -> frozenset[str]:
 
 def ingest(
     logs: Sorted, settings: Settings, engine: Engine, batch: int = 32, *, commit_s: float = 10.0
-) -> Iterator[Outcome]:
+) -> Iterator[LogOutcome]:
     """Ingest logs into a lake; yields what became of each, as batches finish.
 
     The catalogue is written every few seconds, and at the end, however it comes.
@@ -222,7 +222,7 @@ class Threads:
 
     def run(
         self, batches: Sequence[tuple[Log, ...]], settings: Settings
-    ) -> Iterator[tuple[tuple[Log, ...], list[Outcome]]]:
+    ) -> Iterator[tuple[tuple[Log, ...], list[LogOutcome]]]:
         """See `Engine`."""
         stopped = threading.Event()
         with ThreadPoolExecutor(self.workers) as pool:
@@ -234,10 +234,10 @@ class Threads:
                 pool.shutdown(wait=False, cancel_futures=True)
 
 
-Tasks = dict["Future[list[Outcome]]", tuple[Log, ...]]
+Tasks = dict["Future[list[LogOutcome]]", tuple[Log, ...]]
 
 
-def as_they_finish(tasks: Tasks) -> Iterator[tuple[tuple[Log, ...], list[Outcome]]]:
+def as_they_finish(tasks: Tasks) -> Iterator[tuple[tuple[Log, ...], list[LogOutcome]]]:
     """Batches with their outcomes."""
     waiting = set(tasks)
     while waiting:

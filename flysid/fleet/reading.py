@@ -77,7 +77,7 @@ class Settings:
     replace: bool = False
 
 
-class Outcome(msgspec.Struct, frozen=True):
+class LogOutcome(msgspec.Struct, frozen=True):
     """What became of a log.
 
     Attributes
@@ -95,7 +95,7 @@ class Outcome(msgspec.Struct, frozen=True):
 
 def ingest_batch(
     logs: Sequence[Log], settings: Settings, stopped: Callable[[], bool] = lambda: False
-) -> list[Outcome]:
+) -> list[LogOutcome]:
     """Ingest some logs, one after another; what was committed before, by whomever, is not read again.
 
     `stopped` is asked before each log; those that are left out have no outcome.
@@ -110,19 +110,19 @@ def ingest_batch(
     return outcomes
 
 
-def _ingest(log: Log, place: Place, settings: Settings, reader: _Reader) -> Outcome:
+def _ingest(log: Log, place: Place, settings: Settings, reader: _Reader) -> LogOutcome:
     try:
         with reader.file_of(log) as path:
             return _ingest_file(path, log, place, settings, reader)
     except FileNotFoundError:
-        return Outcome(log, "waiting", reason="it is gone from where it was found")
+        return LogOutcome(log, "waiting", reason="it is gone from where it was found")
     except PlaceError as error:
-        return Outcome(log, "waiting", reason=error.message)
+        return LogOutcome(log, "waiting", reason=error.message)
     except StoreError as error:
-        return Outcome(log, "waiting", reason=f"{error.message} ({error.where})")
+        return LogOutcome(log, "waiting", reason=f"{error.message} ({error.where})")
 
 
-def _ingest_file(path: Path, log: Log, place: Place, settings: Settings, reader: _Reader) -> Outcome:
+def _ingest_file(path: Path, log: Log, place: Place, settings: Settings, reader: _Reader) -> LogOutcome:
     job = reader.hash(path)
     if isinstance(job, Result):
         return _refused(log, place, job.reason)
@@ -139,26 +139,26 @@ def _ingest_file(path: Path, log: Log, place: Place, settings: Settings, reader:
     done = publish(place, folder, info, replace=settings.replace)
     shutil.rmtree(folder, ignore_errors=True)
     if done.is_new:
-        return Outcome(log, "ingested", done.facts)
+        return LogOutcome(log, "ingested", done.facts)
     return _already(log, place, done.facts)
 
 
-def _already(log: Log, place: Place, there: FlightFacts) -> Outcome:
+def _already(log: Log, place: Place, there: FlightFacts) -> LogOutcome:
     """The lake has this content: from this log; or from another, and a note saves the next fetch."""
     source = there.info.get("source_url", "")
     if not is_address(log.url) or (source == log.url and there.info.get("source_etag") == log.etag):
-        return Outcome(log, "unchanged", there)
+        return LogOutcome(log, "unchanged", there)
     place.put(
         f"{DUPLICATES}/{log.digest}.json", _note(log, f"the same content as {source or there.log}", there.id)
     )
-    return Outcome(log, "duplicate", there, reason=there.id)
+    return LogOutcome(log, "duplicate", there, reason=there.id)
 
 
-def _refused(log: Log, place: Place, reason: str) -> Outcome:
+def _refused(log: Log, place: Place, reason: str) -> LogOutcome:
     """A log that cannot be read. One that came by address is noted, so that nobody fetches it again."""
     if is_address(log.url):
         place.put(f"{QUARANTINE}/{__version__}/{log.digest}.json", _note(log, reason))
-    return Outcome(log, "quarantined", reason=reason)
+    return LogOutcome(log, "quarantined", reason=reason)
 
 
 def _note(log: Log, reason: str, flight: str = "") -> bytes:

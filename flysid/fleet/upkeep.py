@@ -22,7 +22,7 @@ from flysid.progress import tell
 
 
 @dataclass(frozen=True)
-class State:
+class LakeState:
     """What a lake holds, and what is wrong with it.
 
     Attributes
@@ -54,7 +54,7 @@ class State:
         return tuple(found for found in self.orphans if now - found.modified >= age)
 
 
-def check(place: Place) -> State:
+def check(place: Place) -> LakeState:
     """List a lake, read its manifests, and compare them with its objects and its catalogue."""
     tell("listing objects")
     objects = {found.key: found for found in place.list("flights")}
@@ -72,7 +72,7 @@ def check(place: Place) -> State:
     listed = {row.sha256: row for row in facts_in(select(place))}
     there = {row.sha256: row for row in facts}
     times = Counter(row.sha256 for row in facts)
-    return State(
+    return LakeState(
         flights=tuple(sorted(facts, key=lambda row: row.id)),
         damaged=damaged,
         missing=tuple(missing),
@@ -90,7 +90,7 @@ def check(place: Place) -> State:
     )
 
 
-def repair(place: Place, state: State, age: timedelta) -> int:
+def repair(place: Place, state: LakeState, age: timedelta) -> int:
     """Make the catalogue again where it differs, and remove orphans of this age; returns how many."""
     if state.unlisted or state.stale:
         rebuild(place, state.flights)

@@ -66,7 +66,7 @@ class _Clock:
         return True
 
 
-class _Stream:
+class _MessageStream:
     """One message of one sender."""
 
     def __init__(self, key: tuple[int, int, int], dialect: Dialect) -> None:
@@ -102,8 +102,8 @@ class Decoder:
 
     def __post_init__(self) -> None:
         self._dialect = load_dialect(LIVE_DIALECT)
-        self._streams: dict[tuple[int, int, int], _Stream | None] = {}
-        self._by_name: dict[str, _Stream] = {}
+        self._streams: dict[tuple[int, int, int], _MessageStream | None] = {}
+        self._by_name: dict[str, _MessageStream] = {}
         self._clocks: dict[int, _Clock] = {}
 
     @property
@@ -130,13 +130,13 @@ class Decoder:
         clock = self._clock_of(self._by_name[stream])
         return 0 if clock is None else clock.time_ns
 
-    def _clock_of(self, stream: _Stream) -> _Clock | None:
+    def _clock_of(self, stream: _MessageStream) -> _Clock | None:
         """The clock of the stream's system; a ground station is on the vehicle's, if there is one."""
         return self._clocks.get(stream.system) or next(iter(self._clocks.values()), None)
 
     def read(self, content: bytes) -> dict[str, list[Rows]]:
         """The rows of whole records, by the key of their stream."""
-        touched: dict[str, _Stream] = {}
+        touched: dict[str, _MessageStream] = {}
         at = 0
         while at < len(content):
             head = at + STAMP_BYTES
@@ -166,19 +166,19 @@ class Decoder:
         ordered = sorted(touched.values(), key=lambda s: not s.is_clock)
         return {stream.name: found for stream in ordered if (found := self._rows_of(stream))}
 
-    def _met(self, key: tuple[int, int, int]) -> _Stream | None:
+    def _met(self, key: tuple[int, int, int]) -> _MessageStream | None:
         """A stream's first message; None where the message is not known."""
         message = key[2]
         extra = self._dialect.crc_extra
         stream = None
         if message < len(extra) and extra[message] >= 0:
-            stream = _Stream(key, self._dialect)
+            stream = _MessageStream(key, self._dialect)
             stream.is_asked = stream.is_heartbeat or bool({stream.name, stream.layout.name} & set(self.asked))
             self._by_name[stream.name] = stream
         self._streams[key] = stream
         return stream
 
-    def _rows_of(self, stream: _Stream) -> list[Rows]:
+    def _rows_of(self, stream: _MessageStream) -> list[Rows]:
         """The rows that have come of a stream, boot by boot; without those that have no time."""
         records = np.frombuffer(b"".join(stream.payloads), stream.layout.dtype)
         stamps = stream.stamps_ns

@@ -11,7 +11,7 @@ from flysid.errors import DataError, RecipeError
 from flysid.ingest.align.recipe import Recipe
 from flysid.live.decoding import Decoder, Rows
 from flysid.live.gridding import RunningGrid, asked_of
-from flysid.live.spool import Piece
+from flysid.live.spool import SpoolPiece
 from flysid.live.watching import ChannelWatch, Event
 
 EVERY_S = 0.06  # at most so often; else as soon as something has come
@@ -51,7 +51,7 @@ class Follower:
         self._peer = -1
         self._peer_heard_s = float("-inf")
 
-    def listen(self, piece: Piece) -> None:
+    def listen(self, piece: SpoolPiece) -> None:
         """Take records from the thread that receives; never waits."""
         now = time.monotonic()
         if piece.peer != self._peer and now - self._peer_heard_s > MISSING_S:

@@ -23,7 +23,7 @@ from flysid.ingest.align.recipe import Condition, Recipe
 from flysid.ingest.align.signals import find_source
 from flysid.ingest.align.values import names_of
 from flysid.live.decoding import Decoder, Rows
-from flysid.live.running import KEPT_S, RunningSignal, RunningSource, Tail, values_of
+from flysid.live.running import KEPT_S, LatestSamples, RunningSignal, RunningSource, values_of
 
 SETTLED_S = 1.0  # of the first output, before periods are believed
 SETTLED_ROWS = 10
@@ -76,7 +76,7 @@ class _RunningCondition:
         self.found = found
         self._source, self.stream = found
         self.condition = condition
-        self.tail = Tail()
+        self.tail = LatestSamples()
         self._numbers: RunningSource | None = None
         if condition.above is not None or condition.below is not None:
             self._numbers = RunningSource(self._source, self.stream, condition.unit, log)

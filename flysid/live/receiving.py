@@ -17,7 +17,7 @@ from flysid.live.framing import Cut, Framer
 from flysid.live.ledger import Ledger
 from flysid.live.links import Link, buffer_advice
 from flysid.live.signing import Guard
-from flysid.live.spool import Piece, whole_records
+from flysid.live.spool import SpoolPiece, whole_records
 
 NAP_S = 0.01  # datagrams gather meanwhile: a pass costs as much for one as for twenty
 LOOK_S = 0.2
@@ -54,7 +54,7 @@ class Receiver:
     """
 
     links: Sequence[Link]
-    sink: Callable[[Piece], None]
+    sink: Callable[[SpoolPiece], None]
     guard: Guard | None = None
     heartbeat: Callable[[], bytes] | None = None
     nap_s: float = NAP_S
@@ -159,22 +159,22 @@ class Receiver:
             for q in starts[~accepted].tolist():
                 head = read_header(cut.raw.data, q)
                 assert head is not None
-                self.sink(Piece(cut.raw[q : head.end].tobytes(), 0))
+                self.sink(SpoolPiece(cut.raw[q : head.end].tobytes(), 0))
             starts = starts[accepted]
         if not len(starts):
             return
         records, boot = self.ledger.enter(peer.number, cut.raw, starts, cut.ends, cut.stamps_us)
         if boot > 0:
             before = whole_records(records, boot)[1]
-            self.sink(Piece(records[:boot], before, peer=peer.number))
-            self.sink(Piece(records[boot:], len(starts) - before, boots=True, peer=peer.number))
+            self.sink(SpoolPiece(records[:boot], before, peer=peer.number))
+            self.sink(SpoolPiece(records[boot:], len(starts) - before, boots=True, peer=peer.number))
         else:
-            self.sink(Piece(records, len(starts), boots=boot == 0, peer=peer.number))
+            self.sink(SpoolPiece(records, len(starts), boots=boot == 0, peer=peer.number))
 
     def _reject(self, peer: Peer, content: bytes) -> None:
         if content:
             peer.rejected_bytes += len(content)
-            self.sink(Piece(content, 0))
+            self.sink(SpoolPiece(content, 0))
 
     def facts(self) -> dict[str, Any]:
         """What has come so far, per link, peer and system; see docs/recording.md."""

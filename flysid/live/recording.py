@@ -11,9 +11,9 @@ from typing import Any
 
 from flysid.live.links import Link
 from flysid.live.receiving import Receiver
-from flysid.live.recording_parts import Parts, Rotation
+from flysid.live.recording_parts import RecordingParts, Rotation
 from flysid.live.signing import Guard
-from flysid.live.spool import Piece, Spool
+from flysid.live.spool import Spool, SpoolPiece
 
 WRITE_EVERY_S = 0.05
 GROUND_STATION = 255, 190  # system and component of MAV_TYPE_GCS
@@ -48,14 +48,14 @@ class Recording:
     rotation: Rotation = field(default_factory=Rotation)
     guard: Guard | None = None
     heartbeat: bool = False
-    listener: Callable[[Piece], None] | None = None
+    listener: Callable[[SpoolPiece], None] | None = None
     watched: Callable[[], dict[str, str]] = dict
     spool: Spool = field(default_factory=Spool)
 
     def __post_init__(self) -> None:
         beat = heartbeat_of(self.guard.key if self.guard else None) if self.heartbeat else None
         self.receiver = Receiver(self.links, self._put, self.guard, beat)
-        self.parts = Parts(self.target, self.rotation, self.facts)
+        self.parts = RecordingParts(self.target, self.rotation, self.facts)
         self.fault: BaseException | None = None
         self.last_facts: dict[str, Any] = {}
         self._stop, self._drained = threading.Event(), threading.Event()
@@ -89,7 +89,7 @@ class Recording:
         queue = {"peak_bytes": self.spool.peak_bytes, "dropped_frames": self.spool.dropped_frames}
         return {"queue": queue, "channels": self.watched(), **self.receiver.facts()}
 
-    def _put(self, piece: Piece) -> None:
+    def _put(self, piece: SpoolPiece) -> None:
         self.spool.put(piece)
         if self.listener is not None and piece.frames:
             self.listener(piece)

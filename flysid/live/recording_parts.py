@@ -15,7 +15,7 @@ import msgspec
 
 from flysid.errors import UsageError
 from flysid.files import sync, write_atomically, writing_to
-from flysid.live.spool import Piece, whole_records
+from flysid.live.spool import SpoolPiece, whole_records
 
 REJECTS_KEPT = 1 << 20
 SYNC_S = 1.0
@@ -56,7 +56,7 @@ def parse_rotation(words: Sequence[str]) -> Rotation:
     return Rotation(size, seconds, boot)
 
 
-class Parts:
+class RecordingParts:
     """Writes records, syncs them, begins new parts; stops writing, and says so, where the disk refuses.
 
     Parameters
@@ -91,9 +91,9 @@ class Parts:
         self._next_sync = self._next_sidecar = time.monotonic()
         self._begin()
 
-    def write(self, pieces: Sequence[Piece]) -> None:
+    def write(self, pieces: Sequence[SpoolPiece]) -> None:
         """Append what has come, in order; pieces are never split between parts."""
-        waiting: list[Piece] = []
+        waiting: list[SpoolPiece] = []
         for piece in pieces:
             if not piece.frames:
                 self._reject(piece.content)
@@ -146,7 +146,7 @@ class Parts:
         with self._reserve.open("wb") as file:
             file.write(bytes(RESERVE_BYTES))
 
-    def _is_full(self, piece: Piece, waiting: int) -> bool:
+    def _is_full(self, piece: SpoolPiece, waiting: int) -> bool:
         """Whether a new part begins with this piece."""
         size = self._size + waiting
         if not size or not self._rotation or self.refusal:
@@ -165,7 +165,7 @@ class Parts:
         except OSError as error:
             self._refuse(error)
 
-    def _append(self, pieces: Sequence[Piece]) -> None:
+    def _append(self, pieces: Sequence[SpoolPiece]) -> None:
         """Write pieces with one call; where the disk refuses, whole records stay."""
         frames = sum(piece.frames for piece in pieces)
         if not frames:

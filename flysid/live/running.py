@@ -28,7 +28,7 @@ IntArray = npt.NDArray[np.int64]
 KEPT_S = 2.0  # of every signal, for its period; more where its last value counts for ever
 
 
-class Tail:
+class LatestSamples:
     """The latest samples of a signal."""
 
     def __init__(self) -> None:
@@ -161,7 +161,7 @@ class RunningHeading:
 
     def __init__(self, source: RunningSource) -> None:
         self._source = source
-        self._tail = Tail()
+        self._tail = LatestSamples()
         self._turns = Turns(2 * np.pi)
         self._first_ns: int | None = None  # of the samples that the period is of
         self._period_ns = 0.0
@@ -224,9 +224,9 @@ class RunningSignal:
             raise RecipeError("its streams have not come")
         self.spec = spec
         self.found = found
-        self.tail = Tail()
+        self.tail = LatestSamples()
         self._source = RunningSource(*found, spec.unit, log)
-        self._raw = Tail()
+        self._raw = LatestSamples()
         self._judged = 0  # of the raw samples
 
     def take(self, rows: Mapping[str, Sequence[Rows]]) -> None:

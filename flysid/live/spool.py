@@ -10,7 +10,7 @@ from flysid.ingest.formats.mavlink.frames import STAMP_BYTES, read_header
 
 
 @dataclass(frozen=True)
-class Piece:
+class SpoolPiece:
     """Whole records of a tlog, or bytes that are no frame.
 
     Attributes
@@ -34,11 +34,11 @@ class Spool:
         self.peak_bytes = 0
         self.dropped_frames = 0
         self._limit = limit
-        self._pieces: deque[Piece] = deque()
+        self._pieces: deque[SpoolPiece] = deque()
         self._bytes = 0
         self._guard = threading.Lock()
 
-    def put(self, piece: Piece) -> None:
+    def put(self, piece: SpoolPiece) -> None:
         """Add a piece; never waits."""
         with self._guard:
             self._pieces.append(piece)
@@ -49,7 +49,7 @@ class Spool:
                 self.dropped_frames += gone.frames
             self.peak_bytes = max(self.peak_bytes, self._bytes)
 
-    def take(self) -> list[Piece]:
+    def take(self) -> list[SpoolPiece]:
         """All that waits, oldest first."""
         with self._guard:
             pieces = list(self._pieces)

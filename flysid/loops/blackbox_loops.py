@@ -11,7 +11,7 @@ import numpy as np
 from flysid.dataset import FloatArray
 from flysid.errors import DataError, UsageError
 from flysid.loops.controller import AXES
-from flysid.loops.stick_response import Record
+from flysid.loops.stick_response import StickRecord
 
 LARGEST_SHARE = 0.05
 """Of the time at a limit: beyond, what is seen is the limit."""
@@ -36,7 +36,7 @@ def settings_of(log: Any) -> dict[str, str]:
 
 def record_of(
     log: Any, axis: str, settings: Mapping[str, str], *, rate_hz: float = 500.0
-) -> tuple[Record, FloatArray]:
+) -> tuple[StickRecord, FloatArray]:
     """One axis of a flight, and the throttle (us).
 
     Raises
@@ -67,7 +67,9 @@ def record_of(
         )
     r = np.asarray(asked[setpoint], dtype=np.float64)
     at = np.asarray(asked["time_ns"], dtype=np.float64) * 1e-9
-    record = Record(log.name, rate_hz, even_pieces(rate_hz, time, at, r, output, values[f"gyroADC[{k}]"]))
+    record = StickRecord(
+        log.name, rate_hz, even_pieces(rate_hz, time, at, r, output, values[f"gyroADC[{k}]"])
+    )
     return record, values["rcCommand[3]"]
 
 

@@ -29,7 +29,7 @@ from flysid.loops.parameterlogs import (
     px4_parameters,
     px4_record,
 )
-from flysid.loops.stick_response import Loop, Record
+from flysid.loops.stick_response import Loop, StickRecord
 
 ALIKE = (
     "Firmware revision",
@@ -153,7 +153,7 @@ class Kind:
 
     mark: str
     settings: Callable[[Any], Mapping[str, Any]]
-    record: Callable[[Any, str, Mapping[str, Any]], tuple[Record, FloatArray]]
+    record: Callable[[Any, str, Mapping[str, Any]], tuple[StickRecord, FloatArray]]
     controller: Callable[[Mapping[str, Any], str, FloatArray], Controller]
     alike: Callable[[Mapping[str, Any], str], tuple[Any, ...]]
 

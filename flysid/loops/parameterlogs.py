@@ -15,7 +15,7 @@ from flysid.dataset import FloatArray
 from flysid.errors import DataError, UsageError
 from flysid.loops.blackbox_loops import LARGEST_SHARE, even_pieces
 from flysid.loops.controller import AXES, RELEASE, THOUSANDTHS
-from flysid.loops.stick_response import Record
+from flysid.loops.stick_response import StickRecord
 
 STREAMS = {
     "PARM": ("Name", "Value"),
@@ -70,7 +70,7 @@ def ardupilot_parameters(log: Any) -> dict[str, float]:
     return parameters_of(log, lambda name: name.startswith("ATC_RAT_"))
 
 
-def px4_record(log: Any, axis: str) -> Record:
+def px4_record(log: Any, axis: str) -> StickRecord:
     """One axis of a PX4 flight in deg/s and thousandths of the output.
 
     Raises
@@ -92,7 +92,7 @@ def px4_record(log: Any, axis: str) -> Record:
     return _record(log, axis, slowest, time, at, loop, outside)
 
 
-def ardupilot_record(log: Any, axis: str) -> Record:
+def ardupilot_record(log: Any, axis: str) -> StickRecord:
     """One axis of an ArduCopter flight in deg/s and thousandths of the output.
 
     Raises
@@ -155,7 +155,7 @@ def _record(
     outside: tuple[FloatArray, FloatArray] | None,
     *,
     least_hz: float = 40.0,
-) -> Record:
+) -> StickRecord:
     if rate_hz < least_hz:
         raise DataError(
             f"{log.name} has the {axis} loop at {rate_hz:.0f} Hz: too slow to see where its gain is one",
@@ -167,4 +167,4 @@ def _record(
             f"{log.name}: the {axis} controller was at its limit for {100.0 * limited:.0f} % of the flight",
             hint="fly more gently: in saturation the gains have no effect",
         )
-    return Record(log.name, rate_hz, even_pieces(rate_hz, time, at, *loop, outside))
+    return StickRecord(log.name, rate_hz, even_pieces(rate_hz, time, at, *loop, outside))

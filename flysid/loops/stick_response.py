@@ -32,7 +32,7 @@ FLIGHTS_TO_RESAMPLE = 4
 
 
 @dataclass(frozen=True, eq=False)
-class Record:
+class StickRecord:
     """One flight of a loop on an even grid, in pieces without gaps.
 
     Attributes
@@ -62,7 +62,7 @@ class Loop:
     blocks: tuple[ComplexArray, ...]
 
     @classmethod
-    def of(cls, records: Sequence[Record], window_s: float = 2.0) -> Loop:
+    def of(cls, records: Sequence[StickRecord], window_s: float = 2.0) -> Loop:
         """Windows of `window_s`, under a Hann window.
 
         Raises
@@ -140,7 +140,7 @@ def _output(s: ComplexArray) -> ComplexArray:
     return np.asarray(s[..., 0, 1, :] / s[..., 0, 0, :])
 
 
-def _blocks(record: Record, size: int) -> ComplexArray:
+def _blocks(record: StickRecord, size: int) -> ComplexArray:
     step = max(1, round(size * (1.0 - OVERLAP)))
     window = np.hanning(size)
     found = []

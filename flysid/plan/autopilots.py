@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from flysid.errors import UsageError
-from flysid.plan.flightplan import Axis, FlightPlan
+from flysid.plan.flightplan import CommandedAxis, FlightPlan
 
 SID_AXES: Mapping[str, tuple[str, Mapping[str, int]]] = {
     "angle": ("deg", {"roll": 1, "pitch": 2}),
@@ -62,7 +62,7 @@ def ardupilot(plan: FlightPlan, place: str) -> list[ParameterFile]:
     ]
 
 
-def _sid_number(axis: Axis, place: str, unit: str, axes: Mapping[str, int]) -> int:
+def _sid_number(axis: CommandedAxis, place: str, unit: str, axes: Mapping[str, int]) -> int:
     if axis.name not in axes:
         raise UsageError(
             f"ArduPilot has no axis {axis.name!r} at {place}", hint=f"name axes {', '.join(axes)}"
@@ -81,7 +81,7 @@ def _sid_number(axis: Axis, place: str, unit: str, axes: Mapping[str, int]) -> i
 
 
 def _sid_file(
-    axis: Axis, number: int, band_hz: tuple[float, float], seconds: float, *, fade_out_s: float = 2.0
+    axis: CommandedAxis, number: int, band_hz: tuple[float, float], seconds: float, *, fade_out_s: float = 2.0
 ) -> ParameterFile:
     low, high = band_hz
     values = {

@@ -10,7 +10,7 @@ import tomli_w
 
 from flysid.dataset import Dataset
 from flysid.errors import UsageError
-from flysid.plan.flightplan import Axis, FlightPlan
+from flysid.plan.flightplan import CommandedAxis, FlightPlan
 
 TABLE = "table"
 """The one stream of a table in text."""
@@ -18,7 +18,7 @@ REACH = (2.5, 97.5)
 """Percentiles between which an axis counts as flown: a single knock is no amplitude to plan with."""
 
 
-def axes_of_last_flight(data: Dataset) -> tuple[Axis, ...]:
+def axes_of_last_flight(data: Dataset) -> tuple[CommandedAxis, ...]:
     """The inputs, each as far to either side as the last flight went.
 
     Raises
@@ -35,7 +35,7 @@ def axes_of_last_flight(data: Dataset) -> tuple[Axis, ...]:
             hint=f"give one: --axis {still[0]}=PEAK",
         )
     return tuple(
-        Axis(signal.name, float(width) / 2.0, signal.unit)
+        CommandedAxis(signal.name, float(width) / 2.0, signal.unit)
         for signal, width in zip(data.inputs, high - low, strict=True)
     )
 

@@ -36,7 +36,7 @@ _AXIS = re.compile(
 
 
 @dataclass(frozen=True)
-class Axis:
+class CommandedAxis:
     """What is commanded: its name, how far from where it rests, and in what unit."""
 
     name: str
@@ -58,7 +58,7 @@ class FlightPlan:
     """
 
     kind: Kind
-    axes: tuple[Axis, ...]
+    axes: tuple[CommandedAxis, ...]
     band_hz: tuple[float, float]
     rate_hz: float
     u: FloatArray
@@ -89,7 +89,7 @@ class FlightPlan:
         return "\n".join(rows) + "\n"
 
 
-def axis_of(text: str) -> Axis:
+def axis_of(text: str) -> CommandedAxis:
     """An axis as written, "roll=0.15" or "theta_in=5deg".
 
     Raises
@@ -104,10 +104,10 @@ def axis_of(text: str) -> Axis:
     peak = float(match["peak"])
     if not (math.isfinite(peak) and peak > 0.0):
         raise UsageError(f"the amplitude of {match['name']} must be above zero, not {match['peak']}")
-    return Axis(match["name"], peak, (match["unit"] or "").strip())
+    return CommandedAxis(match["name"], peak, (match["unit"] or "").strip())
 
 
-def within(axes: Sequence[Axis], limits: Sequence[Axis]) -> tuple[Axis, ...]:
+def within(axes: Sequence[CommandedAxis], limits: Sequence[CommandedAxis]) -> tuple[CommandedAxis, ...]:
     """The axes, none going further than its limit.
 
     Raises
@@ -129,11 +129,11 @@ def within(axes: Sequence[Axis], limits: Sequence[Axis]) -> tuple[Axis, ...]:
                 hint="state both in one unit",
             )
     peaks = [min(a.peak, own[a.name].peak) if a.name in own else a.peak for a in axes]
-    return tuple(Axis(a.name, peak, a.unit) for a, peak in zip(axes, peaks, strict=True))
+    return tuple(CommandedAxis(a.name, peak, a.unit) for a, peak in zip(axes, peaks, strict=True))
 
 
 def make_plan(
-    kind: Kind, axes: Sequence[Axis], band_hz: tuple[float, float], seconds: float, rate_hz: float
+    kind: Kind, axes: Sequence[CommandedAxis], band_hz: tuple[float, float], seconds: float, rate_hz: float
 ) -> FlightPlan:
     """A flight that excites every axis in a band.
 
@@ -151,7 +151,8 @@ def make_plan(
 
     Examples
     --------
-    >>> plan = make_plan("multisine", [Axis("roll", 0.1), Axis("pitch", 0.1)], (0.2, 5.0), 40.0, 50.0)
+    >>> axes = [CommandedAxis("roll", 0.1), CommandedAxis("pitch", 0.1)]
+    >>> plan = make_plan("multisine", axes, (0.2, 5.0), 40.0, 50.0)
     >>> plan.u.shape, plan.correlation < 1e-3, max(plan.peak_factors) < 1.12
     ((2000, 2), True, True)
     """
@@ -169,7 +170,9 @@ def make_plan(
     return FlightPlan(kind, tuple(axes), band_hz, rate_hz, u)
 
 
-def _check(axes: Sequence[Axis], band_hz: tuple[float, float], seconds: float, rate_hz: float) -> None:
+def _check(
+    axes: Sequence[CommandedAxis], band_hz: tuple[float, float], seconds: float, rate_hz: float
+) -> None:
     low, high = band_hz
     names = [a.name for a in axes]
     if not axes:
@@ -204,7 +207,7 @@ def _lines(axes: int, band_hz: tuple[float, float], seconds: float) -> list[Line
     return shared_out(lines, axes)
 
 
-def _multisines(lines: Sequence[Lines], axes: Sequence[Axis], n: int) -> FloatArray:
+def _multisines(lines: Sequence[Lines], axes: Sequence[CommandedAxis], n: int) -> FloatArray:
     columns = [sum_of_lines(own, phases, n) for own, phases in zip(lines, phases_of_axes(lines), strict=True)]
     return np.column_stack([a.peak * c / np.abs(c).max() for a, c in zip(axes, columns, strict=True)])
 

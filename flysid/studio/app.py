@@ -27,7 +27,7 @@ import flysid
 from flysid.errors import FlysidError, UsageError, WriteError
 from flysid.studio import commands, forms
 from flysid.studio.folders import NotThere, Workspace, is_name
-from flysid.studio.guard import Bounds, Guard, Quiet
+from flysid.studio.guard import Quiet, RequestBounds, RequestGuard
 from flysid.studio.jobs import Job, Jobs
 from flysid.studio.live_stream import Live, seen_by, stream
 from flysid.studio.loopback import Key
@@ -359,9 +359,9 @@ def make_app(
     key: Key,
     cache: Path,
     leaving: asyncio.Event,
-    bounds: Bounds | None = None,
+    bounds: RequestBounds | None = None,
     live: Live | None = None,
-) -> Guard:
+) -> RequestGuard:
     """The application, guarded.
 
     Parameters
@@ -390,7 +390,7 @@ def make_app(
         lifespan=working,
         exception_handlers={FlysidError: _refused, HTTPException: _not_served, ClientDisconnect: _gone},
     )
-    return Guard(app, key, bounds or Bounds(), quiet)
+    return RequestGuard(app, key, bounds or RequestBounds(), quiet)
 
 
 def query_of(request: Request, form: type[Form]) -> Form:

@@ -26,7 +26,7 @@ from flysid.ingest.lake.track import read_track
 from flysid.manifest import FLIGHTS, MANIFEST_FILE, Column, Manifest, StreamEntry, read_manifest
 from flysid.studio.folders import NotThere, Workspace, is_name
 from flysid.studio.forms import Window
-from flysid.studio.pyramid import Axis, Pyramid, View, hold, look, read_axis, read_pyramid
+from flysid.studio.pyramid import Pyramid, TimeAxis, View, hold, look, read_axis, read_pyramid
 
 SIGNAL = "@"  # "@recipe:signal" is a recipe's signal, as "stream:field" is a field
 RUN = "run/"  # "@run/ID:signal" is one of the recipe that a run was fitted by
@@ -147,7 +147,7 @@ class Flights:
             raise UsageError(f"no number {field!r} in {stream!r}", path=manifest.id)
         return units[field]
 
-    def _curve(self, flight: str, name: str) -> tuple[Axis, Pyramid]:
+    def _curve(self, flight: str, name: str) -> tuple[TimeAxis, Pyramid]:
         stream, _, field = name.rpartition(":")
         if stream.startswith(SIGNAL):
             return self._signal(flight, *self._recipe(stream), field)
@@ -166,7 +166,7 @@ class Flights:
         except OSError as error:
             raise NotThere("the run is gone", path=path.parent) from error
 
-    def _read_signal(self, flight: str, recipe: str, _stamp: int, signal: str) -> tuple[Axis, Pyramid]:
+    def _read_signal(self, flight: str, recipe: str, _stamp: int, signal: str) -> tuple[TimeAxis, Pyramid]:
         found = load_signal(signal, load_recipe(recipe).signals[signal], lake_of(self.data, flight).logs[0])
         offsets = boot_offsets_s(self.manifest(flight))
         boots = [
@@ -175,7 +175,7 @@ class Flights:
         ]
         return hold(boots, self._cache)
 
-    def _read_axis(self, flight: str, stream: str) -> Axis:
+    def _read_axis(self, flight: str, stream: str) -> TimeAxis:
         manifest = self.manifest(flight)
         folder = self.data / FLIGHTS / flight
         return read_axis(folder, manifest.stream(stream), boot_offsets_s(manifest), self._cache)

@@ -20,7 +20,7 @@ from flysid.studio.loopback import HEADERS, POLICY, UNKNOWN, Key, refusal
 
 
 @dataclass(frozen=True)
-class Bounds:
+class RequestBounds:
     """Of one request's body: bytes, and seconds to wait for the next part of it."""
 
     body_bytes: int = 1 << 20
@@ -55,10 +55,10 @@ class Quiet:
             await asyncio.sleep(left_s)
 
 
-class Guard:
+class RequestGuard:
     """Answers itself what may not pass: 401 no cookie, 403 another site, 413 too large, 421 another host."""
 
-    def __init__(self, app: ASGIApp, key: Key, bounds: Bounds, quiet: Quiet) -> None:
+    def __init__(self, app: ASGIApp, key: Key, bounds: RequestBounds, quiet: Quiet) -> None:
         self._app = app
         self._key = key
         self._bounds = bounds

@@ -39,7 +39,7 @@ IntArray = npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)
-class Axis:
+class TimeAxis:
     """The times of a stream.
 
     Attributes
@@ -74,7 +74,7 @@ class View:
     whole: bool
 
 
-def read_axis(folder: Path, entry: StreamEntry, offsets_s: Mapping[int, float], place: Path) -> Axis:
+def read_axis(folder: Path, entry: StreamEntry, offsets_s: Mapping[int, float], place: Path) -> TimeAxis:
     """Map the times of a stream.
 
     Parameters
@@ -104,10 +104,10 @@ def read_axis(folder: Path, entry: StreamEntry, offsets_s: Mapping[int, float], 
             before = int(boots[-1])
             row += len(boots)
     time_s = _map(path)
-    return Axis(time_s, np.union1d(_pauses(path, time_s), np.asarray(boots_begin, dtype=np.int64)))
+    return TimeAxis(time_s, np.union1d(_pauses(path, time_s), np.asarray(boots_begin, dtype=np.int64)))
 
 
-def hold(boots: Sequence[tuple[FloatArray, FloatArray]], place: Path) -> tuple[Axis, Pyramid]:
+def hold(boots: Sequence[tuple[FloatArray, FloatArray]], place: Path) -> tuple[TimeAxis, Pyramid]:
     """Map samples that are in memory: (times in seconds, values) of each boot, in order."""
     paths = [_new_file(place), _new_file(place)]
     for path, column in zip(paths, (0, 1), strict=True):
@@ -116,7 +116,7 @@ def hold(boots: Sequence[tuple[FloatArray, FloatArray]], place: Path) -> tuple[A
                 np.ascontiguousarray(boot[column], dtype=np.float64).tofile(file)
     begins = np.cumsum([len(boot[0]) for boot in boots])[:-1]
     time_s = _map(paths[0])
-    axis = Axis(time_s, np.union1d(_pauses(paths[0], time_s), begins.astype(np.int64)))
+    axis = TimeAxis(time_s, np.union1d(_pauses(paths[0], time_s), begins.astype(np.int64)))
     return axis, _pyramid_of(paths[1])
 
 
@@ -147,7 +147,7 @@ def _pyramid_of(path: Path) -> Pyramid:
     return Pyramid(tuple(levels))
 
 
-def look(axis: Axis, pyramid: Pyramid, start_s: float, end_s: float, pixels: int) -> View:
+def look(axis: TimeAxis, pyramid: Pyramid, start_s: float, end_s: float, pixels: int) -> View:
     """What a window of some pixels shows of a field.
 
     The samples themselves, and one on either side, where there are at most two a pixel; else the lowest and
@@ -160,7 +160,7 @@ def look(axis: Axis, pyramid: Pyramid, start_s: float, end_s: float, pixels: int
         _release(pyramid.levels[0])
 
 
-def _looked_at(axis: Axis, pyramid: Pyramid, window_s: tuple[float, float], pixels: int) -> View:
+def _looked_at(axis: TimeAxis, pyramid: Pyramid, window_s: tuple[float, float], pixels: int) -> View:
     start_s, end_s = window_s
     first = int(np.searchsorted(axis.time_s, start_s, "left"))
     last = int(np.searchsorted(axis.time_s, end_s, "right"))
@@ -211,7 +211,7 @@ def _gathered(values: FloatArray, starts: IntArray, stops: IntArray) -> tuple[Fl
     return np.fmin.reduce(found[..., 0], axis=1), np.fmax.reduce(found[..., 1], axis=1)
 
 
-def _samples(axis: Axis, pyramid: Pyramid, first: int, last: int) -> View:
+def _samples(axis: TimeAxis, pyramid: Pyramid, first: int, last: int) -> View:
     """Samples as they are, with a NaN inside every pause."""
     time_s = np.asarray(axis.time_s[first:last])
     values = np.asarray(pyramid.levels[0][first:last])

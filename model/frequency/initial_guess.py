@@ -27,7 +27,7 @@ from flysid.model.frequency.transfer import inverse_hold
 from flysid.model.linear.data import Parts, records
 from flysid.model.linear.output_error import find_delays, fit_output
 from flysid.model.selection import STRONG
-from flysid.model.simulation_error import Orders, OutputError
+from flysid.model.simulation_error import OutputError, OutputOrders
 
 Auto = Literal["auto"]
 
@@ -170,7 +170,7 @@ class _Discrete:
         dt_s = self.parts.train.dt_s
         try:
             nk = self._delays(form)
-            orders = Orders(form.poles, counts, nk, self.settings.offset)
+            orders = OutputOrders(form.poles, counts, nk, self.settings.offset)
             fit = fit_output(OutputError(records(self.parts.fit, 0), orders))
             pairs = [
                 inverse_hold(b, fit.transfer.a, k, dt_s) for b, k in zip(fit.transfer.b, nk, strict=True)
@@ -194,7 +194,7 @@ class _Discrete:
             probe = min(2, form.poles)
             counts = (max(probe, 1),) * len(form.zeros)
             spoken_for = tuple(self.settings.nk_hint) or (1,) * len(counts)
-            orders = Orders(probe, counts, spoken_for, self.settings.offset)
+            orders = OutputOrders(probe, counts, spoken_for, self.settings.offset)
             found = find_delays(self.parts.fit, 0, orders)
             self.nk = tuple(max(k, 1) for k in found)
         return self.nk

@@ -36,7 +36,7 @@ SINGULAR = 1e-13
 
 
 @dataclass(frozen=True)
-class Columns:
+class SignalRoles:
     """Which inputs of a dataset the model has, and which are references."""
 
     inputs: tuple[int, ...]
@@ -49,7 +49,7 @@ class Columns:
 
 
 @dataclass(frozen=True)
-class Orders:
+class IVOrders:
     """Of one output; nb and nk per input of the model."""
 
     na: int
@@ -109,8 +109,8 @@ def scaled_blocks(blocks: Blocks, scale: FloatArray) -> Blocks:
 def fitted_by_iv(
     parts: Parts,
     blocks: Blocks,
-    orders: Sequence[Orders],
-    columns: Columns,
+    orders: Sequence[IVOrders],
+    columns: SignalRoles,
     n_init: int | None,
 ) -> FittedLinear:
     """Every output's estimate, as one model.
@@ -128,7 +128,7 @@ def fitted_by_iv(
     return _model(parts, orders, columns, found, n_init)
 
 
-def driven_by(blocks: Blocks, n_y: int, columns: Columns) -> dict[int, Path]:
+def driven_by(blocks: Blocks, n_y: int, columns: SignalRoles) -> dict[int, Path]:
     """The part of every output (rows 0 to n_y - 1) and input that the references drive; empty without any."""
     references = [n_y + j for j in columns.references]
     rows = [*range(n_y), *(n_y + j for j in columns.inputs)]
@@ -136,7 +136,11 @@ def driven_by(blocks: Blocks, n_y: int, columns: Columns) -> dict[int, Path]:
 
 
 def estimated_by_iv(
-    parts: Parts, blocks: Blocks, equation: tuple[int, Orders], columns: Columns, driven: Mapping[int, Path]
+    parts: Parts,
+    blocks: Blocks,
+    equation: tuple[int, IVOrders],
+    columns: SignalRoles,
+    driven: Mapping[int, Path],
 ) -> Estimate:
     """One output's estimate; `equation` is that output and its orders. Raises as `fitted_by_iv`."""
     output, own = equation
@@ -219,7 +223,7 @@ def _driven(blocks: Blocks, target: int, references: Sequence[int]) -> Path:
     Many coefficients tell the same where the reference is smooth (a sweep, sampled fast): any of the
     solutions gives the same part, the shortest is taken.
     """
-    own = Orders(LONG_ORDER, (LONG_ORDER + 1,) * len(references), (0,) * len(references), offset=True)
+    own = IVOrders(LONG_ORDER, (LONG_ORDER + 1,) * len(references), (0,) * len(references), offset=True)
     signals = _Signals(blocks, target, references, {})
     gram = signals.gram(own.depth, None, np.ones(1))
     step = own.depth + 1
@@ -230,14 +234,14 @@ def _driven(blocks: Blocks, target: int, references: Sequence[int]) -> Path:
     return _path(own, theta, references)
 
 
-def _path(orders: Orders, theta: FloatArray, rows: Sequence[int]) -> Path:
+def _path(orders: IVOrders, theta: FloatArray, rows: Sequence[int]) -> Path:
     a, b, _ = orders.polynomials(theta)
     return Path(
         stabilised(a, STABLE_RADIUS), {row: taps for row, taps in zip(rows, b, strict=True) if len(taps)}
     )
 
 
-def _four_stages(signals: _Signals, orders: Orders, driven: Path | None, memory: int) -> Estimate:
+def _four_stages(signals: _Signals, orders: IVOrders, driven: Path | None, memory: int) -> Estimate:
     none = np.ones(1)
     depth = orders.depth
     step = orders.depth + 1
@@ -260,7 +264,7 @@ def _four_stages(signals: _Signals, orders: Orders, driven: Path | None, memory:
     return Estimate(last.theta * size, last.covariance * np.outer(size, size))
 
 
-def _instrumental(gram: FloatArray, orders: Orders, signals: _Signals) -> Estimate:
+def _instrumental(gram: FloatArray, orders: IVOrders, signals: _Signals) -> Estimate:
     n_u = len(signals.inputs)
     step = (len(gram) - 1) // (2 + n_u * (2 if signals.images else 1))
     phi = orders.columns(step, 0, 2)
@@ -306,7 +310,7 @@ def _solved(matrix: FloatArray, right: FloatArray) -> FloatArray:
     return np.asarray(answer / (columns if right.ndim == 1 else columns[:, None]))
 
 
-def _autoregression(gram: FloatArray, orders: Orders, theta: FloatArray, memory: int) -> FloatArray:
+def _autoregression(gram: FloatArray, orders: IVOrders, theta: FloatArray, memory: int) -> FloatArray:
     """Monic L that whitens what theta leaves over, from the Gram that theta came from."""
     step = orders.depth + memory + 1
     weights = np.zeros((len(gram), memory + 1))
@@ -322,8 +326,8 @@ def _autoregression(gram: FloatArray, orders: Orders, theta: FloatArray, memory:
 
 def _model(
     parts: Parts,
-    orders: Sequence[Orders],
-    columns: Columns,
+    orders: Sequence[IVOrders],
+    columns: SignalRoles,
     found: Sequence[Estimate],
     n_init: int | None,
 ) -> FittedLinear:

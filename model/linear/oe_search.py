@@ -17,7 +17,7 @@ from flysid.model.linear.output_error import (
 )
 from flysid.model.linear.settings import PolynomialSettings
 from flysid.model.shared import digest, once
-from flysid.model.simulation_error import Orders
+from flysid.model.simulation_error import OutputOrders
 
 SHARE = 10
 """A regression needs this many samples per parameter before an order is tried."""
@@ -114,10 +114,10 @@ def _delays(
     return find_delays(parts.fit, output, replace(_orders(settings, probe, spoken_for), nb=counts))
 
 
-def _orders(settings: PolynomialSettings, na: int, nk: tuple[int, ...]) -> Orders:
+def _orders(settings: PolynomialSettings, na: int, nk: tuple[int, ...]) -> OutputOrders:
     if settings.nb == "auto":
         nb = tuple(max(na, 1) + (1 if k == 0 else 0) for k in nk)
     else:
         nb = as_tuple(settings.nb, len(nk))
     drift = settings.trend == "estimate"
-    return Orders(na, nb, nk, settings.offset and not drift, drift)
+    return OutputOrders(na, nb, nk, settings.offset and not drift, drift)

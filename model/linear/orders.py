@@ -10,7 +10,7 @@ import numpy as np
 from flysid.dataset import FloatArray
 from flysid.errors import DataError
 from flysid.model.gram import LeastSquares, Triangle, lagged_gram, lagged_triangle, residuals_of, solve
-from flysid.model.regressors import Lags, RegressorTransform
+from flysid.model.regressors import LagTerms, RegressorTransform
 from flysid.model.stream import Source, blocks_of, windows
 
 ROUNDING = 1e-31
@@ -18,16 +18,16 @@ ROUNDING = 1e-31
 
 
 @dataclass(frozen=True)
-class Choice:
+class OrderChoice:
     """Orders of an ARX model: na for all outputs, nb and nk per input."""
 
     na: int
     nb: tuple[int, ...]
     nk: tuple[int, ...]
 
-    def lags(self, n_y: int) -> Lags:
+    def lags(self, n_y: int) -> LagTerms:
         """The lags of every output's equation."""
-        return Lags.arx((self.na,) * n_y, self.nb, self.nk)
+        return LagTerms.arx((self.na,) * n_y, self.nb, self.nk)
 
     def __str__(self) -> str:
         def one(values: tuple[int, ...]) -> str:
@@ -48,11 +48,11 @@ class Grid:
     offset: bool
 
     @staticmethod
-    def lags(n_y: int, n_u: int, na: int, last_u: int) -> Lags:
+    def lags(n_y: int, n_u: int, na: int, last_u: int) -> LagTerms:
         """The columns of the grid."""
-        return Lags.arx((na,) * n_y, (last_u + 1,) * n_u, (0,) * n_u)
+        return LagTerms.arx((na,) * n_y, (last_u + 1,) * n_u, (0,) * n_u)
 
-    def columns(self, choice: Choice) -> list[int]:
+    def columns(self, choice: OrderChoice) -> list[int]:
         """Columns of the triangle that a choice regresses on, the constant last."""
         found = [j * self.na + lag - 1 for j in range(self.n_y) for lag in range(1, choice.na + 1)]
         base = self.n_y * self.na
@@ -60,12 +60,12 @@ class Grid:
             found += [base + j * (self.last_u + 1) + lag for lag in range(delay, delay + count)]
         return found + ([self.triangle.constant] if self.offset else [])
 
-    def fit(self, choice: Choice) -> list[LeastSquares]:
+    def fit(self, choice: OrderChoice) -> list[LeastSquares]:
         """One regression per output."""
         columns = self.columns(choice)
         return [solve(self.triangle, columns, i) for i in range(self.n_y)]
 
-    def bic(self, choice: Choice) -> float:
+    def bic(self, choice: OrderChoice) -> float:
         """Bayesian information criterion (Schwarz, 1978) of the one-step residuals; inf where collinear."""
         columns = self.columns(choice)
         rss = residuals_of(self.triangle, columns)
@@ -78,7 +78,7 @@ class Grid:
         return fit + self.n_y * len(columns) * float(np.log(rows))
 
 
-def grid_triangle(data: Source, lags: Lags, transform: RegressorTransform | None = None) -> Triangle:
+def grid_triangle(data: Source, lags: LagTerms, transform: RegressorTransform | None = None) -> Triangle:
     """The triangle of [Phi Y 1] for the lags of a Grid, from memory or from disk.
 
     Raises
@@ -89,7 +89,7 @@ def grid_triangle(data: Source, lags: Lags, transform: RegressorTransform | None
     return lagged_triangle(blocks_of(data, origin), lags.depth, scale, _columns(lags), len(lags.y))
 
 
-def grid_gram(data: Source, lags: Lags, transform: RegressorTransform | None = None) -> FloatArray:
+def grid_gram(data: Source, lags: LagTerms, transform: RegressorTransform | None = None) -> FloatArray:
     """The Gram of [Phi Y 1]; see `grid_triangle`.
 
     Raises
@@ -109,7 +109,7 @@ def grid_gram(data: Source, lags: Lags, transform: RegressorTransform | None = N
     return found
 
 
-def _units(lags: Lags, transform: RegressorTransform | None) -> tuple[FloatArray, FloatArray]:
+def _units(lags: LagTerms, transform: RegressorTransform | None) -> tuple[FloatArray, FloatArray]:
     if transform is None:
         return np.zeros(len(lags.y) + len(lags.u)), np.ones(len(lags.y) + len(lags.u))
     return (
@@ -118,14 +118,14 @@ def _units(lags: Lags, transform: RegressorTransform | None) -> tuple[FloatArray
     )
 
 
-def _columns(lags: Lags) -> list[int]:
+def _columns(lags: LagTerms) -> list[int]:
     """Where [Phi Y] stands among all lags 0..depth of all signals."""
     step = lags.depth + 1
     pick = [j * step + lag for j, own in enumerate((*lags.y, *lags.u)) for lag in own]
     return pick + [j * step for j in range(len(lags.y))]
 
 
-def best_of(grid: Grid, choices: Iterable[Choice]) -> Choice | None:
+def best_of(grid: Grid, choices: Iterable[OrderChoice]) -> OrderChoice | None:
     """The choice of lowest BIC; None when all are collinear."""
     scored = [(grid.bic(c), c) for c in choices]
     scored = [s for s in scored if np.isfinite(s[0])]
@@ -134,7 +134,7 @@ def best_of(grid: Grid, choices: Iterable[Choice]) -> Choice | None:
 
 def best_per_order(
     grid: Grid, nas: Sequence[int], nbs: Sequence[tuple[int, ...]], nks: Sequence[Sequence[int]]
-) -> list[Choice]:
+) -> list[OrderChoice]:
     """For every na the best nb and nk by BIC, simplest first.
 
     Parameters
@@ -149,11 +149,11 @@ def best_per_order(
         nk = tuple(options[0] for options in nks)
         for _ in range(1 if len(nks) == 1 else 2):
             for j, options in enumerate(nks):
-                tries = (Choice(na, nb, (*nk[:j], d, *nk[j + 1 :])) for nb in fitting for d in options)
+                tries = (OrderChoice(na, nb, (*nk[:j], d, *nk[j + 1 :])) for nb in fitting for d in options)
                 best = best_of(grid, tries)
                 if best is not None:
                     nk = best.nk
-        best = best_of(grid, (Choice(na, nb, nk) for nb in fitting))
+        best = best_of(grid, (OrderChoice(na, nb, nk) for nb in fitting))
         if best is not None:
             found.append(best)
     return found

@@ -32,8 +32,8 @@ from flysid.model.polynomials import free_basis, monic_basis, nearly_cancelled, 
 from flysid.model.selection import LEVEL, block_errors, simplest, standard_error
 from flysid.model.shared import digest, once
 from flysid.model.simulation_error import (
-    Orders,
     OutputError,
+    OutputOrders,
     Record,
     Transfer,
     find_start,
@@ -99,7 +99,7 @@ def fit_output(problem: OutputError) -> OneOutput:
 
 
 @once(lambda data, output, probe: (digest(data), output, probe))
-def find_delays(data: Dataset, output: int, probe: Orders) -> tuple[int, ...]:
+def find_delays(data: Dataset, output: int, probe: OutputOrders) -> tuple[int, ...]:
     """Delay per input, one input at a time, by the simulation error of the start.
 
     One sample, the delay of any plant behind a zero-order hold, holds unless another lowers the cost by more
@@ -127,7 +127,7 @@ def find_delays(data: Dataset, output: int, probe: Orders) -> tuple[int, ...]:
     return tuple(nk)
 
 
-def _delay_cost(parts: tuple[Record, ...], orders: Orders) -> float:
+def _delay_cost(parts: tuple[Record, ...], orders: OutputOrders) -> float:
     counts = tuple(n + 1 if k == 0 else n for n, k in zip(orders.nb, orders.nk, strict=True))
     problem = OutputError(parts, replace(orders, nb=counts))
     rows = sum(len(r.y) - problem.start_row() for r in problem.usable())
@@ -233,7 +233,7 @@ def _joint(covariances: Sequence[FloatArray], fits: Sequence[OneOutput], parts: 
     return joint * np.outer(factors, factors)
 
 
-def choose_orders(parts: Parts, candidates: Sequence[Sequence[Orders]]) -> tuple[list[OneOutput], str]:
+def choose_orders(parts: Parts, candidates: Sequence[Sequence[OutputOrders]]) -> tuple[list[OneOutput], str]:
     """Fit every candidate on the fitting part, judge by the validation free run, simplest within noise.
 
     A candidate that free-runs the fitting part much worse than a simpler one is left out: the state at
@@ -362,7 +362,7 @@ def _said(tried: Sequence[_Tried], chosen: int, left_out: Sequence[int]) -> str:
     )
 
 
-def _fitted(parts: Parts, orders: Sequence[Orders], before: Sequence[OneOutput]) -> list[OneOutput]:
+def _fitted(parts: Parts, orders: Sequence[OutputOrders], before: Sequence[OneOutput]) -> list[OneOutput]:
     """Every output on the fitting part; never worse than the fits of lower orders (`before`, or none)."""
     fits = []
     for i, own in enumerate(orders):
@@ -375,7 +375,7 @@ def _fitted(parts: Parts, orders: Sequence[Orders], before: Sequence[OneOutput])
     return fits
 
 
-def raised(transfer: Transfer, orders: Orders) -> FloatArray:
+def raised(transfer: Transfer, orders: OutputOrders) -> FloatArray:
     """The same transfer in higher orders: its poles and zeros, and as many more that cancel."""
     a = transfer.a
     b = list(transfer.b)

@@ -26,7 +26,7 @@ from flysid.model.polynomials import stabilised
 from flysid.model.refine import Refinement, levenberg_marquardt
 from flysid.model.simulation_error import (
     ONE,
-    Orders,
+    OutputOrders,
     Record,
     Transfer,
     delayed,
@@ -52,7 +52,7 @@ class PredictionError:
 
     kind: Kind
     records: tuple[Record, ...]
-    orders: Orders
+    orders: OutputOrders
     nc: int
     nd: int
 
@@ -181,7 +181,7 @@ def _filtered(columns: FloatArray, c: FloatArray, d: FloatArray | None = None) -
     return filtered(ONE if d is None else d, c, columns)
 
 
-def _input_columns(u: FloatArray, orders: Orders, rows: slice) -> list[FloatArray]:
+def _input_columns(u: FloatArray, orders: OutputOrders, rows: slice) -> list[FloatArray]:
     return [
         differences(u[:, j], count, delay, rows, monic=False)
         for j, (count, delay) in enumerate(zip(orders.nb, orders.nk, strict=True))

@@ -19,7 +19,7 @@ from flysid.model.linear.output_error import OneOutput, runner
 from flysid.model.linear.pem import Kind, PredictionError, innovations_start
 from flysid.model.linear.settings import PolynomialSettings
 from flysid.model.linear.stability import settled
-from flysid.model.simulation_error import Orders, OutputError, to_transfer
+from flysid.model.simulation_error import OutputError, OutputOrders, to_transfer
 
 BJ_NOISES = ((0, 0), (0, 1), (0, 2), (1, 1), (2, 2), (0, 4))
 ARMAX_NOISES = (1, 2, 3, 4)
@@ -179,14 +179,14 @@ def _covariance(fits: Sequence[NoisyFit], parts: Parts) -> FloatArray:
     return joint
 
 
-def _to_coefficients(orders: Orders) -> FloatArray:
+def _to_coefficients(orders: OutputOrders) -> FloatArray:
     """The matrix from difference coordinates to coefficients."""
     zero = np.zeros(orders.count)
     flat = _flat(zero, orders)
     return np.stack([_flat(row, orders) - flat for row in np.eye(orders.count)], axis=1)
 
 
-def _flat(theta: FloatArray, orders: Orders) -> FloatArray:
+def _flat(theta: FloatArray, orders: OutputOrders) -> FloatArray:
     transfer = to_transfer(theta, orders)
     taps = [b[k:] for b, k in zip(transfer.b, orders.nk, strict=True)]
     return np.concatenate([transfer.a[1:], *taps, [transfer.c] if orders.offset else []])

@@ -25,7 +25,7 @@ _ALIKE = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
-class SimulationError:
+class TermFit:
     """Runs, terms, and what does not move.
 
     Attributes

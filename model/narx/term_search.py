@@ -1,6 +1,6 @@
 """The search for terms: one at a time, by the free run, from a linear model.
 
-Forward: what every candidate would gain is computed to first order (`SimulationError.gains`). The few best
+Forward: what every candidate would gain is computed to first order (`TermFit.gains`). The few best
 are tried: all coefficients are refined on the free run and judged by the free run over held-out blocks of the
 training data. The best stays if it is clearly better there (`model.selection`). Backward: the terms that say
 least leave, as long as the held-out free run does not become clearly worse; then those that chance may have
@@ -27,7 +27,7 @@ from flysid.model.linear.difference_equation import FittedLinear
 from flysid.model.narx.fitted_polynomial import FittedPolyNARX, Units
 from flysid.model.narx.free_run_kernel import free_run
 from flysid.model.narx.polynomial_terms import Factor, Term, candidates, depth_of, table_of, term_name
-from flysid.model.narx.simulation_fit import SimulationError
+from flysid.model.narx.simulation_fit import TermFit
 from flysid.model.rules.boundedness import probe_run
 from flysid.model.selection import block_means, clearly_better
 from flysid.model.start import MAX_SHARE, estimate_start, run_from_window, start_window
@@ -49,7 +49,7 @@ _PUSHES = 3000
 
 
 @dataclass(frozen=True, eq=False)
-class Candidate:
+class RefinedTerms:
     """Terms, refined in every fold.
 
     Attributes
@@ -130,13 +130,13 @@ class TermSearch:
         """Segments that tell more than their own start; the same for all searches, which are compared."""
         return [s for s in data.segments if len(s) > 3 * self.depth]
 
-    def problem(self, data: Dataset, terms: Sequence[Term]) -> SimulationError:
+    def problem(self, data: Dataset, terms: Sequence[Term]) -> TermFit:
         """The simulation error of terms on the segments that are long enough."""
         usable = self.usable(data)
         if not usable:
             raise FitError("no segment is long enough for a free run", hint="give smaller orders or delays")
         runs = tuple(self.units.joined(s.u, s.y) for s in usable)
-        return SimulationError(runs, table_of(terms), self.limits, self.depth, self.memory)
+        return TermFit(runs, table_of(terms), self.limits, self.depth, self.memory)
 
     def model(self, terms: tuple[Term, ...], theta: FloatArray) -> FittedPolyNARX:
         """A model of terms, without notes and intervals."""
@@ -166,7 +166,7 @@ class TermSearch:
             starts.append(W[self.depth - self.memory :, : self.units.n_y].ravel())
         return np.concatenate([theta, *starts])
 
-    def refined(self, terms: tuple[Term, ...], unknowns: Sequence[FloatArray]) -> Candidate | None:
+    def refined(self, terms: tuple[Term, ...], unknowns: Sequence[FloatArray]) -> RefinedTerms | None:
         """The terms refined and judged in every fold; None where a run is held at a limit."""
         found = []
         errors = []
@@ -179,7 +179,7 @@ class TermSearch:
                 return None
             found.append(p)
             errors.append(judged)
-        return Candidate(terms, tuple(found), np.concatenate(errors))
+        return RefinedTerms(terms, tuple(found), np.concatenate(errors))
 
     def judged(self, model: FittedPolyNARX, check: Dataset) -> FloatArray | None:
         """Mean squared free-run errors of blocks; None where a run reaches a limit."""
@@ -210,7 +210,7 @@ class TermSearch:
         """The free run keeps off its limits, where the linear model's does."""
         return self.held_at_first > 0 or self.held(terms, theta) == 0
 
-    def first(self) -> Candidate | None:
+    def first(self) -> RefinedTerms | None:
         """The linear model refined as a polynomial one is."""
         return self.refined(self.start, [self.begun(fit, self.start, self.theta) for fit, _ in self.folds])
 
@@ -229,7 +229,7 @@ def spread(data: Dataset, rows: int, least: int) -> Dataset:
     return data.with_segments(pieces[::every])
 
 
-def grown(search: TermSearch, first: Candidate, most: int, notes: list[str]) -> Candidate:
+def grown(search: TermSearch, first: RefinedTerms, most: int, notes: list[str]) -> RefinedTerms:
     """Up to `most` terms more, each the best of those tried, as long as held-out blocks get clearly better.
 
     Of two terms that only help together, the first does not: up to `AHEAD` are added before it has to show.
@@ -261,7 +261,7 @@ def name_of(search: TermSearch, term: Term) -> str:
     return f"{name} to {train.outputs[term.equation].name}" if len(train.outputs) > 1 else name
 
 
-def _most_promising(search: TermSearch, now: Candidate, further: Sequence[Term]) -> list[Term]:
+def _most_promising(search: TermSearch, now: RefinedTerms, further: Sequence[Term]) -> list[Term]:
     """The terms that lower the simulation error of all folds most, to first order."""
     total = np.zeros(len(further))
     count = len(now.terms)
@@ -272,12 +272,12 @@ def _most_promising(search: TermSearch, now: Candidate, further: Sequence[Term])
     return [further[i] for i in order if total[i] > 0.0]
 
 
-def _with_term(search: TermSearch, now: Candidate, term: Term) -> Candidate | None:
+def _with_term(search: TermSearch, now: RefinedTerms, term: Term) -> RefinedTerms | None:
     count = len(now.terms)
     return search.refined((*now.terms, term), [np.insert(p, count, 0.0) for p in now.unknowns])
 
 
-def pruned(search: TermSearch, grown: Candidate, notes: list[str]) -> Candidate:
+def pruned(search: TermSearch, grown: RefinedTerms, notes: list[str]) -> RefinedTerms:
     """Without the terms that the held-out free run does not miss."""
     now = grown
     while True:
@@ -290,7 +290,7 @@ def pruned(search: TermSearch, grown: Candidate, notes: list[str]) -> Candidate:
         now = best
 
 
-def proven(search: TermSearch, chosen: Candidate, notes: list[str]) -> Candidate:
+def proven(search: TermSearch, chosen: RefinedTerms, notes: list[str]) -> RefinedTerms:
     """Without the nonlinear terms that chance may have picked among as many as were on offer.
 
     Slow disturbances of a record are alike in neighbouring blocks, so that held-out ones may speak for a term
@@ -319,7 +319,7 @@ def proven(search: TermSearch, chosen: Candidate, notes: list[str]) -> Candidate
     return now
 
 
-def _least_telling(search: TermSearch, now: Candidate) -> list[int]:
+def _least_telling(search: TermSearch, now: RefinedTerms) -> list[int]:
     """Places of the terms whose coefficient 0 would cost least, to second order; one stays in an equation."""
     count = len(now.terms)
     cost = np.zeros(count)
@@ -331,12 +331,12 @@ def _least_telling(search: TermSearch, now: Candidate) -> list[int]:
     return [int(t) for t in np.argsort(cost, kind="stable")[:TRIED] if np.isfinite(cost[t])]
 
 
-def _without_term(search: TermSearch, now: Candidate, place: int) -> Candidate | None:
+def _without_term(search: TermSearch, now: RefinedTerms, place: int) -> RefinedTerms | None:
     terms = now.terms[:place] + now.terms[place + 1 :]
     return search.refined(terms, [np.delete(p, place) for p in now.unknowns])
 
 
-def finished(search: TermSearch, chosen: Candidate) -> tuple[FittedPolyNARX, float]:
+def finished(search: TermSearch, chosen: RefinedTerms) -> tuple[FittedPolyNARX, float]:
     """The terms refined on all of the training data, and their squared error there, normalised.
 
     The error is infinite where a free run is held at a limit, under the probe too.
@@ -361,7 +361,7 @@ def unchanged(search: TermSearch) -> tuple[FittedPolyNARX, float]:
 
 
 def _with_intervals(
-    search: TermSearch, problem: SimulationError, terms: tuple[Term, ...], p: FloatArray
+    search: TermSearch, problem: TermFit, terms: tuple[Term, ...], p: FloatArray
 ) -> FittedPolyNARX:
     """A model of terms; errors count as alike over as long as an output remembers itself."""
     covariance = problem.covariance(p, search.block)

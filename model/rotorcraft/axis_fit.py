@@ -33,7 +33,7 @@ POWER = (-1.0, 4.0)
 
 
 @dataclass(frozen=True, eq=False)
-class Axis:
+class FittedAxis:
     """A fitted axis, in the units of its records.
 
     Attributes
@@ -48,7 +48,7 @@ class Axis:
     covariance: FloatArray
 
 
-def fit_axis(records: Sequence[Record], dt: float, integrates: bool, curved: bool) -> Axis:
+def fit_axis(records: Sequence[Record], dt: float, integrates: bool, curved: bool) -> FittedAxis:
     """The parameters that predict one step ahead best.
 
     Parameters
@@ -215,11 +215,11 @@ def _judged(
     free: FloatArray,
     low: FloatArray,
     high: FloatArray,
-) -> Axis:
+) -> FittedAxis:
     """The axis with the covariance of what is away from the ends of its range."""
     inside = [int(i) for i in free if low[i] < theta[i] < high[i]]
     errors, slopes = _stacked(records, theta, dt, integrates)
     covariance = np.zeros((len(theta), len(theta)))
     own = coloured_covariance([s[:, inside] for s in slopes], *noise_model(errors))
     covariance[np.ix_(inside, inside)] = own
-    return Axis(theta, tuple(inside), covariance)
+    return FittedAxis(theta, tuple(inside), covariance)

@@ -69,12 +69,12 @@ def initial_states(
 ) -> FloatArray:
     """(S, moving, n) the most likely start of every run, from its first `rows` rows, its own among them."""
     end = layout.depth - layout.moving + max(rows, layout.moving)
-    found = [_Search(layout, np.array(W[:end]), par, prior).found() for W in runs]
+    found = [_StartSearch(layout, np.array(W[:end]), par, prior).found() for W in runs]
     return np.stack(found).reshape(len(found), layout.moving, layout.n)
 
 
 @dataclass(frozen=True, eq=False)
-class _Search:
+class _StartSearch:
     """One run W whose start is searched for."""
 
     layout: Layout

@@ -37,7 +37,7 @@ from flysid.model.frequency.simulation_fit import (
 from flysid.model.polynomials import DB, ComplexArray
 from flysid.model.refine import levenberg_marquardt
 from flysid.model.structured.held_input import held, whole_samples
-from flysid.model.structured.plan_file import Layout
+from flysid.model.structured.plan_file import PlanLayout
 
 IntArray = npt.NDArray[np.int64]
 
@@ -102,7 +102,7 @@ class JointFit:
 class JointProblem:
     """All responses to fit, and the layout of the model."""
 
-    layout: Layout
+    layout: PlanLayout
     responses: tuple[Response, ...]
     dt_s: float
     hold: Hold
@@ -306,7 +306,7 @@ def coherent_responses(
     return tuple(found), tuple(without)
 
 
-def answers(layout: Layout) -> npt.NDArray[np.bool_]:
+def answers(layout: PlanLayout) -> npt.NDArray[np.bool_]:
     """(n_y, n_u) whether the layout lets an input reach an output at all."""
     theta = _anywhere(layout)
     omega = np.array([np.pi])  # no pole of fixed numbers that anybody writes lies just there
@@ -346,7 +346,7 @@ def identifiable(problem: JointProblem, *, lost_below: float = 1e-9) -> tuple[in
     return tuple(int(k) for k in seen)
 
 
-def _anywhere(layout: Layout) -> FloatArray:
+def _anywhere(layout: PlanLayout) -> FloatArray:
     """Values of no special kind."""
     rng = np.random.default_rng(0)
     size = np.array([abs(t.start) if t.start else 1.0 for t in layout.terms])
@@ -403,14 +403,14 @@ def starts(problem: JointProblem, free: Sequence[int]) -> FloatArray:
     return theta
 
 
-def _needed(layout: Layout, state: int) -> set[int]:
+def _needed(layout: PlanLayout, state: int) -> set[int]:
     """States that the equation of a state holds."""
     fixed = {int(k) for k in np.flatnonzero(layout.fixed["F"][state])}
     return fixed | {p.column for t in layout.terms for p in t.places if p.table == "F" and p.row == state}
 
 
 def _equation(
-    layout: Layout,
+    layout: PlanLayout,
     theta: FloatArray,
     at: tuple[int, int],
     values: tuple[FloatArray, dict[int, ComplexArray]],

@@ -39,7 +39,7 @@ FORMS = 'a number, "NAME", { name = "NAME", start = 1.0 } or { tied = "NAME", fa
 
 
 @dataclass(frozen=True)
-class Place:
+class TermPlace:
     """Where a term stands: F, G, H, D (row, column) or delay (row 0, column: the input), and its factor."""
 
     table: str
@@ -49,13 +49,13 @@ class Place:
 
 
 @dataclass(frozen=True)
-class Term:
+class FreeNumber:
     """A free number. `start` is None where it is to be found from the data."""
 
     name: str
     unit: str
     start: float | None
-    places: tuple[Place, ...]
+    places: tuple[TermPlace, ...]
 
     @property
     def is_delay(self) -> bool:
@@ -64,7 +64,7 @@ class Term:
 
 
 @dataclass(frozen=True, eq=False)
-class Layout:
+class PlanLayout:
     """A plan for given signals: matrices with the fixed numbers, and the terms that are free.
 
     Attributes
@@ -76,7 +76,7 @@ class Layout:
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
     fixed: Mapping[str, FloatArray]
-    terms: tuple[Term, ...]
+    terms: tuple[FreeNumber, ...]
 
     def matrices(self, theta: FloatArray) -> dict[str, FloatArray]:
         """Every table with these values of the terms."""
@@ -162,7 +162,7 @@ class Plan:
             tables["G"][row] = {name: f"{row} per {name}" for name in columns}
         return cls(rows, tables, {name: f"delay of {name}" for name in columns})
 
-    def layout(self, inputs: Sequence[Signal], outputs: Sequence[Signal]) -> Layout:
+    def layout(self, inputs: Sequence[Signal], outputs: Sequence[Signal]) -> PlanLayout:
         """For these signals, of which the inputs are without references.
 
         Raises
@@ -202,7 +202,7 @@ class Plan:
             fixed["H"][i, self.states.index(name)] = 1.0
         if (fixed["delay"] < 0.0).any():
             raise UsageError("a delay is at least 0 s", path=self.path or None)
-        return Layout(self.states, us, ys, fixed, terms.found())
+        return PlanLayout(self.states, us, ys, fixed, terms.found())
 
     def _check_states(self) -> None:
         for name in self.units:
@@ -230,7 +230,7 @@ class _Terms:
         self.plan = plan
         self.units = units
         self.starts: dict[str, float | None] = {}
-        self.places: dict[str, list[tuple[Place, str]]] = {}
+        self.places: dict[str, list[tuple[TermPlace, str]]] = {}
 
     def add(self, entry: object, table: str, names: tuple[str, str], at: tuple[int, int]) -> float:
         """The fixed number of an entry, 0 where it is a term."""
@@ -255,11 +255,11 @@ class _Terms:
             raise self._error(
                 f"{where}: {factor:g} times a delay is below 0 s", "tie it with a factor above 0"
             )
-        place = Place(table, *at, factor)
+        place = TermPlace(table, *at, factor)
         self.places.setdefault(name, []).append((place, self._unit(table, *names)))
         return 0.0
 
-    def found(self) -> tuple[Term, ...]:
+    def found(self) -> tuple[FreeNumber, ...]:
         """All terms, in the order of the file.
 
         Raises
@@ -273,7 +273,7 @@ class _Terms:
         terms = []
         for name, places in self.places.items():
             own = next((unit for p, unit in places if p.factor == 1.0), places[0][1])
-            terms.append(Term(name, own, self.starts[name], tuple(p for p, _ in places)))
+            terms.append(FreeNumber(name, own, self.starts[name], tuple(p for p, _ in places)))
         if not terms:
             raise self._error("no term is free", f"give {FORMS}")
         return tuple(terms)

@@ -42,10 +42,10 @@ from flysid.model.structured.joint_fit import (
     identifiable,
     starts,
 )
-from flysid.model.structured.plan_file import Layout, Plan
+from flysid.model.structured.plan_file import Plan, PlanLayout
 from flysid.model.structured.superfluous import Dropped, without_superfluous
 from flysid.model.subspace.order_search import built
-from flysid.model.subspace.refinement import SimulationError
+from flysid.model.subspace.refinement import SystemFit
 from flysid.model.subspace.triangle import Realisation
 from flysid.model.threads import on_one_thread
 
@@ -160,7 +160,7 @@ def _without_negative_delays(problem: JointProblem, fit: JointFit) -> tuple[Join
     return fit, tuple(dropped)
 
 
-def _notes(layout: Layout, quiet: Sequence[str], deaf: Sequence[Response]) -> tuple[str, ...]:
+def _notes(layout: PlanLayout, quiet: Sequence[str], deaf: Sequence[Response]) -> tuple[str, ...]:
     notes = []
     if quiet:
         notes.append(f"Left out for want of coherence: {', '.join(quiet)}.")
@@ -174,7 +174,7 @@ def _notes(layout: Layout, quiet: Sequence[str], deaf: Sequence[Response]) -> tu
     return tuple(notes)
 
 
-def _derivatives(layout: Layout, fit: JointFit, dropped: Sequence[Dropped]) -> tuple[Derivative, ...]:
+def _derivatives(layout: PlanLayout, fit: JointFit, dropped: Sequence[Dropped]) -> tuple[Derivative, ...]:
     gone = {d.name: d.why for d in dropped}
     return tuple(
         Derivative(
@@ -253,7 +253,7 @@ def _sampled(settings: StructuredStateSpace, parts: Parts, sampling: _Sampling) 
     inverse = replace(scale, u_scale=1.0 / scale.u_scale, y_scale=1.0 / scale.y_scale)
     start = sampling.realisation(fit.theta, parts).in_units(inverse)
     radius = float(np.abs(np.linalg.eigvals(start.a)).max())
-    errors = SimulationError(_pieces(delayed.whole.segments, radius), start, True)
+    errors = SystemFit(_pieces(delayed.whole.segments, radius), start, True)
     states = len(problem.layout.states)
     errors = replace(errors, start=_with_offsets(errors, states))
     plain = replace(
@@ -298,7 +298,7 @@ def _pieces(segments: Sequence[Segment], radius: float, *, growth: float = 3.0) 
     return [s.slice(at, min(at + rows, len(s)), 1.0) for s in segments for at in range(0, len(s), rows)]
 
 
-def _with_offsets(problem: SimulationError, states: int) -> Realisation:
+def _with_offsets(problem: SystemFit, states: int) -> Realisation:
     """The system with the drift of its states and the level of its outputs that fit best.
 
     The run is linear in them: one Gauss-Newton step is exact.
@@ -341,7 +341,7 @@ def _sampled_covariance(sampling: _Sampling, parts: Parts, *, relative_step: flo
     return np.asarray(inner @ covariance @ inner.T)
 
 
-def _eigenvalue_errors(layout: Layout, fit: JointFit) -> FloatArray:
+def _eigenvalue_errors(layout: PlanLayout, fit: JointFit) -> FloatArray:
     """(n,) standard errors of F's eigenvalues in the complex plane, slowest first; NaN where two coincide."""
     from scipy.linalg import eig
 

@@ -29,7 +29,7 @@ CONFIDENCE_ROWS = 20_000
 
 
 @dataclass(frozen=True, eq=False)
-class SimulationError:
+class SystemFit:
     """The least-squares problem: segments in scaled deviations, and the system to begin with.
 
     Attributes

@@ -12,7 +12,7 @@ from flysid.dataset import Dataset, FloatArray, Signal
 from flysid.errors import UsageError
 from flysid.model.narx.fitted_polynomial import FittedPolyNARX, Units, from_dict
 from flysid.model.narx.polynomial_terms import Factor, Term, depth_of, meaning, table_of, term_name
-from flysid.model.narx.simulation_fit import SimulationError
+from flysid.model.narx.simulation_fit import TermFit
 from flysid.model.narx.term_search import linear_terms, spread
 from flysid.model.polynarx import PolyNARX
 from flysid.validate.fitting import estimators
@@ -70,9 +70,9 @@ def test_deep_lags_are_searched_on_long_pieces() -> None:
     assert len(spread(dragged(13_000), 6000, 20).segments) > 1
 
 
-def problem(runs: tuple[FloatArray, ...], terms: list[Term]) -> SimulationError:
+def problem(runs: tuple[FloatArray, ...], terms: list[Term]) -> TermFit:
     limits = np.array([[-9.0, -9.0], [9.0, 9.0]])
-    return SimulationError(runs, table_of(terms), limits, depth_of(terms), depth_of(terms, 2))
+    return TermFit(runs, table_of(terms), limits, depth_of(terms), depth_of(terms, 2))
 
 
 def test_sensitivities_equal_differences_of_the_free_run() -> None:

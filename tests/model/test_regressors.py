@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from flysid.dataset import Dataset, Signal
 from flysid.errors import DataError, UsageError
-from flysid.model.regressors import Lags, chunks, regressors, stacked
+from flysid.model.regressors import LagTerms, chunks, regressors, stacked
 
 lag_lists = st.lists(st.integers(1, 6), max_size=4).map(tuple)
 input_lags = st.lists(st.integers(0, 6), max_size=4).map(tuple)
@@ -18,7 +18,7 @@ input_lags = st.lists(st.integers(0, 6), max_size=4).map(tuple)
 @settings(deadline=None, max_examples=50)
 @given(y=st.lists(lag_lists, min_size=1, max_size=2), u=st.lists(input_lags, min_size=1, max_size=2))
 def test_every_entry_is_the_sample_its_lag_says(y: list[tuple[int, ...]], u: list[tuple[int, ...]]) -> None:
-    lags = Lags(tuple(y), tuple(u))
+    lags = LagTerms(tuple(y), tuple(u))
     n = 20
     us = np.arange(n * len(u), dtype=float).reshape(n, len(u))
     ys = 1000 + np.arange(n * len(y), dtype=float).reshape(n, len(y))
@@ -36,7 +36,7 @@ def test_pieces_are_the_whole_and_segments_are_not_joined() -> None:
     u = [rng.standard_normal((n, 2)) for n in (50, 3, 71)]
     y = [rng.standard_normal((n, 1)) for n in (50, 3, 71)]
     data = Dataset.from_arrays(u, y, 0.1)
-    lags = Lags.arx((3,), (2, 1), (1, 4))
+    lags = LagTerms.arx((3,), (2, 1), (1, 4))
     phi, target = stacked(data, lags)
     assert len(phi) == 50 - 4 + 71 - 4
     pieces = list(chunks(data, lags, rows=16))
@@ -47,18 +47,18 @@ def test_pieces_are_the_whole_and_segments_are_not_joined() -> None:
 
 
 def test_names_are_as_people_write_them() -> None:
-    lags = Lags.arx((2,), (1,), (0,))
+    lags = LagTerms.arx((2,), (1,), (0,))
     assert lags.names([Signal("v_x")], [Signal("theta")]) == ("v_x(k-1)", "v_x(k-2)", "theta(k)")
 
 
 def test_lags_that_would_know_the_future() -> None:
     with pytest.raises(UsageError, match="an output's lag must"):
-        Lags(y=((0,),), u=((1,),))
+        LagTerms(y=((0,),), u=((1,),))
     with pytest.raises(UsageError, match="lag must"):
-        Lags(y=((1,),), u=((-1,),))
+        LagTerms(y=((1,),), u=((-1,),))
 
 
 def test_segments_shorter_than_the_depth() -> None:
     data = Dataset.from_arrays([np.ones(4), np.ones(3)], [np.ones(4), np.ones(3)], 1.0)
     with pytest.raises(DataError, match="longest has 4"):
-        stacked(data, Lags.arx((4,), (1,), (1,)))
+        stacked(data, LagTerms.arx((4,), (1,), (1,)))

@@ -12,7 +12,7 @@ import numpy as np
 from flysid.catalogue import FlightFacts
 from flysid.errors import DataError
 from flysid.fleet.models.common_grid import Sampling
-from flysid.fleet.models.differences import Judged, Part, Test, judge, judge_channel
+from flysid.fleet.models.differences import FlightPart, JudgedChannel, Test, judge, judge_channel
 from flysid.fleet.models.flag_words import Finding, Smallest, finding, short_names, sizes, smallest
 from flysid.fleet.models.gather import Gathered
 from flysid.ingest.align.recipe import Recipe
@@ -43,7 +43,7 @@ class Comparison:
     recipe: Recipe
     rate: float
     before_ns: int | None
-    channels: tuple[Judged, ...]
+    channels: tuple[JudgedChannel, ...]
     findings: tuple[Finding, ...]
     smallest: Mapping[str, Smallest]
     skipped: Mapping[str, str]
@@ -70,7 +70,7 @@ class Comparison:
             "skipped": dict(self.skipped),
         }
 
-    def _channel(self, judged: Judged) -> dict[str, Any]:
+    def _channel(self, judged: JudgedChannel) -> dict[str, Any]:
         spec = self.recipe.channel(judged.channel)
         least = self.smallest.get(judged.channel)
         omega = judged.band.frequencies
@@ -107,12 +107,12 @@ def _test(test: Test, omega: np.ndarray[Any, np.dtype[np.float64]]) -> dict[str,
 def compare_parts(
     recipe: Recipe,
     samplings: Mapping[str, Sampling],
-    parts: Mapping[str, Sequence[Part]],
+    parts: Mapping[str, Sequence[FlightPart]],
     rate: float,
     before_ns: int | None = None,
-) -> tuple[list[Judged], dict[str, str]]:
+) -> tuple[list[JudgedChannel], dict[str, str]]:
     """Every channel's tests, flagged; and the channels that could not be compared, and why."""
-    found: list[Judged] = []
+    found: list[JudgedChannel] = []
     skipped: dict[str, str] = {}
     for channel in parts:
         try:

@@ -11,7 +11,7 @@ import numpy as np
 from markupsafe import Markup
 
 from flysid.fleet.models.changed import Comparison
-from flysid.fleet.models.differences import Judged, Test
+from flysid.fleet.models.differences import JudgedChannel, Test
 from flysid.fleet.models.flag_words import Finding, date_of
 from flysid.model.polynomials import Z95
 from flysid.showing import first_of
@@ -134,7 +134,7 @@ def _vehicles(compared: Comparison, links: Mapping[str, str]) -> list[dict[str, 
     return cards
 
 
-def _channel(compared: Comparison, judged: Judged) -> dict[str, Any]:
+def _channel(compared: Comparison, judged: JudgedChannel) -> dict[str, Any]:
     spec = compared.recipe.channel(judged.channel)
     least = compared.smallest.get(judged.channel)
     hz = judged.band.frequencies / 2.0 / np.pi

@@ -29,7 +29,7 @@ Question = Literal["changed", "unlike"]
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
+class FlightPart:
     """What is kept of a flight and a channel; `start_ns` is UTC, None where the log does not know."""
 
     flight: str
@@ -71,7 +71,7 @@ class Test:
 
 
 @dataclass(frozen=True, eq=False)
-class Judged:
+class JudgedChannel:
     """A channel and its tests.
 
     Attributes
@@ -87,15 +87,15 @@ class Judged:
     band: Band
     scatter: Scatter
     tests: tuple[Test, ...]
-    flown: Mapping[str, list[Part]]
+    flown: Mapping[str, list[FlightPart]]
     present: Mapping[str, Response]
     too_few: Mapping[str, str]
     common: FloatArray | None
 
 
 def judge_channel(
-    channel: str, parts: Sequence[Part], sampling: Sampling, before_ns: int | None = None
-) -> Judged:
+    channel: str, parts: Sequence[FlightPart], sampling: Sampling, before_ns: int | None = None
+) -> JudgedChannel:
     """Has any vehicle changed in this channel? No test is flagged yet: that is for `judge`.
 
     Parameters
@@ -119,7 +119,7 @@ def judge_channel(
     too_few = {p.vehicle: "no flight is long enough" for p in parts if p.vehicle not in flown}
     early: dict[str, Response] = {}
     late: dict[str, Response] = {}
-    divided: dict[str, tuple[list[Part], list[Part]]] = {}
+    divided: dict[str, tuple[list[FlightPart], list[FlightPart]]] = {}
     for name, own in flown.items():
         first, second = split(own, before_ns)
         try:
@@ -150,10 +150,10 @@ def judge_channel(
         for name, (difference, covariance, statistic) in differences.items()
     ]  # fmt: skip
     shared = _common(list(shifts.values()), size)[0] if shifts else None
-    return Judged(channel, sampling, band, scatter, tuple(tests), flown, late, too_few, shared)
+    return JudgedChannel(channel, sampling, band, scatter, tuple(tests), flown, late, too_few, shared)
 
 
-def judge(channels: Sequence[Judged], rate: float) -> list[Judged]:
+def judge(channels: Sequence[JudgedChannel], rate: float) -> list[JudgedChannel]:
     """All channels with the vehicles compared with each other too, and the tests flagged.
 
     Parameters
@@ -175,7 +175,7 @@ def flagged(tests: Sequence[Test], rate: float) -> list[Test]:
     return [replace(t, flagged=bool(q <= rate)) for t, q in zip(tests, adjusted, strict=True)]
 
 
-def _unlike(judged: Judged, changed: set[str]) -> list[Test]:
+def _unlike(judged: JudgedChannel, changed: set[str]) -> list[Test]:
     """Every vehicle against the others that have not changed; none where they are too few.
 
     The others' spread holds what makes specimens differ, and how unsure an ordinary response is. Where the
@@ -214,7 +214,11 @@ def _ordinary(p_values: Mapping[str, float], *, suspect: float = 0.05) -> list[s
 
 
 def _mixed(
-    first: Sequence[Part], second: Sequence[Part], sampling: Sampling, band: Band, scatter: Scatter
+    first: Sequence[FlightPart],
+    second: Sequence[FlightPart],
+    sampling: Sampling,
+    band: Band,
+    scatter: Scatter,
 ) -> float | None:
     """T² between two mixtures of early and late flights, which a change is in alike; None of too few."""
     if len(first) < 2 or len(second) < 2:
@@ -243,7 +247,7 @@ def _common(shifts: Sequence[FloatArray], size: int) -> tuple[FloatArray, FloatA
     return middle, np.diag(robust**2 * np.pi / 2.0 / len(every))
 
 
-def since(judged: Judged, vehicle: str) -> str:
+def since(judged: JudgedChannel, vehicle: str) -> str:
     """The first flight after the split of a vehicle's flights that tells its parts apart best."""
     own = judged.flown[vehicle]
     common = np.zeros(2 * len(judged.band.frequencies)) if judged.common is None else judged.common
@@ -262,20 +266,20 @@ def since(judged: Judged, vehicle: str) -> str:
     return best[0]
 
 
-def _response(parts: Sequence[Part], sampling: Sampling, band: Band) -> Response:
+def _response(parts: Sequence[FlightPart], sampling: Sampling, band: Band) -> Response:
     rows = sum(p.triangle.rows for p in parts)
     return response_of(fit_group([p.triangle.r for p in parts], rows, sampling), sampling, band.frequencies)
 
 
-def by_vehicle(parts: Sequence[Part]) -> dict[str, list[Part]]:
+def by_vehicle(parts: Sequence[FlightPart]) -> dict[str, list[FlightPart]]:
     """The flights of each vehicle, by name, in the order of time; of those without UTC, by their ids."""
-    found: dict[str, list[Part]] = {}
+    found: dict[str, list[FlightPart]] = {}
     for part in sorted(parts, key=lambda p: (p.vehicle, p.start_ns or 0, p.flight)):
         found.setdefault(part.vehicle, []).append(part)
     return found
 
 
-def split(own: Sequence[Part], before_ns: int | None) -> tuple[list[Part], list[Part]]:
+def split(own: Sequence[FlightPart], before_ns: int | None) -> tuple[list[FlightPart], list[FlightPart]]:
     """Early and late flights."""
     if before_ns is None:
         half = len(own) // 2

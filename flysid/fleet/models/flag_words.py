@@ -11,7 +11,7 @@ from scipy import stats
 from scipy.optimize import brentq
 
 from flysid.dataset import FloatArray
-from flysid.fleet.models.differences import Judged, Test, since
+from flysid.fleet.models.differences import JudgedChannel, Test, since
 from flysid.ingest.align.recipe import Recipe
 from flysid.ingest.lake.chosen_flights import shortest_end
 from flysid.validate.verdict import ALPHA
@@ -76,7 +76,7 @@ def _size(value_low_high: FloatArray, omega: float) -> Size:
 
 
 def finding(
-    test: Test, judged: Judged, recipe: Recipe, starts: Mapping[str, int | None], name: str
+    test: Test, judged: JudgedChannel, recipe: Recipe, starts: Mapping[str, int | None], name: str
 ) -> Finding:
     """A flagged test in physical words.
 
@@ -145,7 +145,7 @@ class Smallest:
     delay_ms: float
 
 
-def smallest(judged: Judged, tests: int, rate: float) -> Smallest | None:
+def smallest(judged: JudgedChannel, tests: int, rate: float) -> Smallest | None:
     """Of the same change of gain, or the same delay, at all frequencies; None without a test.
 
     Parameters

@@ -11,8 +11,8 @@ import numpy as np
 from flysid.errors import DataError, FlysidError, RecipeError
 from flysid.fleet.models.band import ComplexArray
 from flysid.fleet.models.common_grid import Sampling, choose_sampling, spread
-from flysid.fleet.models.differences import Part
-from flysid.fleet.models.triangle_store import Objects, Row, TriangleStore, Unfit, row_of
+from flysid.fleet.models.differences import FlightPart
+from flysid.fleet.models.triangle_store import Objects, TriangleRow, TriangleStore, Unfit, row_of
 from flysid.fleet.models.triangles import Triangle, triangle_of
 from flysid.ingest.align.align import align, segments_of
 from flysid.ingest.align.recipe import Recipe
@@ -44,7 +44,7 @@ class Gathered:
     """
 
     samplings: Mapping[str, Sampling]
-    parts: Mapping[str, list[Part]]
+    parts: Mapping[str, list[FlightPart]]
     skipped: Mapping[str, str]
     read: int
     lost: Mapping[str, str]
@@ -120,7 +120,7 @@ def gather(
 
 def _work(
     tasks: Sequence[Batch], workers: int, cluster: Cluster | None
-) -> Iterator[tuple[Batch, list[Row] | Lost]]:
+) -> Iterator[tuple[Batch, list[TriangleRow] | Lost]]:
     if cluster is not None:
         for task, rows in cluster.each(rows_elsewhere, tasks, _parts_of):
             yield task, Lost("the processes that read it were killed", 0) if rows is None else rows
@@ -136,14 +136,14 @@ def _parts_of(batch: Batch) -> list[str]:
     return ["triangles", repr(batch.recipe), repr(batch.samplings), *(log.facts.sha256 for log in batch.logs)]
 
 
-def rows_elsewhere(batch: Batch) -> list[Row]:
+def rows_elsewhere(batch: Batch) -> list[TriangleRow]:
     """The rows of a batch on a machine that has the lake's address alone."""
     folder = mirrored(batch.address, [log.facts for log in batch.logs])
     return rows_of(replace(batch, logs=tuple(replace(log, folder=folder) for log in batch.logs)))
 
 
 @on_one_thread
-def rows_of(batch: Batch) -> list[Row]:
+def rows_of(batch: Batch) -> list[TriangleRow]:
     """The rows of a batch's flights and channels; needs nothing but the flights."""
     rows = []
     for log in batch.logs:
@@ -153,7 +153,7 @@ def rows_of(batch: Batch) -> list[Row]:
     return rows
 
 
-def part_of_log(log: StoredLog, recipe: Recipe, channel: str, sampling: Sampling) -> tuple[Part, str]:
+def part_of_log(log: StoredLog, recipe: Recipe, channel: str, sampling: Sampling) -> tuple[FlightPart, str]:
     """A flight's part of a channel, and why it is empty."""
     signals = len(sampling.inputs) + len(sampling.outputs)
     none: ComplexArray = np.zeros((sampling.window // 2 + 1, signals, signals), dtype=np.complex128)
@@ -167,7 +167,7 @@ def part_of_log(log: StoredLog, recipe: Recipe, channel: str, sampling: Sampling
         reason = error.message
     facts = log.facts
     whose = (vehicle_of(facts.info), facts.info.get("firmware", ""), facts.start_utc_ns)
-    return Part(log.name, *whose, triangle), reason
+    return FlightPart(log.name, *whose, triangle), reason
 
 
 def _sampling(

@@ -15,7 +15,7 @@ from scipy import stats
 from flysid.errors import DataError, UsageError
 from flysid.fleet.models.band import band_of
 from flysid.fleet.models.common_grid import Sampling
-from flysid.fleet.models.differences import Part
+from flysid.fleet.models.differences import FlightPart
 from flysid.fleet.models.gather import Gathered
 from flysid.fleet.models.groups import GroupModel, Response, fit_group, response_of
 from flysid.fleet.models.scatter import Scatter, pooled
@@ -162,7 +162,7 @@ def fit_groups(gathered: Gathered, by: Sequence[str]) -> FleetFit:
     return FleetFit(tuple(by), gathered.samplings, tuple(groups), scatter, omegas, gathered.skipped)
 
 
-def _frequencies(parts: Sequence[Part], sampling: Sampling, channel: str) -> Any:
+def _frequencies(parts: Sequence[FlightPart], sampling: Sampling, channel: str) -> Any:
     if not parts or len(sampling.inputs) != 1 or len(sampling.outputs) != 1:
         return np.zeros(0)
     try:
@@ -172,21 +172,21 @@ def _frequencies(parts: Sequence[Part], sampling: Sampling, channel: str) -> Any
         return np.zeros(0)
 
 
-def _grouped(parts: Sequence[Part], by: Sequence[str]) -> dict[tuple[str, ...], list[Part]]:
-    found: dict[tuple[str, ...], list[Part]] = {}
+def _grouped(parts: Sequence[FlightPart], by: Sequence[str]) -> dict[tuple[str, ...], list[FlightPart]]:
+    found: dict[tuple[str, ...], list[FlightPart]] = {}
     for one in parts:
         found.setdefault(tuple(_value(one, key) for key in by), []).append(one)
     return {key: found[key] for key in sorted(found)}
 
 
-def _value(one: Part, key: str) -> str:
+def _value(one: FlightPart, key: str) -> str:
     if key == "month":
         return "" if one.start_ns is None else str(np.datetime64(one.start_ns, "ns").astype("datetime64[M]"))
     return one.vehicle if key == "vehicle" else one.firmware
 
 
 def _group(
-    key: Mapping[str, str], channel: str, own: Sequence[Part], sampling: Sampling, omega: Any
+    key: Mapping[str, str], channel: str, own: Sequence[FlightPart], sampling: Sampling, omega: Any
 ) -> Group:
     flights = tuple(p.flight for p in own)
     rows = sum(p.triangle.rows for p in own)

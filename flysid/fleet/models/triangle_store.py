@@ -27,7 +27,7 @@ from flysid.errors import StoreError
 from flysid.files import write_atomically, writing_to
 from flysid.fleet.models.band import ComplexArray
 from flysid.fleet.models.common_grid import Sampling
-from flysid.fleet.models.differences import Part
+from flysid.fleet.models.differences import FlightPart
 from flysid.fleet.models.triangles import Triangle
 from flysid.ingest.align.recipe import Recipe
 
@@ -88,7 +88,7 @@ class Unfit(msgspec.Struct, frozen=True):
     flights: int
 
 
-class Row(msgspec.Struct, frozen=True):
+class TriangleRow(msgspec.Struct, frozen=True):
     """One flight and channel; `reason` says why there is no triangle."""
 
     flight: str
@@ -122,22 +122,23 @@ SCHEMA = pa.schema(
 )
 
 
-def row_of(part: Part, sha256: str, channel: str, reason: str = "") -> Row:
+def row_of(part: FlightPart, sha256: str, channel: str, reason: str = "") -> TriangleRow:
     """A part as it is stored: the upper triangle row by row, little-endian."""
-    r = part.triangle.r[np.triu_indices(len(part.triangle.r))].astype("<f8").tobytes()
-    spectra = part.triangle.spectra.astype("<c16").tobytes()
-    return Row(part.flight, sha256, channel, part.vehicle, part.firmware, part.start_ns, part.triangle.rows,
-               part.triangle.windows, reason, r, spectra)  # fmt: skip
+    t = part.triangle
+    r = t.r[np.triu_indices(len(t.r))].astype("<f8").tobytes()
+    spectra = t.spectra.astype("<c16").tobytes()
+    flown = part.flight, sha256, channel, part.vehicle, part.firmware, part.start_ns
+    return TriangleRow(*flown, t.rows, t.windows, reason, r, spectra)
 
 
-def part_of(row: Mapping[str, object], sampling: Sampling) -> Part:
+def part_of(row: Mapping[str, object], sampling: Sampling) -> FlightPart:
     """The part of a stored row."""
-    got = msgspec.convert(row, Row)
+    got = msgspec.convert(row, TriangleRow)
     r = np.zeros((sampling.columns,) * 2)
     r[np.triu_indices(sampling.columns)] = np.frombuffer(got.r, dtype="<f8")
     signals = len(sampling.inputs) + len(sampling.outputs)
     spectra: ComplexArray = np.frombuffer(got.spectra, dtype="<c16").reshape(-1, signals, signals)
-    return Part(
+    return FlightPart(
         got.flight, got.vehicle, got.firmware, got.start_ns, Triangle(r, got.rows, spectra, got.windows)
     )
 
@@ -188,7 +189,7 @@ class TriangleStore:
         kind = f"unfit-{channel}-{found.flights:09d}" if isinstance(found, Unfit) else f"sampling-{channel}"
         self._objects.create(f"{self.prefix}/{kind}.json", msgspec.json.encode(found))
 
-    def keep(self, rows: Sequence[Row]) -> None:
+    def keep(self, rows: Sequence[TriangleRow]) -> None:
         """Remember flights."""
         table = pa.Table.from_pylist([msgspec.to_builtins(r, builtin_types=(bytes,)) for r in rows], SCHEMA)
         file = io.BytesIO()
@@ -202,9 +203,9 @@ class TriangleStore:
         tables = self._tables(["flight", "sha256", "channel"])
         return {tuple(row.values()) for table in tables for row in table.to_pylist()}
 
-    def parts(self, channel: str, sampling: Sampling, flights: Mapping[str, str]) -> list[Part]:
+    def parts(self, channel: str, sampling: Sampling, flights: Mapping[str, str]) -> list[FlightPart]:
         """The channel's parts of some flights (id -> sha256), each once, by flight."""
-        found: dict[str, Part] = {}
+        found: dict[str, FlightPart] = {}
         for table in self._tables(None):
             for row in table.filter(pa.compute.equal(table["channel"], channel)).to_pylist():
                 if flights.get(row["flight"]) == row["sha256"] and not row["reason"]:

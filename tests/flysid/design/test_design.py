@@ -13,13 +13,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from flysid.design.designed import Design, Meaning, open_design
+from flysid.design.designed import Design, DesignMeaning, open_design
 from flysid.design.designing import Wish, _designed, _new, ready_channel, with_feedforward
 from flysid.design.drawn_plants import PlantSet, Spread, grid, plants_of
 from flysid.design.firmware import SAFETY, SCHEMES, Firmware, firmware_for, read_parameters
 from flysid.design.gain_search import Bounds, Box, search
 from flysid.design.identified import identified
-from flysid.design.law import Gains, Parts
+from flysid.design.law import Gains, LoopParts
 from flysid.design.loopfigures import Laws, figures
 from flysid.errors import DataError, StoreError, UsageError
 from flysid.ingest.align.doubts import Doubt
@@ -69,15 +69,15 @@ def test_stability_is_that_of_the_closed_loops_poles(
     largest = np.abs(closed_poles(plant, gains)).max()
     if abs(largest - 1.0) < 2e-3:
         return  # nearly on the circle either answer is right
-    found = figures(Laws.of(gains), truth.responses, Parts.at(truth.omega, DT_S))
+    found = figures(Laws.of(gains), truth.responses, LoopParts.at(truth.omega, DT_S))
     assert bool(found.stable[0, 0]) == bool(largest < 1.0)
 
 
 def test_margins_are_those_of_python_control() -> None:
     _, truth = known_plant()
     gains = Gains(1.43, 8.4, 1.0, 0.3)
-    meant = Meaning.of(gains, truth)
-    found = figures(Laws.of(gains), truth.responses, Parts.at(truth.omega, DT_S))
+    meant = DesignMeaning.of(gains, truth)
+    found = figures(Laws.of(gains), truth.responses, LoopParts.at(truth.omega, DT_S))
     assert meant.ms[0] == pytest.approx(np.abs(1.0 / (1.0 + found.loop[0, 0])).max())
     assert meant.stable
     assert 20.0 < meant.phase_deg[0] < 90.0
@@ -88,7 +88,9 @@ def test_margins_are_those_of_python_control() -> None:
     loop = plant * slow.velocity * slow.position / s / (1.0 + plant * slow.velocity)
     time = np.linspace(0.0, 60.0, 60_001)
     _, y = control.step_response(control.feedback(loop, 1), time)
-    told = Meaning.of(slow, replace(truth, responses=truth.responses * np.exp(2j * truth.omega * DT_S)[None]))
+    told = DesignMeaning.of(
+        slow, replace(truth, responses=truth.responses * np.exp(2j * truth.omega * DT_S)[None])
+    )
     assert told.tracking[0] == pytest.approx(np.trapezoid((1.0 - y) ** 2, time), rel=0.05)
 
 
@@ -98,7 +100,7 @@ def test_gains_keep_their_bounds_on_every_plant_and_do_better_than_random_ones()
     assert len(plants.labels) == 6
     bounds = Bounds(noise=25.0, crossover_rad_s=9.0)
     found = search(plants, bounds, Box.free(plants, bounds, Gains(1, 1), with_filter=True))
-    meant = figures(Laws.of(found), plants.responses, Parts.at(plants.omega, DT_S))
+    meant = figures(Laws.of(found), plants.responses, LoopParts.at(plants.omega, DT_S))
     assert meant.stable.all()
     assert meant.ms.max() <= bounds.ms * (1 + 1e-9)
     assert meant.peak.max() <= bounds.peak * (1 + 1e-9)
@@ -106,7 +108,7 @@ def test_gains_keep_their_bounds_on_every_plant_and_do_better_than_random_ones()
     rng = np.random.default_rng(0)
     box = Box.free(plants, bounds, Gains(1, 1), with_filter=True)
     others = np.exp(rng.uniform(np.log(box.low.tuned()), np.log(box.high.tuned()), (300, 5)))
-    costs = bounds.cost(figures(Laws(others), plants.responses, Parts.at(plants.omega, DT_S)))
+    costs = bounds.cost(figures(Laws(others), plants.responses, LoopParts.at(plants.omega, DT_S)))
     assert bounds.cost(meant)[0] <= costs.min()
 
 

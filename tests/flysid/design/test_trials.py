@@ -13,7 +13,7 @@ from click.testing import CliRunner
 
 from flysid.cli.fly import command
 from flysid.design.campaign import fly_design
-from flysid.design.designed import Axis, Design, Meaning
+from flysid.design.designed import Axis, Design, DesignMeaning
 from flysid.design.drawn_plants import PlantSet, grid
 from flysid.design.gain_search import Bounds
 from flysid.design.law import Gains
@@ -40,7 +40,7 @@ def axis_of(plants: PlantSet, input_: str = "theta_in", sign: float = 1.0) -> Ax
         "present_x2": Gains(1.43, 8.4),
         "goal": Gains(1.8, 12.8, 0.1, 1.5, 1.6),
     }
-    meanings = {name: Meaning.of(law, plants) for name, law in laws.items()}
+    meanings = {name: DesignMeaning.of(law, plants) for name, law in laws.items()}
     units = ("deg", "m/s")
     band = (0.05, 1.5)
     return Axis(

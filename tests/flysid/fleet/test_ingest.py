@@ -41,7 +41,7 @@ def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path / "cache"
 
 
-def ingested(inbox: str, lake: str, **more: Any) -> list[reading.Outcome]:
+def ingested(inbox: str, lake: str, **more: Any) -> list[reading.LogOutcome]:
     """What became of every log of a bucket."""
     settings = Settings(lake, vehicle_in=VEHICLE, **({"bounds": None} | more))
     create_lake(lake)

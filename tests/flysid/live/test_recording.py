@@ -20,7 +20,7 @@ from flysid.live.links import open_link, parse_link
 from flysid.live.receiving import warm_up
 from flysid.live.recording import Recording
 from flysid.live.recording_parts import Rotation, parse_rotation
-from flysid.live.spool import Piece, Spool
+from flysid.live.spool import Spool, SpoolPiece
 from tests import link_trials
 from tests.link_sender import frames
 from tests.link_trials import free_port, without_stamps
@@ -283,7 +283,7 @@ def test_a_new_part_begins_where_a_vehicle_was_started_anew(tmp_path: Path) -> N
 
 def test_a_listener_hears_what_is_written(tmp_path: Path) -> None:
     port = free_port()
-    heard: list[Piece] = []
+    heard: list[SpoolPiece] = []
     with recording(tmp_path / "heard.tlog", f"udp:127.0.0.1:{port}", listener=heard.append) as made:
         send(port, *POOL)
         wait_for(256, made)
@@ -293,7 +293,7 @@ def test_a_listener_hears_what_is_written(tmp_path: Path) -> None:
 def test_the_queue_is_bounded_and_counts() -> None:
     spool = Spool(limit=1000)
     for k in range(20):
-        spool.put(Piece(bytes([k]) * 100, 1))
+        spool.put(SpoolPiece(bytes([k]) * 100, 1))
     kept = spool.take()
     assert spool.dropped_frames == 10
     assert [piece.content[0] for piece in kept] == list(range(10, 20))

@@ -19,7 +19,7 @@ from flysid.dataset import FloatArray, Segment, Signal
 from flysid.ingest.align.recipe import load_recipe
 from flysid.live.causes import likely, likely_of_effort, meaning_of, visibility
 from flysid.live.following import Follower
-from flysid.live.spool import Piece, whole_records
+from flysid.live.spool import SpoolPiece, whole_records
 from flysid.live.watching import ChannelWatch, known_inputs
 from flysid.validate.detect import Thresholds, calibrate
 from tests.command import ROOT, call, shell
@@ -191,5 +191,5 @@ def test_of_two_senders_one_is_followed() -> None:
     """Two vehicles with one number: their samples are never mixed."""
     follower = Follower([], load_recipe("ardrone-synthetic"), lambda _: None)
     for peer in (3, 4, 3):
-        follower.listen(Piece(bytes([peer]), 1, peer=peer))
+        follower.listen(SpoolPiece(bytes([peer]), 1, peer=peer))
     assert follower._waiting == [b"\x03", b"\x03"]

@@ -11,7 +11,7 @@ from numba import njit
 from flysid.dataset import FloatArray
 from flysid.loops.controller import Controller
 from flysid.loops.margins import _falls
-from flysid.loops.stick_response import ComplexArray, Record
+from flysid.loops.stick_response import ComplexArray, StickRecord
 
 STEP_S = 0.0005
 EVERY = 4
@@ -55,7 +55,7 @@ def fly(
     stick: float = 120.0,
     disturbance: float = 40.0,
     noise: float = 2.0,
-) -> Record:
+) -> StickRecord:
     """One flight: flicks of the stick, disturbances of the torque, noise of the gyro."""
     rng = np.random.default_rng(seed)
     n = round(seconds / STEP_S)
@@ -77,7 +77,7 @@ def fly(
         ]
     )
     u, y = _run(r, d, noise * rng.standard_normal(n), numbers, vehicle.delay_steps)
-    return Record("simulated", 1.0 / (STEP_S * EVERY), (np.stack([r, u, y])[:, ::EVERY],))
+    return StickRecord("simulated", 1.0 / (STEP_S * EVERY), (np.stack([r, u, y])[:, ::EVERY],))
 
 
 @njit(cache=True)

@@ -12,15 +12,15 @@ from flysid.errors import UsageError
 from flysid.ingest.align.recipe import parse_recipe
 from flysid.plan.autopilots import ardupilot, px4_plane
 from flysid.plan.briefing import axes_of_last_flight, briefing, recipe_for
-from flysid.plan.flightplan import Axis, Kind, axis_of, make_plan, within
+from flysid.plan.flightplan import CommandedAxis, Kind, axis_of, make_plan, within
 
-ROLL = Axis("roll", 0.1)
-PITCH = Axis("pitch", 0.1)
+ROLL = CommandedAxis("roll", 0.1)
+PITCH = CommandedAxis("pitch", 0.1)
 
 
 def refused(
     match: str,
-    axes: tuple[Axis, ...] = (ROLL,),
+    axes: tuple[CommandedAxis, ...] = (ROLL,),
     band: tuple[float, float] = (0.5, 5.0),
     seconds: float = 30.0,
     rate: float = 50.0,
@@ -63,14 +63,17 @@ def test_an_axis_that_is_none_is_refused(text: str) -> None:
 
 
 def test_axes_are_read_with_their_units_and_kept_within_limits() -> None:
-    assert axis_of("theta_in=5deg") == Axis("theta_in", 5.0, "deg")
-    assert axis_of("RATE.ROut=0.15") == Axis("RATE.ROut", 0.15)
-    assert axis_of("p=20 deg/s") == Axis("p", 20.0, "deg/s")
-    assert within((ROLL, PITCH), (Axis("roll", 0.02), Axis("pitch", 3.0))) == (Axis("roll", 0.02), PITCH)
+    assert axis_of("theta_in=5deg") == CommandedAxis("theta_in", 5.0, "deg")
+    assert axis_of("RATE.ROut=0.15") == CommandedAxis("RATE.ROut", 0.15)
+    assert axis_of("p=20 deg/s") == CommandedAxis("p", 20.0, "deg/s")
+    assert within((ROLL, PITCH), (CommandedAxis("roll", 0.02), CommandedAxis("pitch", 3.0))) == (
+        CommandedAxis("roll", 0.02),
+        PITCH,
+    )
     with pytest.raises(UsageError, match="does not command"):
-        within((ROLL,), (Axis("yaw", 1.0),))
+        within((ROLL,), (CommandedAxis("yaw", 1.0),))
     with pytest.raises(UsageError, match="in 'rad'"):
-        within((Axis("a", 1.0, "deg"),), (Axis("a", 1.0, "rad"),))
+        within((CommandedAxis("a", 1.0, "deg"),), (CommandedAxis("a", 1.0, "rad"),))
 
 
 def test_chirps_and_doublets_take_the_axes_in_turn() -> None:
@@ -102,20 +105,20 @@ def test_ardupilots_parameters() -> None:
         "SID_T_FADE_OUT": "2",
     }
     assert float(values["SID_T_REC"]) > 2.0 / float(values["SID_F_START_HZ"])  # else ArduPilot stops at once
-    rate = make_plan("chirp", (Axis("yaw", 20.0, "deg/s"),), (0.5, 20.0), 60.0, 100.0)
+    rate = make_plan("chirp", (CommandedAxis("yaw", 20.0, "deg/s"),), (0.5, 20.0), 60.0, 100.0)
     assert "SID_AXIS,9\n" in ardupilot(rate, "rate")[0].text
 
 
 def test_what_an_autopilot_cannot_fly_is_refused() -> None:
-    def sweep(axis: Axis, band: tuple[float, float] = (0.5, 20.0), seconds: float = 60.0):  # type: ignore[no-untyped-def]
+    def sweep(axis: CommandedAxis, band: tuple[float, float] = (0.5, 20.0), seconds: float = 60.0):  # type: ignore[no-untyped-def]
         return make_plan("chirp", (axis,), band, seconds, 500.0)
 
     with pytest.raises(UsageError, match="cannot fly multisine"):
         ardupilot(make_plan("multisine", (ROLL,), (0.5, 5.0), 30.0, 50.0), "mixer")
     for place, axis, match in (
-        ("mixer", Axis("wing", 0.1), "no axis 'wing'"),
-        ("rate", Axis("roll", 5.0, "deg"), "counts in deg/s"),
-        ("mixer", Axis("roll", 5.0), "the whole of a mixer axis is 1"),
+        ("mixer", CommandedAxis("wing", 0.1), "no axis 'wing'"),
+        ("rate", CommandedAxis("roll", 5.0, "deg"), "counts in deg/s"),
+        ("mixer", CommandedAxis("roll", 5.0), "the whole of a mixer axis is 1"),
     ):
         with pytest.raises(UsageError, match=match):
             ardupilot(sweep(axis), place)
@@ -124,7 +127,7 @@ def test_what_an_autopilot_cannot_fly_is_refused() -> None:
     with pytest.raises(UsageError, match="to 30 Hz"):
         px4_plane(sweep(ROLL, (0.5, 50.0)))
     with pytest.raises(UsageError, match="no axis throttle"):
-        px4_plane(sweep(Axis("throttle", 0.1)))
+        px4_plane(sweep(CommandedAxis("throttle", 0.1)))
 
 
 def test_px4s_parameters() -> None:
@@ -153,7 +156,7 @@ def test_amplitudes_go_as_far_as_the_last_flight() -> None:
 def test_the_recipe_of_a_plan_is_one() -> None:
     import tomllib
 
-    plan = make_plan("multisine", (Axis("RATE.ROut", 0.1), PITCH), (0.5, 5.0), 30.0, 50.0)
+    plan = make_plan("multisine", (CommandedAxis("RATE.ROut", 0.1), PITCH), (0.5, 5.0), 30.0, 50.0)
     recipe = parse_recipe(tomllib.loads(recipe_for(plan, ["RATE.R", "gy"])))
     assert recipe.channels["gy"].inputs == ("RATE_ROut", "pitch")
     assert recipe.signals["RATE_R"].sources[0].stream == "RATE"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from flysid.plan.flightplan import Axis, make_plan
+from flysid.plan.flightplan import CommandedAxis, make_plan
 from flysid.plan.multisines import (
     _norm_and_slope,
     largest_correlation,
@@ -14,7 +14,7 @@ from flysid.plan.multisines import (
     sum_of_lines,
 )
 
-AXES = tuple(Axis(name, peak) for name, peak in (("roll", 0.1), ("pitch", 0.2), ("yaw", 0.3)))
+AXES = tuple(CommandedAxis(name, peak) for name, peak in (("roll", 0.1), ("pitch", 0.2), ("yaw", 0.3)))
 
 
 @pytest.mark.parametrize(("band", "seconds"), [((0.3, 12.0), 60.0), ((0.1, 4.0), 30.0)])

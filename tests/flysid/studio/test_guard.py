@@ -11,7 +11,7 @@ import pytest
 from starlette.responses import Response
 from starlette.types import Message, Receive, Scope, Send
 
-from flysid.studio.guard import Bounds, Guard, Quiet
+from flysid.studio.guard import Quiet, RequestBounds, RequestGuard
 from flysid.studio.loopback import Key
 from tests.flysid.studio.server import Server
 
@@ -179,7 +179,7 @@ def test_a_slow_body_is_given_up() -> None:
     headers = [(b"host", b"127.0.0.1:80"), (b"content-length", b"9")]
     headers.append((b"cookie", f"{key.cookie}={key.token}".encode()))
     scope = {"type": "http", "method": "POST", "path": "/api/1/fits", "query_string": b"", "headers": headers}
-    asyncio.run(Guard(take, key, Bounds(seconds=0.05), Quiet())(scope, never, send))
+    asyncio.run(RequestGuard(take, key, RequestBounds(seconds=0.05), Quiet())(scope, never, send))
     assert sent[0]["status"] == 408
 
 
@@ -192,7 +192,7 @@ def test_a_body_that_never_comes(server: Server) -> None:
         )
         began = time.monotonic()
         assert server.get("flights").status == 200
-        assert time.monotonic() - began < Bounds().seconds / 2.0  # did not wait for the body
+        assert time.monotonic() - began < RequestBounds().seconds / 2.0  # did not wait for the body
 
 
 def test_the_key_takes_its_own_token_alone() -> None:

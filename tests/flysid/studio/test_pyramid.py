@@ -9,10 +9,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from flysid.studio.pyramid import Axis, Pyramid, extremes_between, hold, look
+from flysid.studio.pyramid import Pyramid, TimeAxis, extremes_between, hold, look
 
 
-def held(tmp_path: Path, time_s: object, values: object) -> tuple[Axis, Pyramid]:
+def held(tmp_path: Path, time_s: object, values: object) -> tuple[TimeAxis, Pyramid]:
     return hold([(np.asarray(time_s, dtype=float), np.asarray(values, dtype=float))], tmp_path)
 
 

@@ -19,7 +19,7 @@ from flysid.model.linear.output_error import raised
 from flysid.model.noise import burg, noise_model
 from flysid.model.oe import OE
 from flysid.model.polynomials import polynomial_text
-from flysid.model.simulation_error import Orders, OutputError, Record, from_transfer, to_transfer
+from flysid.model.simulation_error import OutputError, OutputOrders, Record, from_transfer, to_transfer
 
 BENCHMARKS = Path(__file__).parents[4] / "shared" / "benchmarks"
 
@@ -39,7 +39,7 @@ def held_out_rmse(model: FittedLinear, u: FloatArray, y: FloatArray, n_init: int
 
 def problem(seed: int, n_u: int) -> tuple[OutputError, FloatArray]:
     rng = np.random.default_rng(seed)
-    orders = Orders(3, (2,) * n_u, (1, 0)[:n_u])
+    orders = OutputOrders(3, (2,) * n_u, (1, 0)[:n_u])
     theta = rng.standard_normal(orders.count) * 0.2
     stable = replace(
         to_transfer(theta, orders),
@@ -126,7 +126,7 @@ def test_choices_do_not_hang_on_the_unit_of_time() -> None:
 def test_a_higher_order_starts_from_the_lower_one() -> None:
     p, theta = problem(1, 2)
     transfer = replace(to_transfer(theta, p.orders), c=0.0)
-    orders = Orders(5, (4, 4), p.orders.nk)
+    orders = OutputOrders(5, (4, 4), p.orders.nk)
     again = to_transfer(raised(transfer, orders), orders)
     u = np.random.default_rng(0).standard_normal((80, 2))
     assert again.forced(u) == pytest.approx(transfer.forced(u), abs=1e-9)

@@ -12,7 +12,7 @@ from flysid.model.armax import ARMAX
 from flysid.model.arx import ARX
 from flysid.model.bj import BJ
 from flysid.model.linear.pem import Kind, PredictionError, innovations_start
-from flysid.model.simulation_error import Orders, Record, Transfer, from_transfer
+from flysid.model.simulation_error import OutputOrders, Record, Transfer, from_transfer
 
 A = [1.0, -1.5, 0.7]
 B = [0.0, 1.0, 0.5]
@@ -31,7 +31,7 @@ def experiment(kind: Kind, seed: int, samples: int = 600) -> tuple[FloatArray, F
 
 @pytest.mark.parametrize("kind", ["armax", "bj"])
 def test_sensitivities_equal_differences(kind: Kind) -> None:
-    orders = Orders(2, (2,), (1,))
+    orders = OutputOrders(2, (2,), (1,))
     records = tuple(Record(u[:, None], y) for u, y in (experiment(kind, s, 80) for s in (1, 2)))
     problem = PredictionError(kind, records, orders, 2, 0 if kind == "armax" else 1)
     dynamics = from_transfer(Transfer(np.array(A), (np.array(B),), 0.1), orders)

@@ -11,7 +11,7 @@ from scipy.signal import lfilter
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import UsageError
 from flysid.model.statespace import StateSpace
-from flysid.model.subspace.refinement import SimulationError
+from flysid.model.subspace.refinement import SystemFit
 from flysid.model.subspace.triangle import subspace
 from tests.model_examples import data
 
@@ -21,7 +21,7 @@ def test_slopes_are_those_of_differences(feedthrough: bool) -> None:
     example = data(2, 2, samples=80, noise=0.05)
     start = subspace([s.u for s in example.segments], [s.y for s in example.segments], 3, past=5)
     start = replace(start, d=start.d if feedthrough else np.zeros_like(start.d))
-    problem = SimulationError(example.segments, start, feedthrough)
+    problem = SystemFit(example.segments, start, feedthrough)
     theta = 1.01 * problem.theta0
     cost, _, gradient = problem.normal_equations(theta)
     assert cost == pytest.approx(problem.cost(theta))
