@@ -158,19 +158,18 @@ def spare_words(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterator[Caut
 def runs_away(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterator[Caution]:
     """Models that reach their limits in a long run although they did not on the held-out part."""
     for channel, d in diagnoses.items():
-        head = comparisons[channel].head
-        for name, checks in d.checks.items():
-            at = checks.robustness.limits_s
-            lost = comparisons[channel].entry(horizon=head).models[name].diverged
-            if at is not None and not lost:
-                yield Caution(
-                    "warning",
-                    "In a long free run under random steps within the training range "
-                    f"{one_line(name).upper()} reaches its output limits on {one_line(channel)}, first at "
-                    f"t = {at:.1f} s.",
-                    "do not use it for long simulations or for control; use fewer rules or a lower order.",
-                    4.5,
-                )
+        judged = comparisons[channel].entry(horizon=comparisons[channel].head).models
+        ends = {n: c.robustness.limits_s for n, c in d.checks.items() if not judged[n].diverged}
+        for at in dict.fromkeys(t for t in ends.values() if t is not None):
+            names = [n for n, end in ends.items() if end == at]  # several are one model under two names
+            reaches = "reaches its output limits" if len(names) == 1 else "reach their output limits"
+            yield Caution(
+                "warning",
+                f"In a long free run under random steps within the training range {named(names)} {reaches} "
+                f"on {one_line(channel)}, first at t = {at:.1f} s.",
+                "do not use it for long simulations or for control; use fewer rules or a lower order.",
+                4.5,
+            )
 
 
 def unsure_gains(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterator[Caution]:

@@ -43,6 +43,11 @@ def test_a_model_that_runs_away_is_caught_and_told_of() -> None:
     assert not c.entry().models["ts"].diverged
     said = [x.text for x in cautions({"c": c}, {"c": diagnose(c, data)})]
     assert any("long free run under random steps" in text and "TS" in text for text in said)
+    twice = compare({"arx": wild, "ts": wild}, flown(TRUTH, [60] * 5, noise=0.02))
+    (told,) = [
+        x.text for x in cautions({"c": twice}, {"c": diagnose(twice, data)}) if "long free run" in x.text
+    ]
+    assert "ARX and TS reach their output limits on c" in told  # one model, once
 
 
 def test_the_condition_is_that_of_the_lagged_signals() -> None:

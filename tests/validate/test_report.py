@@ -414,6 +414,11 @@ def test_two_models_that_are_one_share_its_bands_and_show_where_it_errs() -> Non
     where = re.search(r"<figcaption>([^<]*)</figcaption></figure>\n<p class=\"change\"", page)
     assert where is not None
     assert where[1] == data["segments"][2]["label"].replace("\u2212", "-")
+    found = compare({"arx": model, "ts": model}, test, train=train)
+    text = " ".join(Page(render(ReportContext.of({"x": found}))).text)
+    assert "A linear model is enough" in text
+    assert "The ten seconds in which the model errs most." in text
+    assert "fuzzy" not in text.lower()
 
 
 def test_the_logged_gains_have_a_section_with_their_margins_and_a_nyquist_plot() -> None:

@@ -130,6 +130,11 @@ def base_words(pairs: Heads) -> str:
     return "linear model" if "fuzzy" in NAMES.get(pair.model, "") else called(pair.baseline)
 
 
+def contender_words(pairs: Heads) -> str:
+    """What the models seen from the baselines are called; of those that are linear nothing of "fuzzy"."""
+    return "outcome of the search for rules" if _all_linear(pairs) else called(pairs[0][1].model)
+
+
 def title(pairs: Heads, idle: Sequence[str] = ()) -> str:
     """The verdict in one sentence; `idle` is `as_good_as_constant`."""
     if not pairs:
@@ -311,7 +316,7 @@ def basis(comparisons: Mapping[str, Comparison], train_s: float | None) -> str:
     bases = dict.fromkeys(one_line(c.baseline).upper() for c in comparisons.values())
     against = _introduced(base_words(pairs) if pairs else called(first.baseline), " or ".join(bases))
     if first.contender:
-        name = "outcome of the search for rules" if pairs and _all_linear(pairs) else called(first.contender)
+        name = contender_words(pairs) if pairs else called(first.contender)
         model = _introduced(name, one_line(first.contender).upper())
         against = f"{model} against {against}"
     held = f"{segments} held-out segment{'s' if segments != 1 else ''} ({duration(seconds)})"

@@ -121,11 +121,12 @@ def _reach(pairs: Sequence[Pair]) -> tuple[float, float]:
 
 
 def _drawn(comparisons: Mapping[str, Comparison]) -> list[tuple[str, str]]:
-    """(CSS class, name) of the curves on the cards."""
+    """(CSS class, name) of the curves on the cards, one where the search for rules took the baseline."""
     first = next(iter(comparisons.values()))
     pairs = narrative.heads(comparisons)
     words = [narrative.base_words(pairs) if pairs else narrative.called(first.baseline)]
-    words += [narrative.called(first.contender)] if first.contender else []
+    if not all(_is_same_model(pair) for _, pair in pairs):
+        words.append(narrative.contender_words(pairs))
     return list(zip(("arx", "ts"), words, strict=False))
 
 
@@ -158,7 +159,7 @@ def _cards(comparisons: Mapping[str, Comparison], diagnoses: Mapping[str, Diagno
                     "rmse": (base.rmse, model.rmse),
                     "fit": (base.fit_pct, model.fit_pct),
                     "unit": one_line(entry.output.unit),
-                    "size": _sizes(*sizes, same=pair.ci95 == (0.0, 0.0)),
+                    "size": _sizes(*sizes, same=_is_same_model(pair)),
                 }
             )
     return cards
@@ -167,6 +168,11 @@ def _cards(comparisons: Mapping[str, Comparison], diagnoses: Mapping[str, Diagno
 def _nonlinear(diagnosis: Diagnosis, output: int) -> str:
     """How nonlinear the training flights are, whatever model is fitted to them."""
     return one_line(diagnosis.nonlinear[output].words) if diagnosis.nonlinear else ""
+
+
+def _is_same_model(pair: Pair) -> bool:
+    """The search for rules took the baseline, parameter for parameter."""
+    return pair.ci95 == (0.0, 0.0)
 
 
 def _sizes(base: ModelInfo, model: ModelInfo, *, same: bool) -> str:
