@@ -72,7 +72,7 @@ def judge_runs(
             judged = ours[name] if chosen is None else restricted(ours[name], chosen)
             found[name] = _compare(theirs[name], judged, label)
         except DataError as error:
-            failed[name] = str(error)
+            failed[name] = error.advice
     if not found:
         raise DataError(f"no channel can be compared: {by_reason(failed)}")
     corrected = across_channels(found)

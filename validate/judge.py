@@ -162,7 +162,7 @@ def judge_run(
                 turns=judged.turns,
             )
         except DataError as error:
-            failed[item.channel.name] = str(error)
+            failed[item.channel.name] = error.advice
     if not comparisons:
         raise DataError(f"no channel can be judged: {by_reason(failed)}")
     corrected = across_channels(comparisons)

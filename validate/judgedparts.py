@@ -42,7 +42,7 @@ def restricted(held: HeldOut, lake: Lake) -> HeldOut:
         flights = ", ".join(held.test.flights)
         raise DataError(
             "none of the chosen data was held out",
-            hint=f"held out of {held.channel.name}: {flights}",
+            hint=f"choose among what was held out: {flights}",
         )
     return replace(held, test=test, turns=tuple(turn for turn in turns if turn.test.segments))
 

@@ -82,10 +82,13 @@ def find_logs(given: Sequence[str | Path], bounds: Bounds | None = None) -> Foun
             for path in _expand(str(item)):
                 search.take(path)
     if not search.paths and all(unread.reason == NOTHING for unread in search.unread.values()):
+        taken_in = next((path for path in search.unread if (path / DATA_FILE).is_file()), None)
         raise UsageError(
             NOTHING,
             path=", ".join(str(path) for path in search.unread),
-            hint="suffixes looked for: " + " ".join(sorted(known_suffixes())),
+            hint="suffixes looked for: " + " ".join(sorted(known_suffixes()))
+            if taken_in is None
+            else f"this is an ingested folder: 'flysid ls {taken_in}' lists its flights",
         )
     unique = {os.path.realpath(path): path for path in reversed(search.paths)}
     paths = tuple(path for path in search.paths if unique.get(os.path.realpath(path)) is path)

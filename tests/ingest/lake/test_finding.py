@@ -151,6 +151,8 @@ def test_an_empty_folder_among_others_costs_nothing_else(tmp_path: Path) -> None
         assert f"skipped: {tmp_path}/empty: no flight log in there" in done.stderr
     with pytest.raises(UsageError, match="no flight log in there"):
         find_logs([tmp_path / "empty"])
+    with pytest.raises(UsageError, match=r"no flight log in there.*an ingested folder: 'flysid ls"):
+        find_logs([tmp_path / "full" / "data"])
 
 
 def test_an_archive_is_a_folder(tmp_path: Path) -> None:
