@@ -15,6 +15,7 @@ from typing import Any
 from flysid.catalogue import FlightFacts
 from flysid.dataset import Dataset
 from flysid.errors import DataError, FlysidError, UsageError
+from flysid.ingest.align.doubts import Doubt
 from flysid.ingest.lake.chosen_flights import Selection, require_one_vehicle
 from flysid.ingest.lake.lake import Lake
 from flysid.ingest.lake.lake import open as open_lake
@@ -81,8 +82,22 @@ def judge_runs(
     skipped = {name: "fitted by run B only" for name in ours if name not in theirs}
     skipped |= {name: "fitted by run A only" for name in theirs if name not in ours} | failed
     judged_on = [comparison.test for comparison in found.values()]
-    context = replace(context, fit_seconds=seconds, skipped=skipped, flights=_facts_of(b, chosen, judged_on))
+    doubts = {n: doubt for n, c in found.items() if (doubt := _of_other_vehicles(theirs[n].train, c.test))}
+    flights = _facts_of(b, chosen, judged_on)
+    context = replace(context, fit_seconds=seconds, skipped=skipped, flights=flights, doubts=doubts)
     return Judgement(b.run, corrected, skipped, context, tuple(failed))
+
+
+def _of_other_vehicles(train: Dataset, test: Dataset) -> tuple[Doubt, ...]:
+    """Run A's training data and the flights compared on are known to be of vehicles that are not the same."""
+    a, b = (
+        {str(s.marks["vehicle"]) for s in data.segments if s.marks.get("vehicle")} for data in (train, test)
+    )
+    if not (a and b) or a & b:
+        return ()
+    own, other = (", ".join(sorted(names)) for names in (a, b))
+    text = f"run A was fitted to {own}, these flights are of {other}: the change is also that of the vehicles"
+    return (Doubt("pooled", text, "compare runs of one vehicle"),)
 
 
 def _refuse_several_vehicles(b: RunSource, chosen: Lake | None, ours: Mapping[str, HeldOut]) -> None:

@@ -137,7 +137,11 @@ def test_flights_of_several_vehicles_are_not_compared_as_one(runs: tuple[Run, Ru
     with pytest.raises(UsageError, match=r"flights of \d vehicles") as caught:
         judge_runs(a, b)
     assert "--pool" in str(caught.value.hint)
-    assert judge_runs(a, b, only=Selection(pool=True)).comparisons
+    pooled = judge_runs(a, b, only=Selection(pool=True))
+    assert pooled.comparisons
+    said = [c.text for c in pooled.cautions]
+    assert any("run A was fitted to px4 " in text and "these flights are of px4 " in text for text in said)
+    assert not any("run A was fitted to" in c.text for c in judge_runs(*map(RunSource, runs)).cautions)
 
 
 def test_channels_of_one_run_only_are_named(runs: tuple[Run, Run], monkeypatch: pytest.MonkeyPatch) -> None:
