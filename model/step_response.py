@@ -9,7 +9,7 @@ the input answers the output (`feedback`), no step response is in the record, an
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -89,7 +89,7 @@ class StepResponse:
         values, vectors = np.linalg.eigh(self.covariance)
         root = vectors * np.sqrt(np.maximum(values, 0.0))
         draws = self.step + np.random.default_rng(0).standard_normal((DRAWS, len(root))) @ root.T
-        final = _told("final value", self.output.unit, draws, self.step, _final)
+        final = _told("final value", self.output.unit, draws, self.step, _final, least=-np.inf)
         if final.low is None or final.high is None or final.low <= 0.0 <= final.high:
             why = "the step's final value cannot be told from 0"
             names = (("latency", "ms"), ("rise", "ms"), ("overshoot", "%"), ("settling", "s"))
@@ -98,8 +98,12 @@ class StepResponse:
         def reaches(share: float) -> Callable[[FloatArray], float]:
             return lambda s: 1e3 * _first_time(self.time_s, s / _final(s), share)
 
+        sample_ms = 1e3 * float(self.time_s[1] - self.time_s[0])
+        latency = _told("latency", "ms", draws, self.step, reaches(0.1))
+        if latency.high is not None:  # one that begins within the first sample is known no finer
+            latency = replace(latency, high=max(latency.high, sample_ms))
         return (
-            _told("latency", "ms", draws, self.step, reaches(0.1)),
+            latency,
             _told("rise", "ms", draws, self.step, lambda s: reaches(0.9)(s) - reaches(0.1)(s)),
             _told("overshoot", "%", draws, self.step, _overshoot),
             _told("settling", "s", draws, self.step, lambda s: _settled(self.time_s, s / _final(s))),
@@ -108,15 +112,20 @@ class StepResponse:
 
 
 def _told(
-    name: str, unit: str, draws: FloatArray, mean: FloatArray, figure: Callable[[FloatArray], float]
+    name: str,
+    unit: str,
+    draws: FloatArray,
+    mean: FloatArray,
+    figure: Callable[[FloatArray], float],
+    least: float = 0.0,
 ) -> StepFigure:
-    """A figure of the mean, its interval by its spread over draws of the posterior."""
+    """A figure of the mean, its interval by its spread over draws of the posterior; none is below `least`."""
     value = figure(mean)
     spread = np.array([figure(d) for d in draws])
     if not np.isfinite(value) or np.mean(np.isfinite(spread)) < 0.95:
         return StepFigure(name, unit, None, why="not reached within the response's length")
     half = Z95 * float(spread[np.isfinite(spread)].std())
-    return StepFigure(name, unit, float(value), float(value) - half, float(value) + half)
+    return StepFigure(name, unit, float(value), max(float(value) - half, least), float(value) + half)
 
 
 def _final(step: FloatArray) -> float:

@@ -11,6 +11,7 @@ from flysid.errors import DataError, RecipeError, UsageError
 from flysid.ingest.align.recipe import load_recipe
 from flysid.ingest.lake.lake import Lake
 from flysid.model.step_response import StepResponse, step_response
+from flysid.progress import tell
 from flysid.validate.pictures import check_picture, save_picture
 
 
@@ -78,10 +79,12 @@ def channel_steps(
     held = lake.channels(recipe)
     found: list[ChannelStep] = []
     skipped: dict[str, str] = {}
-    for name in channels or recipe.channels:
+    wanted = list(channels or recipe.channels)
+    for i, name in enumerate(wanted):
         if name not in held:
             skipped[name] = "no flight holds its streams"
             continue
+        tell("estimating the step response", channel=name, share=i / len(wanted))
         try:
             data = lake.dataset(recipe, name)
             for above, below in ((None, None),) if fast is None else ((None, fast), (fast, None)):

@@ -19,6 +19,7 @@ from flysid.cli.source import (
     is_ingested,
     lost_on_the_way,
     opened,
+    say_mixed_gains,
     selection_options,
     words_options,
 )
@@ -187,6 +188,7 @@ def command(
             with part(0.0 if is_ingested(data) else READING_OF_A_FIT):
                 run = fit_run(lake, chosen, output, settings, jobs=jobs or cores())
             lost = lost_on_the_way(data, lake)
+            say_mixed_gains(lake, quiet)
     if as_json:
         click.echo((output / "run.json").read_text("utf-8"), nl=False)
     else:

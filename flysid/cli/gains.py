@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from flysid.cli.addresses import SOURCE, here
 from flysid.cli.display import Display
-from flysid.cli.output import check_target, printable, say
-from flysid.cli.source import Words, opened_flights, reading_options
+from flysid.cli.output import aligned, check_target, printable, say
+from flysid.cli.source import READING_OF_A_LOOK, Words, opened_flights, reading_options
+
+if TYPE_CHECKING:
+    from flysid.loops.judged import Judged
 
 
 @click.command("gains")
@@ -48,6 +53,7 @@ def command(
     """
     from flysid.ingest.lake.chosen_flights import Selection, select
     from flysid.loops.judged import CAUTION, judge
+    from flysid.progress import part
     from flysid.validate.run import RUN_FILE
 
     if plot is not None:
@@ -55,20 +61,35 @@ def command(
     if (source / RUN_FILE).is_file():
         source, own = _of_run(source)
         flights = flights or own
-    with Display().shown(), opened_flights(source, told) as lake:
+    with Display().shown(), opened_flights(source, told) as lake, part(READING_OF_A_LOOK):
         found = judge(select(lake, Selection(flights=flights)).logs, axes or ("roll", "pitch"))
     known = [j for j in found if j.margins is not None]
     if as_json:
         click.echo(json.dumps([j.to_dict() for j in found], indent=1, allow_nan=False))
     else:
         click.echo("\n\n".join("\n".join(printable(line) for line in j.lines()) for j in found))
-        say(CAUTION)
+        _print_sets(found)
+        if known:
+            say(CAUTION)
     if plot is not None and known:
         from flysid.loops.nyquist import draw_nyquist
 
         draw_nyquist(known, plot)
         say(f"Nyquist plot: {plot}")
     return 0 if known else 3
+
+
+def _print_sets(found: Sequence[Judged]) -> None:
+    """Several sets of gains in one table, and what sets them apart."""
+    from flysid.loops.gain_sets import differences, gain_sets
+
+    rows = gain_sets(found)
+    if rows:
+        click.echo("\n".join(["", *aligned(rows), *differences(found)]))
+        say(
+            "next: two sets in one plot: flysid step LOG -r RECIPE --against LOG --plot step.png; "
+            "between two equal ones take the larger margin"
+        )
 
 
 def _of_run(folder: Path) -> tuple[Path, tuple[str, ...]]:

@@ -11,7 +11,7 @@ import click
 from flysid.cli.addresses import SOURCE
 from flysid.cli.display import Display, progress_options
 from flysid.cli.output import aligned
-from flysid.cli.source import opened_flights, selection_options
+from flysid.cli.source import READING_OF_A_FIT, opened_flights, selection_options
 
 if TYPE_CHECKING:
     from flysid.catalogue import FlightFacts
@@ -58,10 +58,12 @@ def command(
 def _suggest(data: Path, selection: Selection, display: Display, as_json: bool, every: bool) -> None:
     from flysid.cli.suggestions import print_suggestions
     from flysid.ingest.lake.chosen_flights import select, vehicle_words
+    from flysid.progress import part
 
-    with display.shown(), opened_flights(data) as whole:
+    with display.shown(), opened_flights(data, share=READING_OF_A_FIT) as whole:
         lake = select(whole, selection)
-        found = lake.suggest()
+        with part(READING_OF_A_FIT):
+            found = lake.suggest()
         vehicles = vehicle_words(lake)
         flights = [facts.id for facts in lake.facts]
     if as_json:

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 
 from flysid.cli import complete
+from flysid.cli.output import say
 from flysid.errors import FormatError, RecipeError, UsageError
 
 if TYPE_CHECKING:
@@ -276,8 +277,12 @@ def require_fit(lake: Lake, recipe: str) -> None:
 
 
 @contextmanager
-def opened_flights(source: Path, told: Words | None = None) -> Iterator[Lake]:
+def opened_flights(
+    source: Path, told: Words | None = None, share: float = READING_OF_A_LOOK
+) -> Iterator[Lake]:
     """The flights of an ingested folder, or of logs, which are read for this block only.
+
+    `share`: of all the work that reading logs is.
 
     Raises
     ------
@@ -292,7 +297,7 @@ def opened_flights(source: Path, told: Words | None = None) -> Iterator[Lake]:
         yield open_lake(source)
         return
     with TemporaryDirectory() as folder:
-        yield open_lake(_taken_in(source, Path(folder) / "data", words, True, READING_OF_A_LOOK))
+        yield open_lake(_taken_in(source, Path(folder) / "data", words, True, share))
 
 
 def _refuse_reading_again(data: Path, words: Words) -> None:
@@ -310,6 +315,19 @@ def is_ingested(data: Path) -> bool:
     from flysid.manifest import DATA_FILE
 
     return (data / DATA_FILE).is_file()
+
+
+def say_mixed_gains(lake: Lake, quiet: bool) -> None:
+    """Say that flights flew several sets of gains: a closed loop over all of them is an average."""
+    from flysid.loops.judged import sets_of_gains
+
+    sets = sets_of_gains(lake.logs)
+    if sets > 1:
+        say(
+            f"caution: these flights flew {sets} sets of gains. A response to the setpoint is an average "
+            "over them: 'flysid gains DATA' names the sets, --flight chooses",
+            quiet,
+        )
 
 
 def lost_on_the_way(data: Path, lake: Lake) -> bool:

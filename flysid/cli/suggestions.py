@@ -11,6 +11,9 @@ from typing import TYPE_CHECKING
 import click
 
 from flysid.cli.output import aligned, printable, say
+from flysid.cli.pooled_suggestions import HEADINGS as POOLED_HEADINGS
+from flysid.cli.pooled_suggestions import hertz, pooled, pooled_advice
+from flysid.showing import counted
 
 if TYPE_CHECKING:
     from flysid.ingest.lake.suggest import Suggestion
@@ -33,34 +36,40 @@ def print_suggestions(
 ) -> None:
     """Tables on stdout, the good ones first, with the advice below them.
 
+    Several flights are told together, a row for every channel.
+
     Parameters
     ----------
     flights : all that were looked at; one without a usable channel gets a line with the reason.
-    every : show what cannot be used, too.
+    every : show every flight, and what cannot be used, too.
     vehicles : flight -> what `--vehicle` takes, where there are several.
     """
     names = short_names([*flights, *(s.flight for s in found)])
     shown = [s for s in found if every or s.verdict in USABLE]
+    together = not every and len({s.flight for s in shown}) > 1
     lines: list[str] = []
     for verdict in ORDER:
         for recipe in dict.fromkeys(s.recipe for s in shown if s.verdict == verdict):
             group = [s for s in shown if (s.verdict, s.recipe) == (verdict, recipe)]
             rows = [row(s, names[s.flight]) for s in sorted(group, key=lambda s: -s.coherence)]
-            lines += [
-                f"{verdict.upper()}  {recipe}",
-                *(f"  {line}" for line in aligned([HEADINGS, *rows])),
-                "",
-            ]
+            table = [POOLED_HEADINGS, *pooled(group)] if together else [HEADINGS, *rows]
+            lines += [f"{verdict.upper()}  {recipe}", *(f"  {line}" for line in aligned(table)), ""]
     delays = [_delay(s) for s in shown if s.rate_hz > 0]
     lines += [COHERENCE] if shown else []
     lines += [LOOP] if any("loop" in cell for cell in delays) else []
     lines += [OPEN] if any("?" in cell for cell in delays) else []
-    lines += advice(shown, names)
+    lines += pooled_advice(shown, names) if together else advice(shown, names)
     lines += unusable(found, flights, names, told=every)
-    hidden = len(found) - len(shown)
-    lines += [f"{hidden} more that cannot be used: --all"] if hidden else []
+    lines += _more(len(found) - len(shown), together)
     click.echo("\n".join(_folded(printable(line)) for line in lines).strip())
     say(next_command(found, data, vehicles))
+
+
+def _more(hidden: int, together: bool) -> list[str]:
+    """What `--all` would show besides."""
+    unused = f"{counted(hidden, 'channel')} that cannot be used" if hidden else ""
+    each = "every flight by itself" if together else ""
+    return [f"{' and '.join(part for part in (each, unused) if part)}: --all"] if unused or each else []
 
 
 def _folded(line: str) -> str:
@@ -73,12 +82,11 @@ def _folded(line: str) -> str:
 def unusable(
     found: Sequence[Suggestion], flights: Sequence[str], names: Mapping[str, str], *, told: bool = False
 ) -> list[str]:
-    """A line for every flight without a usable channel, with the reason, and what to try below.
+    """A line for every flight without a usable channel, with the first reason and its remedy.
 
     `told`: reasons stand above.
     """
     lines = []
-    remedies: dict[str, None] = {}
     for flight in flights:
         own = [s for s in found if s.flight == flight]
         if not own:
@@ -86,12 +94,9 @@ def unusable(
                 f"{_short(names[flight])}: no shipped recipe fits; name an input and an output yourself"
             )
         elif not told and not any(s.verdict in USABLE for s in own):
-            reasons = list(dict.fromkeys(f"{s.verdict}: {s.advice.partition(';')[0]}" for s in own))
-            remedies |= dict.fromkeys(s.advice.partition("; ")[2] for s in own)
-            more = f" ({len(reasons) - 1} more: --all)" if len(reasons) > 1 else ""
-            said = f"{_short(names[flight])}: {reasons[0]}"
-            lines.append(textwrap.shorten(said, WIDTH - len(more), placeholder=" …") + more)
-    return [*lines, *(f"try: {remedy}" for remedy in remedies if remedy)]
+            first = own[0]
+            lines.append(f"{_short(names[flight])}: {first.channel} {first.verdict}: {first.advice}")
+    return lines
 
 
 def next_command(found: Sequence[Suggestion], data: str, vehicles: Mapping[str, str]) -> str:
@@ -102,7 +107,7 @@ def next_command(found: Sequence[Suggestion], data: str, vehicles: Mapping[str, 
         )
     good = [s for s in found if s.verdict == "good"]
     if not good:
-        return "next: fly or log what is asked for above; 'flysid recipes' explains recipes"
+        return f"next: fly or log what is asked for above; to look at this flight: flysid plot {data}"
     vehicle = Counter(vehicles.get(s.flight, "") for s in good).most_common(1)[0][0]
     own = [s for s in found if vehicles.get(s.flight, "") == vehicle]
     recipe = Counter(s.recipe for s in own if s.verdict == "good").most_common(1)[0][0]
@@ -125,7 +130,7 @@ def row(found: Suggestion, flight: str) -> tuple[str, ...]:
         f"{found.duration_s:.0f} s" if made else "-",
         f"{found.rate_hz:.3g} Hz" if made else "-",
         f"{found.coherence:.2f}" if made else "-",
-        f"{band[0]:.2g} to {band[1]:.2g}" if related else "none" if made else "-",
+        f"{hertz(band[0])} to {hertz(band[1])}" if related else "none" if made else "-",
         _delay(found) if related else "-",
     )
 

@@ -12,7 +12,14 @@ from flysid.cli import complete
 from flysid.cli.addresses import SOURCE
 from flysid.cli.display import Display, progress_options
 from flysid.cli.output import ExitCode, aligned, check_target, say
-from flysid.cli.source import Words, lost_on_the_way, opened, selection_options, words_options
+from flysid.cli.source import (
+    Words,
+    lost_on_the_way,
+    opened,
+    say_mixed_gains,
+    selection_options,
+    words_options,
+)
 
 if TYPE_CHECKING:
     from flysid.ingest.lake.chosen_flights import Selection
@@ -146,6 +153,7 @@ def command(
             lake, chosen, estimator, channels=channels, reference=reference, reference_at=reference_at
         )
         lost = lost_on_the_way(data, lake)
+        say_mixed_gains(lake, quiet)
     if as_json:
         body = {
             "recipe": words.recipe or "quick",

@@ -190,6 +190,11 @@ def ardupilot(stated: Mapping[str, float], axis: str) -> Controller:
     DataError : parameters are missing (older versions have one filter), or the slope is fed forward.
     """
     stem = f"ATC_RAT_{ARDUPILOT_AXES[axis]}_"
+    if stem + "FILT" in stated and stem + "FLTT" not in stated:
+        raise DataError(
+            f"these are gains of ArduCopter before 4.0, with a single filter ({stem}FILT): not known here",
+            hint="fly ArduCopter 4.0 or later; the response to the command: flysid tf LOG -r ardupilot-rate",
+        )
     p, i, d, target, error, slope = _stated(
         stated, *(stem + name for name in ("P", "I", "D", "FLTT", "FLTE", "FLTD"))
     )

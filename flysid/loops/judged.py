@@ -30,6 +30,7 @@ from flysid.loops.parameterlogs import (
     px4_record,
 )
 from flysid.loops.stick_response import Loop, StickRecord
+from flysid.progress import tell
 
 ALIKE = (
     "Firmware revision",
@@ -212,19 +213,32 @@ def judge(logs: Iterable[Any], axes: Iterable[str] = ("roll", "pitch")) -> list[
     Flights of the same gains are judged together. What cannot be known is refused with its reason; nothing is
     raised.
     """
-    found = []
     every = list(logs)
-    for axis in axes:
-        groups: dict[tuple[Any, ...], list[Any]] = {}
-        for log in every:
-            try:
-                kind = _kind(log)
-                key: tuple[Any, ...] = (kind.mark, kind.alike(kind.settings(log), axis))
-            except (DataError, UsageError):
-                key = (log.name,)
-            groups.setdefault(key, []).append(log)
-        found += [_judge(group, axis) for group in groups.values()]
+    groups = [(axis, group) for axis in axes for group in _flown_alike(every, axis)]
+    found = []
+    for i, (axis, group) in enumerate(groups):
+        tell(f"measuring the {axis} loop", log=group[0].name, share=i / len(groups))
+        found.append(_judge(group, axis))
     return found
+
+
+def sets_of_gains(logs: Iterable[Any], axes: Iterable[str] = ("roll", "pitch")) -> int:
+    """How many different sets of gains flights flew, as far as they state them: the most of any axis."""
+    stating = [log for log in logs if states_gains(log)]
+    return max((len(_flown_alike(stating, axis)) for axis in axes), default=0)
+
+
+def _flown_alike(logs: list[Any], axis: str) -> list[list[Any]]:
+    """Flights by the gains of an axis, in their order; one that states none stands alone."""
+    groups: dict[tuple[Any, ...], list[Any]] = {}
+    for log in logs:
+        try:
+            kind = _kind(log)
+            key: tuple[Any, ...] = (kind.mark, kind.alike(kind.settings(log), axis))
+        except (DataError, UsageError):
+            key = (log.name,)
+        groups.setdefault(key, []).append(log)
+    return list(groups.values())
 
 
 def _judge(logs: list[Any], axis: str) -> Judged:

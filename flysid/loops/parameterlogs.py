@@ -89,7 +89,8 @@ def px4_record(log: Any, axis: str) -> StickRecord:
     outside = _asked_of_px4(log, axis)
     slowest = min(_rate(t) for t in (time, at, when))
     loop = (np.degrees(setpoint), THOUSANDTHS * out, np.degrees(rate))
-    return _record(log, axis, slowest, time, at, loop, outside)
+    faster = "SDLOG_PROFILE bits 0 and 2 (default and high rate)"
+    return _record(log, axis, slowest, time, at, loop, outside, faster=faster)
 
 
 def ardupilot_record(log: Any, axis: str) -> StickRecord:
@@ -106,7 +107,9 @@ def ardupilot_record(log: Any, axis: str) -> StickRecord:
     name = {"R": "DesRoll", "P": "DesPitch", "Y": "DesYaw"}[letter]
     outside = _column(log, "ATT", name)
     loop = (setpoint, THOUSANDTHS * out, rate)
-    return _record(log, axis, _rate(time), time, time, loop, outside if np.ptp(outside[1]) else None)
+    asked = outside if np.ptp(outside[1]) else None
+    faster = "LOG_BITMASK bit 0 (fast attitude), LOG_FILE_RATEMAX 0"
+    return _record(log, axis, _rate(time), time, time, loop, asked, faster=faster)
 
 
 def _asked_of_px4(log: Any, axis: str) -> tuple[FloatArray, FloatArray] | None:
@@ -154,12 +157,13 @@ def _record(
     loop: tuple[FloatArray, FloatArray, FloatArray],
     outside: tuple[FloatArray, FloatArray] | None,
     *,
+    faster: str,
     least_hz: float = 40.0,
 ) -> StickRecord:
     if rate_hz < least_hz:
         raise DataError(
             f"{log.name} has the {axis} loop at {rate_hz:.0f} Hz: too slow to see where its gain is one",
-            hint="log it at 100 Hz or more: LOG_BITMASK with fast attitude, SDLOG_PROFILE with high rate",
+            hint=f"log it at 100 Hz or more: {faster}",
         )
     limited = float((np.abs(loop[1]) >= THOUSANDTHS - 1.0).mean())
     if limited > LARGEST_SHARE:

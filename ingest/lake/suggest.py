@@ -77,12 +77,17 @@ def suggest(logs: Iterable[Log], recipes: Sequence[str | Recipe] | None = None) 
     known = list(logs)
     found: list[Suggestion] = []
     for i, log in enumerate(known):
-        for recipe in chosen:
-            for channel in recipe.channels:
-                if all(find_source(recipe.signals[s].sources, log) for s in recipe.signals_of(channel)):
-                    tell(f"checking {recipe.name}, {channel}", log=log.name, share=i / len(known))
-                    found += _suggest_channel(log, recipe, channel)
+        served = [(r, channel) for r in chosen for channel in r.channels if _serves(log, r, channel)]
+        for j, (recipe, channel) in enumerate(served):
+            share = (i + j / len(served)) / len(known)
+            tell(f"checking {recipe.name}, {channel}", log=log.name, share=share)
+            found += _suggest_channel(log, recipe, channel)
     return found
+
+
+def _serves(log: Log, recipe: Recipe, channel: str) -> bool:
+    """Whether a log has all streams of a channel."""
+    return all(find_source(recipe.signals[s].sources, log) for s in recipe.signals_of(channel))
 
 
 def unbounded(found: Suggestion) -> bool:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from flysid.loops.judged import Judged, judge
+from flysid.loops.judged import Judged, judge, sets_of_gains
 from tests.flysid.loops.autopilots import ardupilot_log, px4_log
 from tests.flysid.loops.simulated import Vehicle
 from tests.flysid.loops.test_loops import log_of
@@ -53,9 +53,10 @@ def changed_in_flight() -> Any:
 
 
 def older_ardupilot() -> Any:
-    """One filter instead of three."""
+    """One filter instead of three: ArduCopter 3.5."""
     log = ardupilot()
-    log.tables["PARM"]["Name"] = [name.replace("FLTD", "FILT") for name in log.tables["PARM"]["Name"]]
+    names = [name.replace("FLTD", "FILT") for name in log.tables["PARM"]["Name"]]
+    log.tables["PARM"]["Name"] = [name.replace("FLTT", "OLDT").replace("FLTE", "OLDE") for name in names]
     return log
 
 
@@ -82,7 +83,7 @@ REFUSED: dict[str, tuple[Callable[[], Any], str]] = {
     "filter missing": (lambda: log_of(40.0, {"dterm_lowpass_hz": ""}), "not state dterm_lowpass_hz"),
     "no parameters": (lambda: without(px4(), "parameters"), "states no parameters"),
     "parameter missing": (lambda: without_parameter(px4(), "MC_ROLLRATE_K"), "not state MC_ROLLRATE_K"),
-    "older ArduCopter": (older_ardupilot, "does not state ATC_RAT_RLL_FLTD"),
+    "older ArduCopter": (older_ardupilot, "before 4.0, with a single filter .ATC_RAT_RLL_FILT"),
     "slope fed forward": (lambda: ardupilot(40.0, {"ATC_RAT_RLL_D_FF": 0.1}), "D_FF is not known"),
     # the stated gains are not those that flew
     "gains changed in flight": (changed_in_flight, r"was changed from 0\.15 to 0\.2"),
@@ -130,3 +131,15 @@ def test_what_cannot_be_known_is_refused_with_what_to_do(case: str) -> None:
     assert re.search(reason, found.refused), found.refused
     assert TO_DO.search(found.hint), found.hint
     assert [line.split(":")[0].strip() for line in found.lines()[1:]] == ["refused", "try"]
+
+
+def test_how_to_log_faster_is_told_in_the_firmware_s_own_words() -> None:
+    assert "LOG_BITMASK" in judged(ardupilot(rate_hz=10.0)).hint
+    assert "SDLOG" not in judged(ardupilot(rate_hz=10.0)).hint
+    assert "SDLOG_PROFILE" in judged(px4(rate_hz=10.0)).hint
+
+
+def test_sets_of_gains_are_counted() -> None:
+    assert sets_of_gains([px4(), px4()]) == 1
+    assert sets_of_gains([px4(), px4(40.0, {"MC_ROLLRATE_P": 0.3})]) == 2
+    assert sets_of_gains([without(log_of(40.0), "main")]) == 0

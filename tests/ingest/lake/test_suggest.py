@@ -8,6 +8,7 @@ import pytest
 from click.testing import CliRunner
 
 from flysid.cli import root
+from flysid.cli.pooled_suggestions import pooled, pooled_advice
 from flysid.cli.suggestions import advice, next_command, short_names
 from flysid.flight import ClockMap, Damage, Flight, Source
 from flysid.ingest.align.recipe import load_recipe, parse_recipe, shipped_recipes
@@ -15,6 +16,7 @@ from flysid.ingest.align.signals import FlightLog
 from flysid.ingest.excitation.enough import least_hz
 from flysid.ingest.lake.suggest import Suggestion, suggest
 from flysid.ingest.lake.survey import StreamCount, Survey, verdict
+from flysid.progress import listening
 from tests.ingest.align.test_align import T50, table
 from tests.ingest.lake.test_lake import folder  # noqa: F401
 
@@ -197,3 +199,50 @@ def test_a_table_s_fields_are_to_be_named() -> None:
     assert next_command([], "rig.csv", {}).startswith(
         "next: flysid fit rig.csv --from FIELD --to FIELD -o run"
     )
+
+
+def found_in(flight: str, share: int) -> Suggestion:
+    words = f"only {share} % of the output's power follows motor1; fly steps"
+    return Suggestion(
+        flight,
+        "r",
+        "roll",
+        "motor1",
+        "y",
+        "weak",
+        words,
+        rate_hz=250.0,
+        duration_s=60.0,
+        coherence=share / 100.0,
+        band_hz=(0.5, 120.0),
+        delay_s=0.02,
+        delay_low_s=0.01,
+        delay_high_s=0.01 * share / 9.0,
+        sign=1,
+    )
+
+
+def test_several_flights_are_a_row_a_channel() -> None:
+    """Ten real flights of nine channels were 270 lines."""
+    found = [found_in("a", 9), found_in("b", 23), found_in("c", 14)]
+    found[2] = replace(
+        found[2], channel="pitch", input="motor2", advice=found[2].advice.replace("motor1", "motor2")
+    )
+    assert pooled(found) == [
+        ("roll", "+motor1", "2", "120 s", "250 Hz", "0.09 to 0.23", "0.5 to 120", "20 (10-26)"),
+        ("pitch", "+motor2", "1", "60 s", "250 Hz", "0.14", "0.5 to 120", "20 (10-16)"),
+    ]
+    assert pooled_advice(found, {f: f for f in "abc"}) == [
+        "roll (2 flights), pitch (c): only 9 to 23 % of the output's power follows the input; fly steps"
+    ]
+
+
+def test_progress_counts_channels_within_a_flight() -> None:
+    """Ten real flights stood at 50 % for a minute."""
+    streams = {"CMD": table(T, u=U), "STATE": table(T, y=lag(U, 5))}
+    logs = [FlightLog(Flight(Source(name, "tlog", 1, "0" * 64), streams)) for name in "ab"]
+    channels = {"c": RECIPE_DOCUMENT["channels"]["c"], "d": RECIPE_DOCUMENT["channels"]["c"]}
+    shares: list[float | None] = []
+    with listening(lambda step: shares.append(step.share)):
+        suggest(logs, [parse_recipe(RECIPE_DOCUMENT | {"channels": channels})])
+    assert shares == [0.0, 0.25, 0.5, 0.75]

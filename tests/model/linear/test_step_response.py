@@ -69,3 +69,18 @@ def test_two_logs_over_each_other(tmp_path: Path) -> None:
     steps = json.loads(done.stdout)["steps"]
     assert [s["of"] for s in steps] == ["log1.csv", "log2.csv"]
     assert all(s["figures"]["rise"]["low"] < s["figures"]["rise"]["high"] for s in steps)
+
+
+def test_times_and_overshoot_are_not_below_zero() -> None:
+    """A rig without overshoot had one of [-0.004, 0.036] %; a latency within the first sample [0, 0] ms."""
+    rng = np.random.default_rng(3)
+    u = np.repeat(rng.uniform(-1.0, 1.0, 100), 50)
+    y = lfilter([0.5], [1.0, -0.5], u) + 0.01 * rng.normal(size=len(u))
+    figures = {
+        f.name: f for f in step_response(Dataset.from_arrays(u[:, None], y, 0.02), horizon_s=1.0).figures
+    }
+    assert figures["overshoot"].low == 0.0
+    assert figures["settling"].low is not None
+    assert figures["settling"].low >= 0.0
+    assert figures["latency"].high is not None
+    assert figures["latency"].high >= 20.0
