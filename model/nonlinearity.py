@@ -59,14 +59,14 @@ class Nonlinearity:
         inputs = " and ".join(self.inputs)
         if self.found:
             return (
-                f"At least {100 * self.share:.2g} % of {self.output} (of its standard deviation) does not "
-                f"follow {inputs} linearly."
+                f"At least {100 * self.share:.2g} % of {self.output} (of its standard deviation) is a "
+                f"nonlinear response to {inputs}."
             )
         if not np.isfinite(self.smallest):
             return ""
         return (
-            f"No part of {self.output} was found that does not follow {inputs} linearly; a share of "
-            f"{100 * self.smallest:.2g} % would have been detected."
+            f"No nonlinear response of {self.output} to {inputs} was found; one of "
+            f"{100 * self.smallest:.2g} % (of its standard deviation) would have been detected."
         )
 
 

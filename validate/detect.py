@@ -154,9 +154,12 @@ def calibrate(model: Fitted, segments: Sequence[Segment], false_alarms_1_h: floa
     runs = [levels(model, s.u, s.y) for s in usable]
     for j in range(len(model.outputs)):
         if not usable or hours * 3600.0 / block_s < ENOUGH_BLOCKS:
+            held = sum(map(len, segments)) * model.dt_s
             raise DataError(
-                f"{3600 * hours:.0f} s of held-out flight are too little to calibrate alarms on",
-                hint="fit with more flights, or hold out a larger share (--holdout 0.5)",
+                f"{held:.0f} s of held-out flight, {3600 * hours:.0f} s of it in stretches above "
+                f"{RUN_S + SHORT_BLOCK_S:.0f} s, are too little to calibrate alarms on: that takes "
+                f"{ENOUGH_BLOCKS * SHORT_BLOCK_S:.0f} s",
+                hint="fit with longer flights, or more of them; or hold out a larger share (--holdout 0.5)",
             )
         mine = [e[:, j] for e in errors]
         sigma = float(np.std(np.concatenate(mine))) or 1e-12

@@ -13,7 +13,10 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "flysid design run --for px4 --old vehicle.params --gain 0.85..1.15 --delay 0..0.04 -o design",
     ),
     "doctor": ("flysid doctor logs/ --json", "flysid doctor flight.ulg --kinematics"),
-    "export": ("flysid export flight.bin ATT RATE --to mat", "flysid export flight.ulg --to csv --rate 50"),
+    "export": (
+        "flysid export flight.bin ATT RATE --to mat",
+        "flysid export run --channel longitudinal --c longitudinal-c --float32",
+    ),
     "fit": (
         "flysid fit data --recipe ardupilot-attitude -o run",
         "flysid fit flight.bin -r ardupilot-attitude --between 2:00..6:30 --mode LOITER -o run",
@@ -35,7 +38,7 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "flysid plan run --more 3 --aim 4",
     ),
     "plot": (
-        "flysid plot flight.bin --pair attitude",
+        "flysid plot data --flight 0042 --pair attitude --between 2:00..3:30 --mode LOITER",
         "flysid plot flight.bin ATT.DesRoll,ATT.Roll 'RCOU.C*' -o roll.png",
     ),
     "recipes": ("flysid recipes --for flight.bin", "flysid recipes px4-rates --toml"),
@@ -46,12 +49,12 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     "reproduce": ("flysid reproduce ardrone-ts", "flysid reproduce ardrone-ts --figures figures"),
     "runs": ("flysid runs", "flysid runs experiments/ --json"),
     "scrub": ("flysid scrub flight.tlog -o shared.tlog", "flysid scrub flight.bin -o shared.bin --force"),
-    "show": ("flysid show flight.bin", "flysid show data 2026-05-01 ATT"),
+    "show": ("flysid show flight.bin ATT", "flysid show data 0042 --params"),
     "step": (
         "flysid step flight.bfl -r betaflight-rate -c roll_rate --plot step.png",
         "flysid step before.bfl -r betaflight-rate -c roll_rate --against after.bfl",
     ),
-    "studio": ("flysid studio data", "flysid studio data --port 8765 --no-open"),
+    "studio": ("flysid studio data", "flysid studio --live udp:0.0.0.0:14550 --watch run"),
     "synth": ("flysid synth -o logs", "flysid synth -o logs --plan steps --duration 30 --format tlog"),
     "tf": (
         "flysid tf data -r ardupilot-attitude --plot bode.png",

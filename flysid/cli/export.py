@@ -80,11 +80,6 @@ def command(
 
     Each stream of a flight has its own table with its own times; --rate puts all on one grid. A model (a
     run's folder, or a model file) becomes C99 without allocation, an FMU, or MATLAB files.
-
-    \b
-    flysid export flight.bin ATT RATE --to mat -o flight.mat
-    flysid export data --flight 0042 --rate 50 -o flight.csv
-    flysid export run --channel longitudinal --c longitudinal-c --float32
     """
     from flysid.cli.modelexport import Wanted, write_c, write_fmu, write_lpv, write_matlab
 

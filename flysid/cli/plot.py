@@ -53,11 +53,6 @@ def command(
 
     Each argument is one panel. It is STREAM.FIELD with wildcards; commas join several in one panel. Without
     fields, the setpoints and measurements of the first recipe that fits are drawn.
-
-    \b
-    flysid plot flight.bin ATT.DesRoll,ATT.Roll 'RCOU.C*'
-    flysid plot data --flight 0042 --pair attitude -o roll.png
-    flysid plot flight.bin --pair attitude --between 2:00..3:30 --mode LOITER
     """
     from dataclasses import replace
 

@@ -28,12 +28,7 @@ HEADINGS = ("RECIPE", "CHANNELS", "FOR")
 )
 @click.option("--toml", is_flag=True, help="Print the recipe's text, as a start for your own.")
 def command(name: str, source: Path | None, toml: bool) -> None:
-    """List the recipes, or explain one: its channels, signals, units and sources.
-
-    \b
-    flysid recipes --for flight.bin
-    flysid recipes px4-rates --toml > mine.toml
-    """
+    """List the recipes, or explain one: its channels, signals, units and sources."""
     from flysid.cli.output import aligned, say
     from flysid.errors import UsageError
     from flysid.ingest.align.recipe import load_recipe, recipe_text, shipped_recipes

@@ -53,11 +53,6 @@ def command(
     """Show one flight, or one stream of it: columns with units and ranges, rates, losses.
 
     FLIGHT may be the beginning of an id. It is not needed for a log, nor for a folder with a single flight.
-
-    \b
-    flysid show flight.bin
-    flysid show flight.bin ATT
-    flysid show data 0042 --params
     """
     from flysid.ingest.lake.chosen_flights import Selection, select
 
@@ -182,35 +177,47 @@ def stream_json(entry: StreamEntry) -> str:
 def flight_text(manifest: Manifest, modes: Sequence[str] = ()) -> str:
     """Source, facts, losses and streams of a flight."""
     source = manifest.source
-    lines = [
-        f"flight        {printable(manifest.id)}",
-        f"log           {printable(source.name)} ({source.format}, {source.size_bytes:,} bytes)",
-        f"sha256        {source.sha256}",
-        f"duration      {clock_text(manifest.duration_s)} in {counted(len(manifest.clocks), 'boot')}",
+    facts = [
+        ("flight", manifest.id),
+        ("log", f"{source.name} ({source.format}, {source.size_bytes:,} bytes)"),
+        ("sha256", source.sha256),
+        ("duration", f"{clock_text(manifest.duration_s)} in {counted(len(manifest.clocks), 'boot')}"),
     ]
-    lines += [f"date          {when}" for when in dates(manifest.clocks)]
-    lines += [f"modes         {printable(', '.join(modes))}"] if modes else []
-    lines += [f"{printable(k):13} {printable(v)}" for k, v in sorted(manifest.info.items()) if v]
-    lines += [f"lost          {printable(line)}" for line in losses(manifest.damage)]
-    for source_name, count in sorted(manifest.damage.sequence_gaps.items()):
-        lines.append(f"gaps          {count:,} messages of {printable(source_name)} never arrived")
+    facts += [("date", when) for when in dates(manifest.clocks)]
+    facts += [("modes", ", ".join(modes))] if modes else []
+    facts += [(k, v) for k, v in sorted(manifest.info.items()) if v]
+    facts += [("lost", line) for line in losses(manifest.damage)]
+    facts += [
+        ("gaps", f"{count:,} messages of {name} never arrived")
+        for name, count in sorted(manifest.damage.sequence_gaps.items())
+    ]
     rows = [("STREAM", "ROWS", "RATE", "COLUMNS", "TIME FROM")]
     rows += [
         (
             s.stream,
             f"{s.rows:,}",
-            rate_text(s.rate_hz),
+            stream_rate(s),
             str(len(s.columns)),
             s.metadata.get("time_source", ""),
         )
         for s in manifest.streams
     ]
-    return "\n".join([*lines, "", *aligned(rows)])
+    return "\n".join([*aligned(facts), "", *aligned(rows)])
+
+
+def stream_rate(entry: StreamEntry) -> str:
+    """A stream's rate; none where two rows make a single interval, or times only keep the order."""
+    ordered = entry.metadata.get("time_source") == "order-mapped"
+    return "-" if entry.rows < 3 or ordered else rate_text(entry.rate_hz)
 
 
 def rate_text(rate_hz: float | None) -> str:
     """A rate for people."""
-    return "-" if rate_hz is None else f"{rate_hz:.1f} Hz" if rate_hz < 100 else f"{rate_hz:.0f} Hz"
+    if rate_hz is None:
+        return "-"
+    if rate_hz < 0.05:
+        return "< 0.1 Hz"
+    return f"{rate_hz:.1f} Hz" if rate_hz < 100 else f"{rate_hz:.0f} Hz"
 
 
 def dates(clocks: Sequence[ClockMap]) -> list[str]:

@@ -64,11 +64,6 @@ def command(
     With --live, a link is recorded (see 'flysid record') and drawn in real time. With --watch, the
     predictions of a run's models are drawn beside it, with alarms (see 'flysid watch'). This page is also
     served where the studio's packages are not installed.
-
-    \b
-    flysid studio
-    flysid studio data --port 8765 --no-open
-    flysid studio --live udp:0.0.0.0:14550 --watch run
     """
     is_installed = all(importlib.util.find_spec(name) is not None for name in ("starlette", "uvicorn"))
     if not is_installed and not links:

@@ -56,8 +56,8 @@ def show(*arguments: str | Path) -> str:
 
 def test_a_flight_says_when_it_was_and_which_modes_were_flown(data: Path) -> None:
     text = show(data)
-    assert "date          2023-11-14 22:13:20 UTC" in text
-    assert "modes         STABILIZE 00:04, LOITER 00:06" in text
+    assert "date       2023-11-14 22:13:20 UTC" in text
+    assert "modes      STABILIZE 00:04, LOITER 00:06" in text
 
 
 def test_a_stream_says_its_ranges_in_units(data: Path) -> None:

@@ -265,3 +265,19 @@ def test_other_models_are_picked_in_place_and_the_curves_leave_as_csv(browser: A
     assert pick.text in head
     assert len(rows) > 50
     assert all(len(row.split(",")) == 8 for row in rows)
+
+
+def test_the_longest_verdict_fits_a_phone(browser: Any, page: Path) -> None:
+    """The words of one flight ran out of the table's right edge."""
+    browser.execute_cdp_cmd(
+        "Emulation.setDeviceMetricsOverride",
+        {"width": 390, "height": 900, "deviceScaleFactor": 1, "mobile": True},
+    )
+    opened(browser, page)
+    cut = browser.execute_script(
+        """document.querySelectorAll('.stacks .badge').forEach(b => b.textContent = '= same on this flight');
+           return [...document.querySelectorAll('.stacks .verdict')]
+             .filter(v => v.scrollWidth > v.clientWidth).length;"""
+    )
+    browser.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+    assert cut == 0

@@ -10,12 +10,13 @@ in `px4_units`.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import ClassVar
 
 import numpy as np
 
 from flysid.errors import FormatError
+from flysid.flight import ClockMap
 from flysid.ingest.formats.base import Limits, Parts, StreamPart, Summary, release
 from flysid.ingest.formats.common.clock import UtcFit
 from flysid.ingest.formats.common.gather import numbers
@@ -34,6 +35,7 @@ from flysid.ingest.formats.ulog.texts import Words
 MAX_SUBSCRIPTIONS = 5000
 MAX_FORMATS = 5000
 APPENDED_BIT = 1
+START_AT = 8  # of the time at which logging began, in microseconds; 8 bytes
 
 
 @dataclass
@@ -321,7 +323,7 @@ def read(view: memoryview, name: str, limits: Limits) -> Parts:
     tally = Tally()
     reader = UlogReader(view, limits, tally)
     yield from reader.parts()
-    return Summary(tally.freeze(), reader.utc.clocks(), _about(reader.words))
+    return Summary(tally.freeze(), _from_start(reader.utc.clocks(), view), _about(reader.words))
 
 
 def _about(words: Words) -> dict[str, str]:
@@ -338,3 +340,15 @@ def sniff(head: bytes, name: str) -> float:  # noqa: ARG001
     if head.startswith(MAGIC):
         return 1.0
     return 0.6 if head.startswith(MAGIC[:4]) else 0.0
+
+
+def _from_start(clocks: tuple[ClockMap, ...], view: memoryview) -> tuple[ClockMap, ...]:
+    """Clocks that begin when logging began, as the head states it.
+
+    A log opens with the last message of topics that were published before, stamped with their own times, some
+    of them with 0: a log of 76 s seemed to last four minutes.
+    """
+    start_ns = 1000 * int.from_bytes(view[START_AT:FILE_HEAD_BYTES], "little")
+    return tuple(
+        replace(c, first_ns=max(c.first_ns, start_ns)) if start_ns < c.last_ns else c for c in clocks
+    )

@@ -311,3 +311,14 @@ def test_rising_times_are_never_ahead(steps: list[int], jump: int) -> None:
     times[jump:] += 10**10
     late = far_ahead(times)
     assert not late[: max(0, len(times) - 5)].any()
+
+
+def test_a_log_lasts_from_when_logging_began() -> None:
+    """A log opens with older messages of topics: one of 76 s seemed to last four minutes."""
+    raw = bytearray(sample.build())
+    (whole,) = read(bytes(raw)).clocks
+    assert whole.first_ns == 2_000_000_000
+    for start_us, first_ns in ((2_200_000, 2_200_000_000), (10**15, whole.first_ns)):  # the other is damaged
+        raw[8:16] = struct.pack("<Q", start_us)
+        (clock,) = read(bytes(raw)).clocks
+        assert (clock.first_ns, clock.last_ns) == (first_ns, whole.last_ns)
