@@ -80,7 +80,7 @@ def test_flights_of_other_gains_are_judged_apart() -> None:
         ("ulog/quad_stabilised_92s.ulg", "MC_ROLLRATE_K 1, P 0.15, I 0.2, D 0.003"),
         ("ulog/pyulog_sample.ulg", "does not state MC_ROLLRATE_K"),
         ("dataflash/sitl_copter_49s.BIN", "too slow to see"),
-        ("dataflash/copter_437s.bin", "does not state ATC_RAT_RLL_FLTT"),
+        ("dataflash/copter_437s.bin", "before 4.0, with a single filter"),
     ],
 )
 def test_real_logs_are_judged_or_refused(log: str, words: str) -> None:
