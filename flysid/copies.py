@@ -187,14 +187,20 @@ def _same_flight(train: Sequence[Stretch], test: Sequence[Stretch], dt_s: float)
     return None
 
 
-def _regressors(s: Stretch, rows: int) -> FloatArray:
-    """(rows, n_y LAGS + n_u (LAGS + 1) + 1) past outputs, present and past inputs, a constant."""
-    return np.concatenate([*_lagged(s, rows), np.ones((rows, 1))], axis=1)
+def _equations(s: Stretch, rows: int) -> FloatArray:
+    """(rows, n_y LAGS + n_u (LAGS + 1) + 1 + n_y) past outputs, present and past inputs, a constant, outputs.
+
+    Of the middle of a flight: at its start a vehicle stands, or only begins to move.
+    """
+    first = (len(s.y) - LAGS - rows) // 2
+    ones = np.ones((rows, 1))
+    return np.concatenate([*_lagged(s, rows, first), ones, s.y[first + LAGS :][:rows]], axis=1)
 
 
-def _lagged(s: Stretch, rows: int) -> list[FloatArray]:
-    past = [s.y[LAGS - lag : LAGS - lag + rows] for lag in range(1, LAGS + 1)]
-    return past + [s.u[LAGS - lag : LAGS - lag + rows] for lag in range(LAGS + 1)]
+def _lagged(s: Stretch, rows: int, first: int = 0) -> list[FloatArray]:
+    start = first + LAGS
+    past = [s.y[start - lag : start - lag + rows] for lag in range(1, LAGS + 1)]
+    return past + [s.u[start - lag : start - lag + rows] for lag in range(LAGS + 1)]
 
 
 def _left(s: Stretch, theta: FloatArray) -> FloatArray:
@@ -213,8 +219,7 @@ def _linear_model(stretches: Sequence[Stretch]) -> FloatArray | None:
     each = FIT_ROWS // max(len(usable), 1)
     gram: FloatArray | None = None
     for s in usable:
-        phi = _regressors(s, min(max(each, 1), len(s.y) - LAGS))
-        both = np.concatenate([phi, s.y[LAGS : LAGS + len(phi)]], axis=1)
+        both = _equations(s, min(max(each, 1), len(s.y) - LAGS))
         product = both.T @ both
         gram = product if gram is None else gram + product
     if gram is None:

@@ -8,6 +8,8 @@ hold of a copy:
 1. of the noise, what `alike` asks;
 2. of the outputs, that a few samples far apart follow from their neighbours in the other flight. What few
    samples leave of a best fit is never more than what all of them leave: no copy is lost by it.
+
+Of very many flights only those pairs are looked at that have a stretch in common (`like_windows`).
 """
 
 from __future__ import annotations
@@ -31,6 +33,7 @@ from flysid.alike import (
     SIGMAS,
     Grid,
 )
+from flysid.like_windows import SURE_OVERLAP, pairs_alike
 from flysid.stretch import FloatArray
 
 Spectra = npt.NDArray[np.complex128]
@@ -38,6 +41,7 @@ Indices = npt.NDArray[np.int64]
 Flags = npt.NDArray[np.bool_]
 
 BATCH = 1 << 18  # samples that are moved over others at a time
+EVERY_PAIR = 1 << 18  # that many are looked at one by one: some seconds of flights of 300 samples
 LONGER = 4  # times as long as the other flight: cut into blocks
 FIRST_ROWS = 24  # samples that are asked first: four for each number that is fitted to them
 COLUMNS = 7  # a constant, five neighbours, and what they are to explain
@@ -49,20 +53,51 @@ compiled = njit(cache=True, error_model="numpy")
 summing = njit(cache=True, error_model="numpy", fastmath={"reassoc", "contract"})
 
 
-def likely_copies(train: Sequence[Grid], held: Sequence[Grid]) -> Iterator[tuple[int, int]]:
-    """Numbers of held-out and training flights that `alike` may call copies; all that it does are among them.
+def likely_copies(
+    train: Sequence[Grid], held: Sequence[Grid], *, every_pair: int = EVERY_PAIR
+) -> Iterator[tuple[int, int]]:
+    """Numbers of held-out and training flights that `alike` may call copies.
 
     Of flights of like length, those of each part in their order; the shortest first.
+
+    Parameters
+    ----------
+    every_pair : up to so many pairs are all looked at, and every copy is among those returned. Of more only
+        those are that have a stretch in common, as all copies had that were tried.
     """
     scale = np.array([max(map(_size, column)) or 1.0 for column in zip(*_outputs(train, held), strict=True)])
     theirs, mine = (_Part.of(part, scale) for part in (train, held))
-    for some in theirs.batches():
-        for others in mine.batches():
+    if len(train) * len(held) <= every_pair:
+        yield from _likely(theirs, np.arange(len(train)), mine, np.arange(len(held)))
+        return
+    by_windows = np.array([mine.holds_windows(i) for i in range(len(held))], dtype=np.bool_)
+    yield from _likely(theirs, np.arange(len(train)), mine, np.flatnonzero(~by_windows))
+    for i, some in _with_common_windows(theirs, mine, np.flatnonzero(by_windows)):
+        yield from _likely(theirs, some, mine, np.array([i]))
+
+
+def _likely(theirs: _Part, known: Indices, mine: _Part, asked: Indices) -> Iterator[tuple[int, int]]:
+    """Of all pairs of these flights, those that may be copies."""
+    for some in theirs.batches(known):
+        for others in mine.batches(asked):
             lags = _lags_of_pairs(theirs, some, mine, others)
             chosen = np.zeros((len(others), len(some)), dtype=np.bool_)
             _screen(*theirs.arrays(), some, *mine.arrays(), others, mine.spread, lags, chosen)
             for i, k in np.argwhere(chosen):
                 yield int(others[i]), int(some[k])
+
+
+def _with_common_windows(theirs: _Part, mine: _Part, asked: Indices) -> Iterator[tuple[int, Indices]]:
+    """Each of these flights with the training flights that share a window with it, or that have gaps."""
+    whole = np.array([theirs.is_whole(k) for k in range(len(theirs.flown))], dtype=np.bool_)
+    known = np.flatnonzero(whole)
+    found: dict[int, set[int]] = {int(i): set(np.flatnonzero(~whole).tolist()) for i in asked}
+    for j in range(len(theirs.y)):
+        outputs = ([part.output(k, j) for k in some] for part, some in ((theirs, known), (mine, asked)))
+        for i, k in pairs_alike(*outputs):
+            found[int(asked[i])].add(int(known[k]))
+    for i, some in found.items():
+        yield i, np.array(sorted(some), dtype=np.int64)
 
 
 def _outputs(*parts: Sequence[Grid]) -> Iterator[Sequence[FloatArray]]:
@@ -131,9 +166,24 @@ class _Part:
         """Moves that must overlap of each."""
         return np.asarray(np.maximum(LEAST_OVERLAP, SAME_SHARE * self.flown[flights]) - 1.0)
 
-    def batches(self) -> Iterator[Indices]:
+    def output(self, flight: int, j: int) -> FloatArray:
+        """What is known of an output."""
+        own = self.y[j, self.start[flight] : self.start[flight + 1]]
+        return own[np.isfinite(own)]
+
+    def is_whole(self, flight: int) -> bool:
+        """Whether the outputs are known without gaps."""
+        known = np.flatnonzero(np.isfinite(self.y[0, self.start[flight] : self.start[flight + 1]]))
+        return bool(len(known) and known[-1] - known[0] + 1 == len(known))
+
+    def holds_windows(self, flight: int) -> bool:
+        """Whether whatever a copy of this flight must share with it holds one of its windows."""
+        least = NOISE_SHARE * self.samples[flight]
+        return bool(self.is_whole(flight) and min(least, SAME_SHARE * self.flown[flight]) >= SURE_OVERLAP)
+
+    def batches(self, flights: Indices) -> Iterator[Indices]:
         """Flights none of which is more than twice as long as another, as many as a batch holds."""
-        order = np.argsort(np.diff(self.start), kind="stable")
+        order = flights[np.argsort(self.lengths(flights), kind="stable")]
         lengths = self.lengths(order)
         first = 0
         for i in range(1, len(order) + 1):

@@ -6,6 +6,7 @@ Each trial runs the real command line in processes of their own, in empty folder
 
 from __future__ import annotations
 
+import gzip
 import hashlib
 import json
 import os
@@ -15,15 +16,20 @@ import signal
 import subprocess
 import sys
 import time
+import zipfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
+import zstandard
+
 from flysid.store import list_flights, read_flight
 from soak import Outcome
-from tests.samplelogs import tlog
+from tests.ingest.formats.test_captures import over_udp, pcapng
+from tests.ingest.formats.test_tlog import flying
+from tests.samplelogs import blackbox, crazyflie, mavlogdump, parquet, tlog
 
 ROOT = Path(__file__).resolve().parents[1]
 PLACE = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
@@ -45,13 +51,39 @@ class Verb:
         )
 
 
+Write = Callable[[Path, int, int], None]
+
+
 def write_logs(folder: Path, count: int, repeat: int = 4) -> None:
     """Tlogs with different contents; each `repeat` times the sample."""
     folder.mkdir(parents=True)
-    mav = tlog.sender(7)
     for i in range(count):
-        last = tlog.stamped(tlog.EPOCH_US + 9_000_000, tlog.frame(mav, mav.heartbeat_encode(2, 3, 0, i, 4)))
-        (folder / f"log{i:02}.tlog").write_bytes(tlog.build() * repeat + last)
+        (folder / f"log{i:02}.tlog").write_bytes(_tlog(i, repeat))
+
+
+def _tlog(number: int, repeat: int) -> bytes:
+    mav = tlog.sender(7)
+    last = tlog.frame(mav, mav.heartbeat_encode(2, 3, 0, number, 4))
+    return tlog.build() * repeat + tlog.stamped(tlog.EPOCH_US + 9_000_000, last)
+
+
+def write_newer_logs(folder: Path, count: int, repeat: int = 4) -> None:
+    """A log of each newer format, packed ones among them; an archive of `count` logs."""
+    folder.mkdir(parents=True)
+    logs = {
+        "blackbox.bbl": blackbox.build() * repeat,
+        "captured.pcapng": pcapng(over_udp(flying(tlog.sender(), 100 * repeat))),
+        "log00": crazyflie.build(),
+        "mavlogdump.json": mavlogdump.build() * repeat,
+        "packed.tlog.gz": gzip.compress(_tlog(0, repeat), mtime=0),
+        "packed.tlog.zst": zstandard.compress(_tlog(1, repeat)),
+        "table.parquet": parquet.build(),
+    }
+    for name, blob in logs.items():
+        (folder / name).write_bytes(blob)
+    with zipfile.ZipFile(folder / "flights.zip", "w", zipfile.ZIP_DEFLATED) as archive:
+        for i in range(count):
+            archive.writestr(f"monday/{i}.tlog", _tlog(i + 2, repeat))
 
 
 def visible(folder: Path) -> dict[str, str]:
@@ -118,16 +150,22 @@ class Changes:
 
 
 def killed_ingests(
-    folder: Path, count: int, goes_on: Callable[[], bool] = lambda: True, seed: int = 0
+    folder: Path,
+    count: int,
+    goes_on: Callable[[], bool] = lambda: True,
+    *,
+    seed: int = 0,
+    name: str = "ingest",
+    write: Write = write_logs,
 ) -> Outcome:
     """`kill -9` during ingest, then the same command again: as if nothing had happened."""
-    write_logs(folder / "logs", 6)
+    write(folder / "logs", 6, 4)
     verb = Verb(("ingest", str(folder / "logs"), "-q", "-o"))
     began = time.monotonic()
     assert verb.run(folder / "whole").returncode == 0
     length = time.monotonic() - began
     whole = visible(folder / "whole")
-    outcome = Outcome("ingest")
+    outcome = Outcome(name)
     rng = random.Random(seed)
     interrupted = 0
     while outcome.trials < count and goes_on():
@@ -227,13 +265,15 @@ def resize(folder: Path, size: str) -> None:
     subprocess.run(command, capture_output=True, check=True)
 
 
-def full_disks(folder: Path, sizes: Sequence[str]) -> Outcome:
+def full_disks(
+    folder: Path, sizes: Sequence[str], *, name: str = "full disk", write: Write = write_logs
+) -> Outcome:
     """Ingest onto disks that are too small: refused by name, nothing partial; resumes once there is room."""
-    write_logs(folder / "logs", 3, repeat=60)
+    write(folder / "logs", 3, 60)
     verb = Verb(("ingest", str(folder / "logs"), "-q", "-o"))
     assert verb.run(folder / "whole").returncode == 0
     whole = visible(folder / "whole")
-    outcome = Outcome("full disk")
+    outcome = Outcome(name)
     for size in sizes:
         with outcome.trial(), small_disk(folder / f"disk{outcome.trials}", size) as disk:
             done = verb.run(disk / "data")
@@ -256,13 +296,15 @@ def read_only_disks(folder: Path) -> Outcome:
     return outcome
 
 
-def limited(folder: Path, limits: Sequence[str]) -> Outcome:
+def limited(
+    folder: Path, limits: Sequence[str], *, name: str = "ulimit", write: Write = write_logs
+) -> Outcome:
     """Ingest under `ulimit`: of a file's size (-f, in kB) or of open files (-n); then without."""
-    write_logs(folder / "logs", 3, repeat=60)
+    write(folder / "logs", 3, 60)
     verb = Verb(("ingest", str(folder / "logs"), "-q", "-o"))
     assert verb.run(folder / "whole").returncode == 0
     whole = visible(folder / "whole")
-    outcome = Outcome("ulimit")
+    outcome = Outcome(name)
     for limit in limits:
         out = folder / f"data{outcome.trials}"
         with outcome.trial():

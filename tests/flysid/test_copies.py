@@ -266,6 +266,59 @@ def test_one_copy_among_a_hundred_flights_is_found_and_no_other_is_proposed() ->
     assert (found.held_out, found.training) == ("copy", "long")
 
 
+RATES: dict[str, Recorder] = {
+    "half the rate": lambda u, y: (u, np.interp(np.arange(len(y)) + 0.3, np.arange(0, len(y), 2), y[::2, 0])),
+    "a quarter": lambda u, y: (u, np.interp(np.arange(len(y)) + 0.3, np.arange(0, len(y), 4), y[::4, 0])),
+    "coarse": lambda u, y: (u, coarse(y, 0.3)),
+    "a clock 0.1 % off": lambda u, y: (u, np.interp(np.arange(len(y)) * 1.001, np.arange(len(y)), y[:, 0])),
+}
+
+
+@pytest.mark.parametrize("part", [0.5, 1.0])
+@pytest.mark.parametrize("case", [*MOVED, *RATES])
+def test_copies_among_very_many_flights_share_a_window(case: str, part: float) -> None:
+    rng = np.random.default_rng(len(case))
+    known, held = [], []
+    for k in range(8):
+        u, y = short(k, 800)
+        known.append(Segment(u, y, flight=f"known {k}"))
+        first = int(rng.integers(0, int(800 * (1.0 - part)) + 1))
+        own = slice(first, first + int(800 * part))
+        u, y = {**MOVED, **RATES}[case](u[own], y[own])
+        held.append(Segment(u, np.reshape(y, (len(y), 1)), flight=f"held {k}"))
+    for train, test in ((known, held), (held, known)):
+        theta = copies._linear_model([*train, *test])
+        theirs, mine = (list(copies._on_grids(p, theta, DT_S).values()) for p in (train, test))
+        judged = {k for k in range(8) if same_noise(theirs[k], mine[k]) or same_output(theirs[k], mine[k])}
+        found = set(likely_copies(theirs, mine, every_pair=0))
+        assert {(k, k) for k in judged} <= found
+        assert len(judged) == 8 or case in RATES
+        assert len(found) <= 9  # of 64: others have no window in common, or one by chance
+
+
+def test_the_model_of_many_flights_is_not_that_of_their_starts(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of each of many flights a few rows are fitted; at its start a vehicle stands."""
+    flights = []
+    for k in range(40):
+        u, y = short(k, 200, noise=0.01)
+        u, y = np.vstack([np.zeros((60, 1)), u]), np.vstack([np.zeros((60, 1)), y])
+        flights.append(Segment(u, y, flight=str(k)))
+    whole = copies._linear_model(flights)
+    monkeypatch.setattr(copies, "FIT_ROWS", 2000)
+    some = copies._linear_model(flights)
+    assert whole is not None
+    assert some is not None
+    left = [float(np.std(copies._left(flights[0], theta)[60:])) for theta in (whole, some)]
+    assert left[1] < 1.2 * left[0]
+
+
+def test_flights_with_gaps_and_short_ones_are_compared_with_all() -> None:
+    flights = odd_flights(3)
+    theta = copies._linear_model(flights)
+    grids = list(copies._on_grids(flights, theta, DT_S).values())
+    assert set(likely_copies(grids, grids, every_pair=0)) == set(likely_copies(grids, grids))
+
+
 def test_outputs_in_units_far_apart_are_no_copies() -> None:
     u, y = short(1, 100)
     other, again = short(2, 100)

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -16,9 +17,12 @@ import flysid
 from flysid.errors import FormatError, UsageError
 from flysid.flight import Flight
 from flysid.ingest.formats.base import Limits, collect
+from flysid.ingest.formats.common.columns import as_array
+from flysid.ingest.formats.mavlink.frames import STAMP_BYTES, read_header
+from flysid.ingest.formats.mavlink.probing import make_scanner
 from flysid.ingest.formats.registry import FORMATS, detect
 from flysid.ingest.formats.scrubbing import scrub_log
-from tests.ingest.formats.test_tlog import flying
+from tests.ingest.formats.test_tlog import LOGS, flying
 from tests.samplelogs import navdata
 from tests.samplelogs.tlog import frame, sender
 
@@ -138,6 +142,34 @@ def test_frames_of_a_capture_are_those_of_the_vehicle(pack: object, carry: objec
     assert flight.info["timestamps"] == "capture"
     assert not flight.damage.lossy
     assert flight.damage.sequence_gaps == {}
+
+
+def compare_with_the_log(name: str) -> None:
+    """A real log's frames, each sent over a network when it arrived, are read as the log is."""
+    blob = (LOGS / f"{name}.tlog").read_bytes()
+    scanner = make_scanner("ardupilotmega", STAMP_BYTES, len(blob))
+    frames, _ = scanner.scan(as_array(blob), 0, len(blob))
+    assert frames.stamp_us is not None
+    ends = [head.end for at in frames.start.tolist() if (head := read_header(blob, at)) is not None]
+    sent = [
+        (int(us) * 1000, udp(blob[start:end]))
+        for us, start, end in zip(frames.stamp_us, frames.start, ends, strict=True)
+    ]
+    log = collect(memoryview(blob), name, FORMATS["tlog"], Limits())
+    for pack in (pcap, pcapng):
+        flight = read(pack(sent))
+        assert set(flight.streams) == set(log.streams)
+        for stream, table in log.tables.items():
+            other = flight.tables[stream]
+            assert other.num_rows == table.num_rows, stream
+            for column in set(table.column_names) - {"time_ns", "boot"}:
+                left, right = (part[column].to_pylist() for part in (other, table))
+                assert left == right or np.array_equal(left, right, equal_nan=True), (stream, column)
+
+
+@pytest.mark.skipif(not LOGS.is_dir(), reason="no ../shared/logs/tlog")
+def test_a_real_log_over_a_network_is_what_the_log_itself_says() -> None:
+    compare_with_the_log("sitl_copter_98s")
 
 
 def test_a_capture_of_navdata_stays_navdata_and_one_of_neither_is_refused() -> None:

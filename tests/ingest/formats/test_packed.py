@@ -7,6 +7,7 @@ import io
 import json
 import random
 import struct
+import tempfile
 import zipfile
 import zlib
 from collections.abc import Callable
@@ -31,6 +32,8 @@ from tests.private_logs import PRIVATE
 from tests.samplelogs import dataflash, tlog, ulog
 
 LOG = tlog.build()
+LOGS = Path(__file__).resolve().parents[4] / "shared" / "logs"
+REAL = sorted([*LOGS.glob("tlog/sitl_copter*.tlog"), *LOGS.glob("dataflash/*")])
 PLACE = st.integers(0, 10**6)
 
 
@@ -93,6 +96,28 @@ def test_every_format_is_read_packed(tmp_path: Path, kind: str, suffix: str) -> 
     assert packed.source == plain.source
     assert packed.tables == plain.tables
     assert packed.damage == plain.damage
+
+
+def compare_with_the_log(path: Path) -> None:
+    """A real log is read the same from every packing."""
+    plain = flysid.read(path)
+    blob = path.read_bytes()
+    packings: dict[str, Callable[[bytes], bytes]] = {
+        **PACKINGS,
+        ".zip": lambda whole: zipped({path.name: whole}),
+    }
+    with tempfile.TemporaryDirectory() as folder:
+        for suffix, pack in packings.items():
+            packed = flysid.read(put(Path(folder) / (path.name + suffix), pack(blob)))
+            assert packed.source == plain.source
+            assert set(packed.tables) == set(plain.tables)
+            assert packed.rows == plain.rows
+            assert packed.damage == plain.damage
+
+
+@pytest.mark.skipif(not REAL, reason="no ../shared/logs")
+def test_a_real_log_is_read_the_same_from_every_packing() -> None:
+    compare_with_the_log(REAL[0])
 
 
 @pytest.mark.parametrize("method", [zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED])
