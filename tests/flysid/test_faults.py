@@ -24,11 +24,22 @@ from flysid.validate.judge import judge_run
 from flysid.validate.run import FitSettings
 from soak import Outcome
 from tests.contest import fit_beside_arx
-from tests.fault_trials import full_disks, killed_ingests, limited, read_only_disks, small_data, visible
+from tests.fault_trials import (
+    Write,
+    full_disks,
+    killed_ingests,
+    limited,
+    read_only_disks,
+    small_data,
+    visible,
+    write_logs,
+    write_newer_logs,
+)
 
 
-def test_kill_during_ingest_then_the_same_command_again(tmp_path: Path) -> None:
-    outcome = killed_ingests(tmp_path, 2)
+@pytest.mark.parametrize("write", [write_logs, write_newer_logs])
+def test_kill_during_ingest_then_the_same_command_again(tmp_path: Path, write: Write) -> None:
+    outcome = killed_ingests(tmp_path, 2, write=write)
     assert outcome.failures == []
     assert outcome.trials == 2
 
@@ -39,8 +50,10 @@ def test_kill_during_ingest_then_the_same_command_again(tmp_path: Path) -> None:
         (lambda folder: full_disks(folder, ["96k"]), 1),
         (read_only_disks, 1),
         (lambda folder: limited(folder, ["-f 8"]), 1),
+        (lambda folder: full_disks(folder, ["96k"], write=write_newer_logs), 1),
+        (lambda folder: limited(folder, ["-f 8"], write=write_newer_logs), 1),
     ],
-    ids=["full disk", "read-only disk", "ulimit"],
+    ids=["full disk", "read-only disk", "ulimit", "full disk, newer formats", "ulimit, newer formats"],
 )
 def test_no_room_is_named_and_nothing_partial_shows(
     tmp_path: Path, trials: Callable[[Path], Outcome], refused: int
