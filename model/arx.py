@@ -93,10 +93,10 @@ class ARX(PolynomialSettings):
             if plain is None:
                 raise
             note = f"Refinement on the simulation error was tried and given up: {error.message}."
-            return _noted(plain.final(), note)
+            return _note(plain.final(), note)
         if plain is None:
             return refined.final(())
-        return _decided(parts, plain, refined)
+        return _decide(parts, plain, refined)
 
 
 class _LeastSquaresFit:
@@ -277,7 +277,7 @@ def _from_disk(settings: ARX, data: OnDisk, validation: Dataset | None) -> Fitte
     plain = replace(settings, refine=False)
     chosen = _LeastSquaresFit(plain, Parts.of(data.head(CHOICE_ROWS), validation, centred=settings.offset))
     found = chosen.of_all(data, Parts.on_disk(data, centred=settings.offset))
-    return _noted(found, f"Fitted to all {len(data)} samples on disk, one step ahead.")
+    return _note(found, f"Fitted to all {len(data)} samples on disk, one step ahead.")
 
 
 def _order_note(choices: Sequence[OrderChoice], errors: Sequence[FloatArray], index: int) -> str:
@@ -294,7 +294,7 @@ def _order_note(choices: Sequence[OrderChoice], errors: Sequence[FloatArray], in
     )
 
 
-def _decided(parts: Parts, plain: _LeastSquaresFit, refined: Refined) -> FittedLinear:
+def _decide(parts: Parts, plain: _LeastSquaresFit, refined: Refined) -> FittedLinear:
     """The refined model, unless the plain one free-runs better on validation by more than noise.
 
     Where the validation part is only a piece of the training data, held out by ourselves, the plain one must
@@ -305,7 +305,7 @@ def _decided(parts: Parts, plain: _LeastSquaresFit, refined: Refined) -> FittedL
     before = block_errors(plain.model, parts.check, window, parts.scaling.y_scale)
     after = block_errors(judged, parts.check, window, parts.scaling.y_scale)
     if not len(before):
-        return _noted(
+        return _note(
             plain.final(), "No validation segment is long enough to judge a refinement; not refined."
         )
     figures = (
@@ -319,7 +319,7 @@ def _decided(parts: Parts, plain: _LeastSquaresFit, refined: Refined) -> FittedL
         kept = refined.final((words,))
         if not _better_everywhere(parts, final, kept, window):
             return kept
-    return _noted(final, f"Refinement on the simulation error was tried and not kept: {figures}.")
+    return _note(final, f"Refinement on the simulation error was tried and not kept: {figures}.")
 
 
 def _better_everywhere(parts: Parts, plain: FittedLinear, refined: FittedLinear, window: int) -> bool:
@@ -331,5 +331,5 @@ def _better_everywhere(parts: Parts, plain: FittedLinear, refined: FittedLinear,
     return bool(len(plain_error) and plain_error.mean() < refined_error.mean())
 
 
-def _noted(model: FittedLinear, note: str) -> FittedLinear:
+def _note(model: FittedLinear, note: str) -> FittedLinear:
     return replace(model, notes=(*model.notes, note))

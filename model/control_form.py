@@ -39,8 +39,8 @@ def control_of_difference(system: Difference, signals: Signals, dt_s: float, for
     if form == "ss" or (form == "auto" and not n_u == n_y == 1):
         return control.ss(*state_space(system), dt_s, **_names(signals))
     size = system.depth + 1
-    num = [[_padded(system.b[:, i, j], size) for j in range(n_u)] for i in range(n_y)]
-    den = [[_padded(system.a[:, i, i], size)] * n_u for i in range(n_y)]
+    num = [[_pad(system.b[:, i, j], size) for j in range(n_u)] for i in range(n_y)]
+    den = [[_pad(system.a[:, i, i], size)] * n_u for i in range(n_y)]
     return control.tf(num, den, dt_s, **_names(signals))
 
 
@@ -80,7 +80,7 @@ def state_space(system: Difference) -> tuple[FloatArray, FloatArray, FloatArray,
     return big_a, big_b, np.eye(n_y, n), b[0]
 
 
-def _padded(values: FloatArray, size: int) -> FloatArray:
+def _pad(values: FloatArray, size: int) -> FloatArray:
     """Coefficients in rising powers of the delay are those in falling powers of z, both of degree L."""
     out = np.zeros(size)
     out[: len(values)] = values

@@ -93,7 +93,7 @@ def reduce_data(pieces: Pieces, gram: FloatArray | None = None) -> Triangle:
     n = first[0].shape[1]
     m = first[1].shape[1]
     if gram is None:
-        gram, rows = _summed(pieces())
+        gram, rows = _add_up(pieces())
     rows = rows or round(float(gram[-1, -1]))
     r = triangle_of(gram)
     if r is not None:
@@ -154,13 +154,11 @@ def _segment_gram(pieces: Iterator[FloatArray], depth: int) -> FloatArray:
         tail = window[:, window.shape[1] - depth :]
         following = next(pieces, None)
         if following is None:
-            return _displaced(now, sums, rows, head, tail)
+            return _displace(now, sums, rows, head, tail)
         window = following
 
 
-def _displaced(
-    now: FloatArray, sums: FloatArray, rows: int, head: FloatArray, tail: FloatArray
-) -> FloatArray:
+def _displace(now: FloatArray, sums: FloatArray, rows: int, head: FloatArray, tail: FloatArray) -> FloatArray:
     """All products of lags from those with lag 0 and the segment's first and last samples."""
     count, depth = head.shape
     lags = depth + 1
@@ -230,7 +228,7 @@ def _lagged_rows(blocks: Blocks, depth: int, pick: Sequence[int]) -> Iterator[Fl
             yield np.stack([window[signal, start - lag : stop - lag] for signal, lag in places], axis=1)
 
 
-def _summed(pieces: Iterable[tuple[FloatArray, FloatArray]]) -> tuple[FloatArray, int]:
+def _add_up(pieces: Iterable[tuple[FloatArray, FloatArray]]) -> tuple[FloatArray, int]:
     gram = np.zeros((0, 0))
     rows = 0
     for phi, y in pieces:

@@ -74,7 +74,7 @@ def best_linear(
     FitError : no candidate could be fitted.
     """
     if validation is not None:
-        fitted = _fitted(candidates, train, validation)
+        fitted = _fit(candidates, train, validation)
         choice = _chosen(_of_the_bounded(fitted, validation))
         return choice, fitted[choice.label]
     choice = choose_baseline(train, candidates)
@@ -91,11 +91,11 @@ def best_linear(
     return choice, models[choice.label]
 
 
-def _asked(train: Dataset, candidates: Mapping[str, Estimator]) -> Hashable | None:
+def _ask(train: Dataset, candidates: Mapping[str, Estimator]) -> Hashable | None:
     return fit_key(tuple(candidates.items()), train)
 
 
-@once(_asked)
+@once(_ask)
 def choose_baseline(train: Dataset, candidates: Mapping[str, Estimator]) -> BaselineChoice:
     """Fit every candidate to a part of `train`, judge it by its free run over the rest.
 
@@ -105,7 +105,7 @@ def choose_baseline(train: Dataset, candidates: Mapping[str, Estimator]) -> Base
     """
     try:
         fit, check = parts_to_choose_on(train)
-        errors = _of_the_bounded(_fitted(candidates, fit, check), check)
+        errors = _of_the_bounded(_fit(candidates, fit, check), check)
     except DataError:
         return BaselineChoice(_first(candidates), words="the training part is too short to choose on")
     return _chosen(errors)
@@ -153,7 +153,7 @@ def _first(named: Mapping[str, object]) -> str:
     return FIRST if FIRST in named else next(iter(named))
 
 
-def _fitted(candidates: Mapping[str, Estimator], fit: Dataset, check: Dataset) -> dict[str, Fitted]:
+def _fit(candidates: Mapping[str, Estimator], fit: Dataset, check: Dataset) -> dict[str, Fitted]:
     models: dict[str, Fitted] = {}
     reasons: list[str] = []
     lacking: MemoryError | None = None
@@ -189,17 +189,17 @@ def free_run_errors(models: Mapping[str, Fitted], check: Dataset) -> dict[str, F
     ------
     DataError : no segment is long enough.
     """
-    return {name: errors for name, (errors, _) in _judged(models, check).items()}
+    return {name: errors for name, (errors, _) in _judge(models, check).items()}
 
 
 def _of_the_bounded(models: Mapping[str, Fitted], check: Dataset) -> dict[str, FloatArray]:
     """The errors of the models that reach their limits nowhere; of all where none is left."""
-    found = _judged(models, check)
+    found = _judge(models, check)
     kept = [name for name, (_, lost) in found.items() if not lost] or list(found)
     return {name: found[name][0] for name in kept}
 
 
-def _judged(models: Mapping[str, Fitted], check: Dataset) -> dict[str, tuple[FloatArray, bool]]:
+def _judge(models: Mapping[str, Fitted], check: Dataset) -> dict[str, tuple[FloatArray, bool]]:
     """Block errors of every model, and whether it ever reached its output limits."""
     lags = max(model.n_init for model in models.values())
     windows = [start_window(lags, len(s), check.dt_s) for s in check.segments]

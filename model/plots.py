@@ -21,7 +21,7 @@ def plot_step(model: Fitted, output: int = 0, ax: Any = None) -> Any:
     for j, signal in enumerate(model.inputs):
         axes.plot(t, _response(model, j, 1.0, samples)[:, output], label=signal.name)
     axes.set_xlabel("time, s")
-    axes.set_ylabel(_named(model.outputs[output].name, model.outputs[output].unit))
+    axes.set_ylabel(_label(model.outputs[output].name, model.outputs[output].unit))
     axes.set_title(f"{model.structure}: unit steps from rest")
     axes.legend()
     return axes
@@ -88,5 +88,5 @@ def _axes(rows: int) -> Any:
     return plt.subplots(rows, sharex=True, squeeze=False)[1][:, 0]
 
 
-def _named(name: str, unit: str) -> str:
+def _label(name: str, unit: str) -> str:
     return f"{name}, {unit}" if unit else name

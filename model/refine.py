@@ -81,8 +81,8 @@ def levenberg_marquardt(
     ------
     FitError : the cost of the start is not finite.
     """
-    point = _started(evaluate, theta0)
-    scale = _floored(point.diagonal)
+    point = _start(evaluate, theta0)
+    scale = _floor(point.diagonal)
     damping = first_damping
     growth = 2.0
     reason: Reason = "max_iterations"
@@ -112,7 +112,7 @@ def levenberg_marquardt(
     return Refinement(point.theta, point.cost, reason)
 
 
-def _started(evaluate: Callable[[FloatArray], Residuals | NormalEquations], theta0: FloatArray) -> _Point:
+def _start(evaluate: Callable[[FloatArray], Residuals | NormalEquations], theta0: FloatArray) -> _Point:
     point = _evaluate(evaluate, np.asarray(theta0, dtype=np.float64))
     if point is None:
         raise FitError("the start of the refinement diverges", hint="give a stable start")
@@ -226,7 +226,7 @@ def _is_short(step: FloatArray, point: _Point, scale: FloatArray, tolerance: flo
     return float(np.linalg.norm(scale * step)) <= tolerance * float(np.linalg.norm(scale * point.theta))
 
 
-def _floored(diagonal: FloatArray) -> FloatArray:
+def _floor(diagonal: FloatArray) -> FloatArray:
     """Column norms, with a floor where a parameter has no effect at the start."""
     norms = np.sqrt(diagonal)
     largest = float(norms.max(initial=0.0)) or 1.0

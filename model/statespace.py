@@ -115,8 +115,8 @@ class StateSpace:
         plan = _best_plan(self, train, None if validation is None else detrended(validation, self.trend))
         model = _final(self, plan.parts.train, plan.parts, plan.choice, plan.note)
         if self.refine is not False:
-            model = _refined(self, plan.parts, plan.choice, model)
-        return delayed_model(_settled(self, plan.parts, model), plan.late)
+            model = _refine(self, plan.parts, plan.choice, model)
+        return delayed_model(_settle(self, plan.parts, model), plan.late)
 
 
 def _plan_key(settings: StateSpace, train: Dataset, validation: Dataset | None) -> Hashable:
@@ -127,7 +127,7 @@ def _plan_key(settings: StateSpace, train: Dataset, validation: Dataset | None) 
 def _best_plan(settings: StateSpace, train: Dataset, validation: Dataset | None) -> _Plan:
     """Of the delays that the inputs may have, those of the best validation free run."""
     return min(
-        (_planned(settings, train, validation, late) for late in _delays(settings, train, validation)),
+        (_plan(settings, train, validation, late) for late in _delays(settings, train, validation)),
         key=lambda plan: plan.loss,
     )
 
@@ -155,9 +155,7 @@ class _Plan:
     loss: float
 
 
-def _planned(
-    settings: StateSpace, train: Dataset, validation: Dataset | None, late: tuple[int, ...]
-) -> _Plan:
+def _plan(settings: StateSpace, train: Dataset, validation: Dataset | None, late: tuple[int, ...]) -> _Plan:
     held = None if validation is None else delayed_inputs(validation, late)
     parts = Parts.of(delayed_inputs(train, late), held)
     choice, note, loss = _chosen(settings, parts)
@@ -233,14 +231,14 @@ def _check(settings: StateSpace) -> None:
             raise UsageError(f"{name} is {getattr(settings, name)!r}", hint="use 'auto', True or False")
 
 
-def _refined(settings: StateSpace, parts: Parts, choice: Choice, plain: FittedStateSpace) -> FittedStateSpace:
+def _refine(settings: StateSpace, parts: Parts, choice: Choice, plain: FittedStateSpace) -> FittedStateSpace:
     """The model refined on the simulation error, or the plain one with the reason why not."""
     if settings.refine == "auto" and _work(parts, choice.order) > MOST_WORK:
         return plain
     skip = judging_window(parts, choice.order)
     if settings.refine == "auto":
         before, after = (
-            mean_of(np.concatenate([_judged(settings, f, choice, skip, refine=r) for f in parts.folds]))
+            mean_of(np.concatenate([_judge(settings, f, choice, skip, refine=r) for f in parts.folds]))
             for r in (False, True)
         )
         figures = f"validation free run RMSE {np.sqrt(after):.3g} refined against {np.sqrt(before):.3g}"
@@ -251,7 +249,7 @@ def _refined(settings: StateSpace, parts: Parts, choice: Choice, plain: FittedSt
     else:
         note = "Refined on the simulation error."
     problem = _problem(parts, plain)
-    model = _simulated(settings, parts, problem, plain)
+    model = _simulate(settings, parts, problem, plain)
     return replace(model, notes=(*plain.notes, note))
 
 
@@ -264,7 +262,7 @@ def _problem(parts: Parts, model: FittedStateSpace) -> SystemFit:
     )
 
 
-def _simulated(
+def _simulate(
     settings: StateSpace, parts: Parts, problem: SystemFit, plain: FittedStateSpace
 ) -> FittedStateSpace:
     """The model of least simulation error from the problem's start, with its noise and its covariance."""
@@ -280,7 +278,7 @@ def _simulated(
     )
 
 
-def _settled(settings: StateSpace, parts: Parts, model: FittedStateSpace) -> FittedStateSpace:
+def _settle(settings: StateSpace, parts: Parts, model: FittedStateSpace) -> FittedStateSpace:
     """A stable model, with intervals where they can be had; an unstable one with what that means."""
     model = _stable(settings, parts, model)
     if not model.is_stable or len(model.covariance) or _work(parts, model.order) > MOST_WORK:
@@ -299,7 +297,7 @@ def _stable(settings: StateSpace, parts: Parts, model: FittedStateSpace) -> Fitt
     if not settings.stable:
         return replace(model, notes=(*model.notes, unstable_words(radius, model.dt_s)))
     problem = _problem(parts, model)
-    inside = _simulated(settings, parts, replace(problem, start=mirrored(problem.start)), model)
+    inside = _simulate(settings, parts, replace(problem, start=mirrored(problem.start)), model)
     words = (
         f"Made stable: the largest pole radius was {radius:.5f} and is {np.abs(inside.poles).max():.5f}; "
         "all matrices were fitted again to the simulation error."
@@ -312,7 +310,7 @@ def _work(parts: Parts, order: int) -> float:
     return len(parts.train) * order * order * (order + 3 * len(parts.train.outputs + parts.train.inputs))
 
 
-def _judged(settings: StateSpace, parts: Parts, choice: Choice, skip: int, *, refine: bool) -> FloatArray:
+def _judge(settings: StateSpace, parts: Parts, choice: Choice, skip: int, *, refine: bool) -> FloatArray:
     """Validation errors in blocks of the choice, fitted to the fitting part; inf where it blows up."""
     shared = Projections(settings, already_scaled(parts), parts.fit, window(choice.past, choice.method))
     projection = shared.of(choice.method, choice.past)

@@ -106,7 +106,7 @@ class StepResponse:
             latency,
             _told("rise", "ms", draws, self.step, lambda s: reaches(0.9)(s) - reaches(0.1)(s)),
             _told("overshoot", "%", draws, self.step, _overshoot),
-            _told("settling", "s", draws, self.step, lambda s: _settled(self.time_s, s / _final(s))),
+            _told("settling", "s", draws, self.step, lambda s: _settle(self.time_s, s / _final(s))),
             final,
         )
 
@@ -148,7 +148,7 @@ def _first_time(time_s: FloatArray, step: FloatArray, share: float) -> float:
     return float(time_s[k - 1] + part * (time_s[k] - time_s[k - 1]))
 
 
-def _settled(time_s: FloatArray, step: FloatArray, *, within: float = 0.05) -> float:
+def _settle(time_s: FloatArray, step: FloatArray, *, within: float = 0.05) -> float:
     """`within`: of the final value."""
     outside = np.flatnonzero(np.abs(step - 1.0) > within)
     if not len(outside):
@@ -198,10 +198,10 @@ def step_response(
         )
     d = np.ones(1)
     for _ in range(rounds):
-        posterior, constant = _estimated(records, masks, d, taps)
+        posterior, constant = _estimate(records, masks, d, taps)
         errors = [_error(record, posterior.mean, constant, taps) for record in records]
         d, _ = noise_model(errors)
-    posterior, _ = _estimated(records, masks, d, taps)
+    posterior, _ = _estimate(records, masks, d, taps)
     _check_loop(errors, [u[taps - 1 :] for u, _ in records], dt_s, data, output)
     own = slice(source * taps, (source + 1) * taps)
     unit = scale[-1] / scale[source]
@@ -266,7 +266,7 @@ def _mask(u: FloatArray, taps: int, above: float | None, below: float | None) ->
     return good
 
 
-def _estimated(
+def _estimate(
     records: Sequence[Record], masks: Sequence[BoolArray], d: FloatArray, taps: int
 ) -> tuple[Posterior, float]:
     """Posterior of the taps from signals filtered with d; and the constant of the unfiltered equation."""

@@ -42,8 +42,8 @@ def proves(a: Any, b: Any, gains: Any, metric: Any, decay: float) -> bool:
         return False
     for i in range(len(rules)):
         for j in range(i, len(rules)):
-            corner = _half(_closed(rules[i], pushes[i], laws[j]), _closed(rules[j], pushes[j], laws[i]))
-            moved = _times(_turned(corner), _times(P, corner))
+            corner = _half(_close(rules[i], pushes[i], laws[j]), _close(rules[j], pushes[j], laws[i]))
+            moved = _times(_turn(corner), _times(P, corner))
             if not _positive(
                 [[square * p - m for p, m in zip(*rows, strict=True)] for rows in zip(P, moved, strict=True)]
             ):
@@ -55,7 +55,7 @@ def _exact(rows: Any) -> Matrix:
     return [[Fraction(float(v)) for v in row] for row in rows]
 
 
-def _closed(a: Matrix, b: Sequence[Fraction], k: Sequence[Fraction]) -> Matrix:
+def _close(a: Matrix, b: Sequence[Fraction], k: Sequence[Fraction]) -> Matrix:
     return [[v - push * gain for v, gain in zip(row, k, strict=True)] for row, push in zip(a, b, strict=True)]
 
 
@@ -63,12 +63,12 @@ def _half(one: Matrix, other: Matrix) -> Matrix:
     return [[(x + y) / 2 for x, y in zip(*rows, strict=True)] for rows in zip(one, other, strict=True)]
 
 
-def _turned(matrix: Matrix) -> Matrix:
+def _turn(matrix: Matrix) -> Matrix:
     return [list(column) for column in zip(*matrix, strict=True)]
 
 
 def _times(one: Matrix, other: Matrix) -> Matrix:
-    columns = _turned(other)
+    columns = _turn(other)
     return [[sum((x * y for x, y in zip(row, c, strict=True)), Fraction(0)) for c in columns] for row in one]
 
 

@@ -100,13 +100,13 @@ def figures_of_paths(
         np.abs(answer).max(axis=-1),
         (np.abs(seen) * sensitivity).max(axis=-1),
         _crossover(np.abs(loop), parts.omega),
-        _squared(lag, parts.omega),
-        _squared(push, parts.omega),
+        _square(lag, parts.omega),
+        _square(push, parts.omega),
         loop,
     )
 
 
-def _squared(values: ComplexArray, omega: FloatArray) -> FloatArray:
+def _square(values: ComplexArray, omega: FloatArray) -> FloatArray:
     """Integral of the squared signal by Parseval's theorem, over ln omega."""
     return np.asarray(trapezoid(np.abs(values) ** 2 * omega, np.log(omega), axis=-1) / np.pi)
 

@@ -77,8 +77,8 @@ class Trial:
         )
         loop = replace(
             nominal.loop,
-            pitch=_changed(nominal.loop.pitch, rng, doubtful.inner),
-            roll=_changed(nominal.loop.roll, rng, doubtful.inner),
+            pitch=_perturb(nominal.loop.pitch, rng, doubtful.inner),
+            roll=_perturb(nominal.loop.roll, rng, doubtful.inner),
             attitude_rad_s=nominal.loop.attitude_rad_s * rng.uniform(*doubtful.inner),
             attitude_damping=nominal.loop.attitude_damping * rng.uniform(*doubtful.damping),
         )
@@ -87,7 +87,7 @@ class Trial:
         return cls(vehicle, wind, int(rng.integers(2**31)))
 
 
-def _changed(axis: Axis, rng: np.random.Generator, spread: tuple[float, float]) -> Axis:
+def _perturb(axis: Axis, rng: np.random.Generator, spread: tuple[float, float]) -> Axis:
     """Gain and velocity assist of one axis apart from each other."""
     return replace(axis, gain=axis.gain * rng.uniform(*spread), kp=axis.kp * rng.uniform(*spread))
 
@@ -172,10 +172,10 @@ def fly_trial(
         or (np.abs(states[:, 6:8]) > 0.5 * np.pi).any()
     )
     firsts = ((1.0, 11.0), (2.0, 12.0))
-    return {name: _judged(away[:, k], inputs[:, k], limit, firsts[k], lost) for k, name in enumerate(AXES)}
+    return {name: _judge(away[:, k], inputs[:, k], limit, firsts[k], lost) for k, name in enumerate(AXES)}
 
 
-def _judged(
+def _judge(
     away: FloatArray,
     u: FloatArray,
     limit: float,

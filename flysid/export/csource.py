@@ -78,9 +78,9 @@ def _values(program: Program, name: str, single: float | None) -> dict[str, Any]
         "one": _number("1.0", single is not None),
         "zeros": ", ".join([_number("0.0", single is not None)] * len(program.inputs)),
         "single": None if single is None else f"{100.0 * single:.2g} % of the free run's RMSE",
-        "inputs": [_named(s) for s in program.inputs],
+        "inputs": [_name(s) for s in program.inputs],
         "outputs": [
-            {"name": _named(s), "low": f"{low:.6g}", "high": f"{high:.6g}"}
+            {"name": _name(s), "low": f"{low:.6g}", "high": f"{high:.6g}"}
             for s, low, high in zip(program.outputs, *program.output_limits, strict=True)
         ],
         "through": least == 0,
@@ -141,7 +141,7 @@ def _cells(program: Program, columns: Any, delays: Any) -> Any:
     return np.array(found, dtype=np.int64)
 
 
-def _named(signal: Signal) -> str:
+def _name(signal: Signal) -> str:
     return _plain(f"{signal.name}, {signal.unit}" if signal.unit else signal.name)
 
 

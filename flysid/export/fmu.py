@@ -55,7 +55,7 @@ def fmu_bytes(program: Program, name: str, *, version: FMIVersion = 2, binary: b
     files["documentation/index.html"] = _documentation(program, name)
     compiler = shutil.which("cc") or shutil.which("gcc")
     if binary and compiler is not None:
-        files[f"binaries/{PLATFORMS[version]}/{name}.so"] = _compiled(compiler, sources)
+        files[f"binaries/{PLATFORMS[version]}/{name}.so"] = _compile(compiler, sources)
     stream = io.BytesIO()
     with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as archive:
         for path in sorted(files):
@@ -63,7 +63,7 @@ def fmu_bytes(program: Program, name: str, *, version: FMIVersion = 2, binary: b
     return stream.getvalue()
 
 
-def _compiled(compiler: str, sources: dict[str, str]) -> bytes:
+def _compile(compiler: str, sources: dict[str, str]) -> bytes:
     with tempfile.TemporaryDirectory() as folder:
         place = Path(folder)
         for file, text in sources.items():

@@ -48,7 +48,7 @@ def linear_program(model: FittedLinear) -> Program:
     """A difference equation: balanced, or as it is where outputs do not depend on past ones."""
     if not model.system.a[1:].any():
         return _finite_response(model)
-    return _program(model, _balanced(_of_difference(model)))
+    return _program(model, _balance(_of_difference(model)))
 
 
 def state_space_program(model: FittedStateSpace) -> Program:
@@ -56,7 +56,7 @@ def state_space_program(model: FittedStateSpace) -> Program:
     s = model.realisation
     rest = resting_state(s, -model.u_origin, -model.y_origin)
     late = model.delays or (0,) * len(model.inputs)
-    return _program(model, _balanced(_States(s.a, s.b, s.c, s.d, s.drift, s.level, rest, late)))
+    return _program(model, _balance(_States(s.a, s.b, s.c, s.d, s.drift, s.level, rest, late)))
 
 
 def _of_difference(model: FittedLinear) -> _States:
@@ -86,7 +86,7 @@ def _of_difference(model: FittedLinear) -> _States:
     inner = _about_one(polynomials).reshape(depth * n_y, n_u + 2)
     step = np.eye(depth * n_y, k=n_y)
     step[:, :n_y] -= _about_one(a)[1:].reshape(depth * n_y, n_y)
-    step, scaling = _scaled(step)
+    step, scaling = _scale(step)
     inner /= scaling[:, None]
     show = np.eye(n_y, depth * n_y) * scaling
     return _States(
@@ -117,7 +117,7 @@ def _about_one(coefficients: Any) -> FloatArray:
     return np.asarray(shifted, dtype=np.float64)
 
 
-def _scaled(matrix: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _scale(matrix: FloatArray) -> tuple[FloatArray, FloatArray]:
     """D^-1 matrix D with rows and columns of like size, and the diagonal of D, powers of two."""
     from scipy.linalg import matrix_balance
 
@@ -130,7 +130,7 @@ def _first(taps: FloatArray) -> int:
     return int(np.argmax(taps.any(axis=1)))
 
 
-def _balanced(s: _States, *, negligible: float = 1e-11, margin: float = 0.001) -> _States:
+def _balance(s: _States, *, negligible: float = 1e-11, margin: float = 0.001) -> _States:
     """The same system in balanced coordinates, without states that nothing reaches or shows.
 
     `negligible`: of the largest Hankel singular value: what rounding leaves of a state that is not there.

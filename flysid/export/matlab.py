@@ -79,7 +79,7 @@ def _cells(rows: list[list[str]]) -> str:
 
 def _function(model: Fitted, name: str, text: str) -> str:
     names = {
-        key: "{" + ", ".join("'" + _quoted(s.name) + "'" for s in signals) + "}"
+        key: "{" + ", ".join("'" + _quote(s.name) + "'" for s in signals) + "}"
         for key, signals in (("InputName", model.inputs), ("OutputName", model.outputs))
     }
     u0, y0, drift = _offsets(model)
@@ -98,7 +98,7 @@ end
 """
 
 
-def _quoted(text: str) -> str:
+def _quote(text: str) -> str:
     return "".join(ch if ch.isprintable() else "_" for ch in text).replace("'", "''")
 
 

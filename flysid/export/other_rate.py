@@ -32,7 +32,7 @@ def resampled(model: Fitted, rate_hz: float) -> Fitted:
             hint="fit a transfer function in s ('flysid fit -m tf'), or leave out --rate",
         )
     dt_s = 1.0 / rate_hz
-    rows = [_sampled(model, i, dt_s) for i in range(len(model.outputs))]
+    rows = [_sample(model, i, dt_s) for i in range(len(model.outputs))]
     n_y = len(model.outputs)
     n_u = len(model.inputs)
     a = np.zeros((max(len(own) for own, _ in rows), n_y, n_y))
@@ -46,7 +46,7 @@ def resampled(model: Fitted, rate_hz: float) -> Fitted:
     return replace(model, dt_s=dt_s, system=Difference(a, b, c), starts=None)
 
 
-def _sampled(model: FittedTF, output: int, dt_s: float) -> tuple[FloatArray, list[FloatArray]]:
+def _sample(model: FittedTF, output: int, dt_s: float) -> tuple[FloatArray, list[FloatArray]]:
     """a and every input's b of one output; all its transfer functions have one denominator."""
     own = [model.transfer(output, j) for j in range(len(model.inputs))]
     rational = Rational(

@@ -101,7 +101,7 @@ def _tables(program: Program, kind: type) -> _Tables:
 
 
 @njit(cache=True, error_model="numpy")
-def _limited(value, low, high):  # type: ignore[no-untyped-def]
+def _limit(value, low, high):  # type: ignore[no-untyped-def]
     if not value > low:
         return low
     return min(value, high)
@@ -139,7 +139,7 @@ def _run(u, y, v, t, shape, least):  # type: ignore[no-untyped-def]
             value = v[t.z_at[j]]
             if t.z_minus[j] >= 0:
                 value -= v[t.z_minus[j]]
-            z[j] = _limited(value, t.low[j], t.high[j])
+            z[j] = _limit(value, t.low[j], t.high[j])
         top = bottom
         total = zero
         for r in range(n_rules):
@@ -153,7 +153,7 @@ def _run(u, y, v, t, shape, least):  # type: ignore[no-untyped-def]
                 else:
                     reach = abs(d)
                     own = one - reach / two if shape == 1 else (two - reach) / trapezoid
-                    own = _limited(own, zero, one)
+                    own = _limit(own, zero, one)
                     grade = min(grade, own) if least else grade * own
             phi[r] = grade
             top = max(top, grade)
@@ -183,10 +183,10 @@ def _run(u, y, v, t, shape, least):  # type: ignore[no-untyped-def]
                 for m in range(n_x):
                     part += t.theta[r, i, m] * v[t.at[m]]
                 value += part if n_rules == 1 else (phi[r] / total) * part
-            after[i] = _limited(value, t.limits[0, i], t.limits[1, i])
+            after[i] = _limit(value, t.limits[0, i], t.limits[1, i])
         for i in range(n_y):
             value = after[i] * t.scale[i] + t.shift[i]
-            y[k, i] = _limited(value, t.output_limits[0, i], t.output_limits[1, i])
+            y[k, i] = _limit(value, t.output_limits[0, i], t.output_limits[1, i])
         for c in range(n + n_u):
             first = t.newest[c]
             last = first + t.depths[c] - (c < n)

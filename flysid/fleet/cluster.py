@@ -71,7 +71,7 @@ class Cluster:
         ------
         PlaceError : the scheduler is gone.
         """
-        for part, outcomes in self.each(partial(_ingested, self.do, settings), batches, _parts_of):
+        for part, outcomes in self.each(partial(_ingest, self.do, settings), batches, _parts_of):
             if outcomes is None:
                 yield part, [LogOutcome(log, "waiting", reason=KILLED) for log in part]
             else:
@@ -104,7 +104,7 @@ class Cluster:
             pending.update(zip(keys, some, strict=True))
             packed = [pickle.dumps(task) for task in some]
             futures: list[Any] = self.client.map(
-                partial(_unpacked, do), packed, key=keys, retries=RETRIES, pure=False
+                partial(_unpack, do), packed, key=keys, retries=RETRIES, pure=False
             )
             return futures
 
@@ -152,12 +152,12 @@ def _sound(tasks: Sequence[Task], results: Sequence[Any]) -> Iterator[tuple[Task
         raise raised[0]
 
 
-def _unpacked(do: Callable[[Task], Result], packed: bytes) -> Result:
+def _unpack(do: Callable[[Task], Result], packed: bytes) -> Result:
     """Do a task that is one piece for the scheduler, which unpacks and keeps what it passes on."""
     return do(pickle.loads(packed))
 
 
-def _ingested(
+def _ingest(
     do: Callable[[Sequence[Log], Settings], list[LogOutcome]], settings: Settings, part: Sequence[Log]
 ) -> list[LogOutcome]:
     return do(part, settings)

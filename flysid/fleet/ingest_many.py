@@ -89,7 +89,7 @@ def find(
     found: dict[str, Log] = {}
     passed: list[str] = []
     for address in addresses:
-        for log in _listed(address, since):
+        for log in _list_logs(address, since):
             if _is_log(log.name):
                 found[log.url] = log
             else:
@@ -103,8 +103,8 @@ def find(
         raise UsageError("no flight log in there", path=", ".join(given))
     place = Place(lake)
     known = frozenset[tuple[str, str]]() if force else _known(place)
-    duplicates = frozenset[str]() if force else _noted(place, DUPLICATES)
-    bad = frozenset[str]() if retry or force else _noted(place, f"{QUARANTINE}/{__version__}")
+    duplicates = frozenset[str]() if force else _read_notes(place, DUPLICATES)
+    bad = frozenset[str]() if retry or force else _read_notes(place, f"{QUARANTINE}/{__version__}")
     fresh = [
         log for log in found.values() if (log.url, log.etag) not in known and log.digest not in duplicates
     ]
@@ -112,7 +112,7 @@ def find(
     return Sorted(tuple(waiting), len(found) - len(fresh), len(fresh) - len(waiting), tuple(passed))
 
 
-def _listed(address: str, since: datetime | None) -> Iterator[Log]:
+def _list_logs(address: str, since: datetime | None) -> Iterator[Log]:
     """Objects that an address names: one, those below a folder, those that fit a pattern."""
     scheme, _, rest = address.partition("://")
     bucket, _, key = rest.partition("/")
@@ -145,7 +145,7 @@ def _known(place: Place) -> frozenset[tuple[str, str]]:
     return frozenset(pair for pair in pairs if pair[0])
 
 
-def _noted(place: Place, folder: str) -> frozenset[str]:
+def _read_notes(place: Place, folder: str) -> frozenset[str]:
     return frozenset(Path(found.key).stem for found in place.list(folder))
 
 

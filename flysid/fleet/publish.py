@@ -62,7 +62,7 @@ def publish(place: Place, folder: Path, info: Mapping[str, str], *, replace: boo
     for digits in DIGITS:
         home = home_of(manifest.source.sha256[:digits])
         place.put_many([(f"{home}/{generation}/{file}", folder / file) for file in files])
-        own = _named(manifest, digits, dict(info) | {GENERATION: generation})
+        own = _name(manifest, digits, dict(info) | {GENERATION: generation})
         text = to_json(own)
         key = f"{home}/{MANIFEST_FILE}"
         if place.create(key, text):
@@ -88,7 +88,7 @@ def _generation(folder: Path, files: list[str]) -> str:
     return digest.hexdigest()[:12]
 
 
-def _named(manifest: Manifest, digits: int, info: Mapping[str, str]) -> Manifest:
+def _name(manifest: Manifest, digits: int, info: Mapping[str, str]) -> Manifest:
     import msgspec
 
     name = f"{slug(Path(manifest.source.name).stem)}-{manifest.source.sha256[:digits]}"

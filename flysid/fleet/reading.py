@@ -125,13 +125,13 @@ def _ingest(log: Log, place: Place, settings: Settings, reader: _Reader) -> LogO
 def _ingest_file(path: Path, log: Log, place: Place, settings: Settings, reader: _Reader) -> LogOutcome:
     job = reader.hash(path)
     if isinstance(job, Result):
-        return _refused(log, place, job.reason)
+        return _refuse(log, place, job.reason)
     there = committed(place, job.sha256)
     if there is not None and not settings.replace:
         return _already(log, place, there)
     result, modes = reader.read(job)
     if result.flight is None:
-        return _refused(log, place, result.reason)
+        return _refuse(log, place, result.reason)
     info = vehicle_named(log.url, settings.vehicle_in)
     info |= {"source_url": log.url, "source_etag": log.etag} if is_address(log.url) else {}
     info |= {"modes": ", ".join(modes)} if modes else {}
@@ -154,7 +154,7 @@ def _already(log: Log, place: Place, there: FlightFacts) -> LogOutcome:
     return LogOutcome(log, "duplicate", there, reason=there.id)
 
 
-def _refused(log: Log, place: Place, reason: str) -> LogOutcome:
+def _refuse(log: Log, place: Place, reason: str) -> LogOutcome:
     """A log that cannot be read. One that came by address is noted, so that nobody fetches it again."""
     if is_address(log.url):
         place.put(f"{QUARANTINE}/{__version__}/{log.digest}.json", _note(log, reason))

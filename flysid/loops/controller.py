@@ -163,8 +163,8 @@ def px4(stated: Mapping[str, float], axis: str) -> Controller:
     DataError : parameters are missing: another version, or a log without them.
     """
     stem = f"MC_{axis.upper()}RATE_"
-    k, p, i, d = _stated(stated, *(stem + name for name in ("K", "P", "I", "D")))
-    (cut,) = _stated(stated, "IMU_DGYRO_CUTOFF")
+    k, p, i, d = _find_stated(stated, *(stem + name for name in ("K", "P", "I", "D")))
+    (cut,) = _find_stated(stated, "IMU_DGYRO_CUTOFF")
     unit = np.pi / 180.0 * THOUSANDTHS
     return Controller(
         {f"{stem}K": k, "P": p, "I": i, "D": d},
@@ -195,7 +195,7 @@ def ardupilot(stated: Mapping[str, float], axis: str) -> Controller:
             f"these are gains of ArduCopter before 4.0, with a single filter ({stem}FILT): not known here",
             hint="fly ArduCopter 4.0 or later; the response to the command: flysid tf LOG -r ardupilot-rate",
         )
-    p, i, d, target, error, slope = _stated(
+    p, i, d, target, error, slope = _find_stated(
         stated, *(stem + name for name in ("P", "I", "D", "FLTT", "FLTE", "FLTD"))
     )
     if stated.get(stem + "D_FF", 0.0):
@@ -215,7 +215,7 @@ def ardupilot(stated: Mapping[str, float], axis: str) -> Controller:
     )
 
 
-def _stated(stated: Mapping[str, float], *names: str) -> tuple[float, ...]:
+def _find_stated(stated: Mapping[str, float], *names: str) -> tuple[float, ...]:
     missing = [name for name in names if name not in stated]
     if missing:
         raise DataError(

@@ -59,8 +59,8 @@ def predict(flights: Sequence[Loop], controller: Controller) -> Prediction:
     at = (f >= low) & (f <= high)
     pooled[at], _ = smoothed(together, at)
     draws = pooled * np.exp(weights @ apart)
-    return Prediction(f, _closed(pooled, f, controller), _closed(draws, f, controller))
+    return Prediction(f, _close(pooled, f, controller), _close(draws, f, controller))
 
 
-def _closed(g: ComplexArray, f: FloatArray, controller: Controller) -> ComplexArray:
+def _close(g: ComplexArray, f: FloatArray, controller: Controller) -> ComplexArray:
     return np.asarray(g * controller.reference(f) / (1.0 + g * controller.feedback(f)))

@@ -59,19 +59,19 @@ def low_peak_phases(lines: Lines, seed: int = 0, *, starts: int = 24) -> FloatAr
     """
     n = _fine(lines)
     rng = np.random.default_rng(seed)
-    best = _descended(lines, -np.pi * np.arange(len(lines)) ** 2 / len(lines), n)
-    low = _judged(lines, best, n)
+    best = _descend(lines, -np.pi * np.arange(len(lines)) ** 2 / len(lines), n)
+    low = _judge(lines, best, n)
     for _ in range(starts - 1):
         if low <= LOW:
             break
-        other = _descended(lines, rng.uniform(0.0, 2.0 * np.pi, len(lines)), n)
-        if _judged(lines, other, n) < low:
+        other = _descend(lines, rng.uniform(0.0, 2.0 * np.pi, len(lines)), n)
+        if _judge(lines, other, n) < low:
             best = other
-            low = _judged(lines, other, n)
+            low = _judge(lines, other, n)
     return _from_zero(lines, best, 4 * n)
 
 
-def _judged(lines: Lines, phases: FloatArray, n: int) -> float:
+def _judge(lines: Lines, phases: FloatArray, n: int) -> float:
     return relative_peak_factor(sum_of_lines(lines, phases, 4 * n))
 
 
@@ -83,7 +83,7 @@ def _fine(lines: Lines, *, a_cycle: int = 8) -> int:
     return int(2 ** np.ceil(np.log2(a_cycle * lines.max())))
 
 
-def _descended(lines: Lines, phases: FloatArray, n: int, *, steps: int = 60) -> FloatArray:
+def _descend(lines: Lines, phases: FloatArray, n: int, *, steps: int = 60) -> FloatArray:
     """Phases of a low peak near those given: L-BFGS on the logarithm of each norm in turn.
 
     `steps`: of the descent on one norm; more gain little.

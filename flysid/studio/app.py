@@ -403,16 +403,16 @@ def query_of(request: Request, form: type[Form]) -> Form:
         if len(given) > 1 and not is_many:
             raise UsageError(f"{name} is given {len(given)} times")
         values[name] = tuple(given) if is_many else given[0]
-    return _converted(lambda: msgspec.convert(values, form, strict=False))
+    return _convert(lambda: msgspec.convert(values, form, strict=False))
 
 
 async def body_of(request: Request, form: type[Form]) -> Form:
     """The body, JSON, as a form; raises UsageError that names what is wrong."""
     body = await request.body()
-    return _converted(lambda: msgspec.json.decode(body, type=form))
+    return _convert(lambda: msgspec.json.decode(body, type=form))
 
 
-def _converted(convert: Callable[[], Form]) -> Form:
+def _convert(convert: Callable[[], Form]) -> Form:
     try:
         return convert()
     except (msgspec.ValidationError, msgspec.DecodeError, RecursionError) as error:

@@ -55,9 +55,9 @@ class Flights:
     def listing(self, words: str = "", most: int = 500) -> dict[str, Any]:
         """The newest flights whose facts hold every one of some words, and how many there are."""
         wanted = words.casefold().split()
-        facts = [f for f in open_lake(self.data).facts if all(word in _searched(f) for word in wanted)]
+        facts = [f for f in open_lake(self.data).facts if all(word in _searchable_text(f) for word in wanted)]
         facts.sort(key=lambda f: (-(f.start_utc_ns or 0), f.id))
-        return {"count": len(facts), "flights": [_listed(f) for f in facts[:most]]}
+        return {"count": len(facts), "flights": [_summarise(f) for f in facts[:most]]}
 
     def describe(self, flight: str) -> dict[str, Any]:
         """Facts, streams with fields, modes, messages and parameter changes of a flight."""
@@ -70,7 +70,7 @@ class Flights:
         [log] = lake.logs
         modes, moments = happenings(log, boot_offsets_s(manifest), manifest.duration_s)
         return {
-            **_listed(log.facts),
+            **_summarise(log.facts),
             "clocks": [
                 [clock.boot, str(clock.first_ns), start_s]
                 for clock, start_s in zip(manifest.clocks, _starts_s(manifest), strict=True)
@@ -235,7 +235,7 @@ def _stream(entry: StreamEntry) -> dict[str, Any]:
     return {"stream": entry.stream, "rows": entry.rows, "rate_hz": entry.rate_hz, "fields": fields}
 
 
-def _listed(facts: FlightFacts) -> dict[str, Any]:
+def _summarise(facts: FlightFacts) -> dict[str, Any]:
     return {
         "id": facts.id,
         "log": facts.log,
@@ -249,7 +249,7 @@ def _listed(facts: FlightFacts) -> dict[str, Any]:
     }
 
 
-def _searched(facts: FlightFacts) -> str:
+def _searchable_text(facts: FlightFacts) -> str:
     return " ".join([facts.id, facts.log, facts.format, *facts.info.values()]).casefold()
 
 

@@ -188,7 +188,7 @@ def extremes_between(pyramid: Pyramid, starts: IntArray, stops: IntArray) -> tup
         inner_left = right if is_top else np.minimum(-(-left // BLOCK) * BLOCK, right)
         inner_right = right if is_top else np.maximum(right // BLOCK * BLOCK, inner_left)
         for begin, end in ((left, inner_left), (inner_right, right)):
-            low, high = _gathered(values, begin, end)
+            low, high = _gather(values, begin, end)
             lows = np.fmin(lows, low)
             highs = np.fmax(highs, high)
         left = inner_left // BLOCK
@@ -196,7 +196,7 @@ def extremes_between(pyramid: Pyramid, starts: IntArray, stops: IntArray) -> tup
     return lows, highs
 
 
-def _gathered(values: FloatArray, starts: IntArray, stops: IntArray) -> tuple[FloatArray, FloatArray]:
+def _gather(values: FloatArray, starts: IntArray, stops: IntArray) -> tuple[FloatArray, FloatArray]:
     """Extremes of short ranges of one level, side by side."""
     width = int((stops - starts).max(initial=0))
     if width <= 0:

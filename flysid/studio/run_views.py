@@ -20,7 +20,7 @@ def list_runs(workspace: Workspace) -> dict[str, Any]:
     damaged: list[dict[str, str]] = []
     for run_id, folder in workspace.run_folders().items():
         try:
-            rows.append(_listed(run_id, folder))
+            rows.append(_summarise(run_id, folder))
         except FlysidError as error:
             damaged.append({"run": str(folder), "reason": error.advice})
     rows.sort(key=lambda row: row["fitted_at"], reverse=True)
@@ -30,7 +30,7 @@ def list_runs(workspace: Workspace) -> dict[str, Any]:
 def describe_run(workspace: Workspace, run_id: str) -> dict[str, Any]:
     """What a run holds: its settings, models, and its report's numbers where it was judged."""
     folder = workspace.run(run_id)
-    listed = _listed(run_id, folder)
+    listed = _summarise(run_id, folder)
     return {**listed, "run": _document(folder / RUN_FILE), "report": _document(folder / REPORT / DOCUMENT)}
 
 
@@ -65,7 +65,7 @@ def model_of(workspace: Workspace, run_id: str, channel: str, label: str) -> byt
     raise NotThere(f"run {run_id} has no model {label!r} of channel {channel!r}")
 
 
-def _listed(run_id: str, folder: Path) -> dict[str, Any]:
+def _summarise(run_id: str, folder: Path) -> dict[str, Any]:
     channels = run_channels(folder)
     document = _document(folder / RUN_FILE) or {}
     judged = (_document(folder / REPORT / DOCUMENT) or {}).get("channels", {})

@@ -127,7 +127,7 @@ class Starts:
         if not self.fits:
             raise self.why or FitError("no transfer function could be fitted", hint="choose other orders")
         best, words = best_fit(self.fits)
-        return _unrefined(self.settings, self.parts, best), words
+        return _keep_plain(self.settings, self.parts, best), words
 
     def strays(self, found: OneTransfer, *, most: float = 3.0) -> str:
         """Why a refined model is not to be kept: it has left the measured response; "" where it has not.
@@ -219,29 +219,29 @@ def _from_response(
         f"(cost J {best.cost.mean():.3g}{'' if best.acceptable else ', above 100: a poor description'})"
     )
     twin = next((f for f in fits if f.form.zeros == best.form.zeros and f is not best), None)
-    found = [r for r in (_refined(settings, parts, f.form, f.rational) for f in (best, twin) if f) if r]
-    other = _refined(settings, parts, *discrete) if discrete else None
+    found = [r for r in (_refine(settings, parts, f.form, f.rational) for f in (best, twin) if f) if r]
+    other = _refine(settings, parts, *discrete) if discrete else None
     if other is not None and (not found or _bic(other) < min(map(_bic, found)) - STRONG):
         form = other.problem.coordinates.form
         instead = "" if form.zeros == best.form.zeros else f"; {form} by BIC on the simulation error"
         return other, f"{words}{instead}, refined on the simulation error{_delay_words(other)}"
     if not found:
         return None
-    kept = _pruned(settings, parts, min(found, key=_bic))
+    kept = _prune(settings, parts, min(found, key=_bic))
     form = kept.problem.coordinates.form
     if form.zeros != best.form.zeros:
         words += f", {form} by BIC on the simulation error"
     return kept, f"{words}, refined on the simulation error{_delay_words(kept)}"
 
 
-def _pruned(settings: GuessSettings, parts: Parts, fit: OneTransfer) -> OneTransfer:
+def _prune(settings: GuessSettings, parts: Parts, fit: OneTransfer) -> OneTransfer:
     """With fewer zeros as long as BIC on the simulation error agrees."""
     while settings.zeros == "auto" and max(fit.problem.coordinates.form.zeros, default=0) > 0:
         form = fit.problem.coordinates.form
         rational = fit.problem.rational(fit.theta)
         less = replace(form, zeros=tuple(max(m - 1, 0) for m in form.zeros))
         tops = tuple(n[-(m + 1) :] for n, m in zip(rational.numerators, less.zeros, strict=True))
-        other = _refined(settings, parts, less, replace(rational, numerators=tops))
+        other = _refine(settings, parts, less, replace(rational, numerators=tops))
         if other is None or _bic(other) >= _bic(fit):
             return fit
         fit = other
@@ -277,7 +277,7 @@ def _problem(
     )
 
 
-def _refined(
+def _refine(
     settings: GuessSettings,
     parts: Parts,
     form: Form,
@@ -311,11 +311,11 @@ def _refined(
     if none != form.dead_time_s:  # at its bound a dead time has no interval, and bends those of the others
         kept = [d if t is None else t for t, d in zip(none, ended.dead_time_s, strict=True)]
         ended = replace(ended, dead_time_s=np.array(kept))
-        return _refined(settings, parts, replace(form, dead_time_s=none), ended)
+        return _refine(settings, parts, replace(form, dead_time_s=none), ended)
     return OneTransfer(problem, found.theta)
 
 
-def _unrefined(settings: GuessSettings, parts: Parts, fit: ResponseFit) -> OneTransfer:
+def _keep_plain(settings: GuessSettings, parts: Parts, fit: ResponseFit) -> OneTransfer:
     """The fit to the frequency response as it is, its covariance in the coordinates of the problem."""
     problem = _problem(settings, parts, fit.form, fit.rational)
     coordinates = problem.coordinates
@@ -343,7 +343,7 @@ def _best_offset(problem: ContinuousError, theta: FloatArray) -> float:
 def _from_output_error(
     settings: GuessSettings, parts: Parts, discrete: tuple[Form, Rational] | None
 ) -> tuple[OneTransfer, str] | None:
-    found = _refined(settings, parts, *discrete) if discrete else None
+    found = _refine(settings, parts, *discrete) if discrete else None
     if found is None:
         return None
     form = found.problem.coordinates.form

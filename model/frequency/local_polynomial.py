@@ -96,7 +96,7 @@ def local_response(
     DataError : no frequency has lines enough. UsageError : the band holds none of the frequencies.
     """
     n_u = references or records[0].shape[1] - 1
-    lines = _transformed(records, dt_s, n_u)
+    lines = _transform(records, dt_s, n_u)
     lowest = _lowest(lines, n_u)
     if not lowest < highest_frequency(dt_s):
         longest = max(map(len, records))
@@ -113,10 +113,10 @@ def local_response(
             "hardly any frequency is excited: no response can be measured",
             hint="fly a sweep, steps or doublets, or fit a model of few parameters (OE, ARX)",
         )
-    return _joined(omega[kept], picked)
+    return _join(omega[kept], picked)
 
 
-def _transformed(records: Sequence[FloatArray], dt_s: float, drives: int) -> list[_Lines]:
+def _transform(records: Sequence[FloatArray], dt_s: float, drives: int) -> list[_Lines]:
     found = []
     first = 0
     for record in records:
@@ -160,12 +160,12 @@ def _best_point(lines: Sequence[_Lines], omega: float, n_u: int) -> _LocalPoint 
         while wide < WIDEST and _free_lines(lines, omega * (1 - wide), omega * (1 + wide), n_u) < FREEDOM:
             wide = min(1.15 * wide, WIDEST)
         widths = [wide]
-    found = [_fitted(lines, (omega, w, t), n_u) for w in widths for t in TRANSIENT_DEGREES]
+    found = [_fit(lines, (omega, w, t), n_u) for w in widths for t in TRANSIENT_DEGREES]
     best = [p for p in found if p is not None]
     return min(best, key=lambda p: p.error) if best else None
 
 
-def _fitted(lines: Sequence[_Lines], place: tuple[float, float, int], n_u: int) -> _LocalPoint | None:
+def _fit(lines: Sequence[_Lines], place: tuple[float, float, int], n_u: int) -> _LocalPoint | None:
     """Local least squares; None where the inputs have no power there.
 
     Parameters
@@ -193,12 +193,12 @@ def _fitted(lines: Sequence[_Lines], place: tuple[float, float, int], n_u: int) 
         return None
     stacked = np.concatenate(blocks)
     columns_of_gain = n_u * (DEGREE + 1)
-    return _solved(
+    return _solve(
         stacked[:, :columns_of_gain], stacked[:, columns_of_gain:], sum(rows), n_u, np.concatenate(where)
     )
 
 
-def _solved(
+def _solve(
     phi: ComplexArray,
     driven: ComplexArray,
     rows: int,
@@ -283,7 +283,7 @@ def _quotient(
     )
 
 
-def _joined(omega: FloatArray, points: Sequence[_LocalPoint]) -> Spectral:
+def _join(omega: FloatArray, points: Sequence[_LocalPoint]) -> Spectral:
     gain = np.stack([p.gain for p in points])
     unit = np.stack([p.unit for p in points])
     averages = np.array([p.averages for p in points])[:, None]

@@ -202,7 +202,7 @@ def _imag(value: complex) -> float:
     return float(np.imag(value))
 
 
-def _shifted(curve: _LoopCurve, by: complex) -> _LoopCurve:
+def _shift(curve: _LoopCurve, by: complex) -> _LoopCurve:
     return replace(curve, log=curve.log - by)
 
 
@@ -229,7 +229,7 @@ def _gain_margin(loop: MeasuredResponse) -> LoopFigure:
     curve = _LoopCurve.of(loop, 0)
     if isinstance(curve, str):
         return LoopFigure(name, None, why=curve)
-    shifted = _shifted(curve, -1j * np.pi)
+    shifted = _shift(curve, -1j * np.pi)
     found = shifted.crossings(shifted.smooth().imag)
     if not found:
         return LoopFigure(name, None, why="the loop's phase does not pass -180 degrees in the trusted band")
@@ -253,11 +253,11 @@ def _sensitivity(loop: MeasuredResponse) -> list[LoopFigure]:
         error=curve.error * np.abs(value * s),
     )
     peak = replace(_peak(of_s), name=names[0])
-    crossings = _shifted(of_s, -HALF_POWER).crossings(_shifted(of_s, -HALF_POWER).smooth().real)
+    crossings = _shift(of_s, -HALF_POWER).crossings(_shift(of_s, -HALF_POWER).smooth().real)
     if not crossings:
         why = "|S| does not pass -3 dB in the trusted band"
         return [peak, LoopFigure(names[1], None, why=why)]
-    x, error, _ = _root(_shifted(of_s, -HALF_POWER), crossings[0], _real)
+    x, error, _ = _root(_shift(of_s, -HALF_POWER), crossings[0], _real)
     return [peak, _interval(names[1], x, error, log=True)]
 
 
@@ -285,7 +285,7 @@ def _resonance(curve: _LoopCurve) -> LoopFigure:
     low = _low_end(curve)
     if low is None:
         return LoopFigure("peak_db", None, why=_NOT_FLAT)
-    found = _peak(_shifted(curve, low[0]))
+    found = _peak(_shift(curve, low[0]))
     if found.value is None or found.high is None:
         return found
     own = (found.high - found.value) / Z95
@@ -299,7 +299,7 @@ def _half_power(curve: _LoopCurve) -> LoopFigure:
     if low is None:
         return LoopFigure(name, None, why=_NOT_FLAT)
     start = low[1]
-    shifted = _shifted(curve, low[0] - HALF_POWER)
+    shifted = _shift(curve, low[0] - HALF_POWER)
     found = shifted.crossings(shifted.smooth().real)
     if not found:
         return LoopFigure(name, None, why="the gain does not fall by 3 dB in the trusted band")
@@ -311,7 +311,7 @@ def _handling(curve: _LoopCurve) -> list[LoopFigure]:
     """ADS-33: bandwidth by phase, bandwidth by gain, phase delay."""
     names = ("bandwidth_phase_rads", "bandwidth_gain_rads", "phase_delay_ms")
     figures: list[LoopFigure] = []
-    at_135 = _shifted(curve, -0.75j * np.pi)
+    at_135 = _shift(curve, -0.75j * np.pi)
     found = at_135.crossings(at_135.smooth().imag)
     if found:
         x, error, _ = _root(at_135, found[0], _imag)
@@ -320,14 +320,14 @@ def _handling(curve: _LoopCurve) -> list[LoopFigure]:
         figures.append(
             LoopFigure(names[0], None, why="the phase does not pass -135 degrees in the trusted band")
         )
-    at_180 = _shifted(curve, -1j * np.pi)
+    at_180 = _shift(curve, -1j * np.pi)
     turned = at_180.crossings(at_180.smooth().imag)
     if not turned:
         why = "the phase does not pass -180 degrees in the trusted band"
         return [*figures, *(LoopFigure(n, None, why=why) for n in names[1:])]
     x180, error180, own180 = _root(at_180, turned[0], _imag)
     level = curve.parabola(x180)[0]
-    raised = _shifted(curve, level[0].real + np.log(10.0) * 6.0 / 20.0)
+    raised = _shift(curve, level[0].real + np.log(10.0) * 6.0 / 20.0)
     six = [v for v in raised.crossings(raised.smooth().real) if v < x180]
     if six:
         x, error, own = _root(raised, six[-1], _real)

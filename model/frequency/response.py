@@ -98,7 +98,7 @@ class MeasuredResponse:
         chance = 1.0 - 0.05 ** (1.0 / np.maximum(averages - 1.0, 0.1))
         level = np.maximum(GOOD_COHERENCE, chance)
         own = self.coherence[:, source]
-        good = _smoothed(own) > level
+        good = _smooth(own) > level
         edges = np.flatnonzero(np.diff(np.concatenate([[0], good.astype(np.int8), [0]])))
         inside = np.zeros(len(self.omega))
         counts = own > level
@@ -119,7 +119,7 @@ class MeasuredResponse:
         return (float(self.omega[inside[0]]), float(self.omega[inside[-1]])) if len(inside) else None
 
 
-def _smoothed(values: FloatArray) -> FloatArray:
+def _smooth(values: FloatArray) -> FloatArray:
     """Mean over three neighbours: one line alone may be chance."""
     padded = np.concatenate([values[:1], values, values[-1:]])
     return np.asarray((padded[:-2] + padded[1:-1] + padded[2:]) / 3.0)

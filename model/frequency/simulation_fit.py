@@ -154,7 +154,7 @@ class _Problem:
             delays = np.array([delay if t is None else t * self.omega_0 for t in self.form.dead_time_s])
             d, tops = self._iterated(self.g * np.exp(1j * self.x * delays[self.source]))
             if self.form.stable:
-                d = _reflected(d)
+                d = _reflect(d)
                 tops = self._numerators(d, delays)
             theta = np.concatenate([d[:-1], *tops, delays[free]])
             if np.isfinite(theta).all():
@@ -177,7 +177,7 @@ class _Problem:
                 columns.append(np.where((self.source == j)[:, None], s[:, None] ** np.arange(m + 1), 0.0))
             matrix = np.hstack(columns) * scale
             goal = g * s**n * scale[:, 0]
-            theta = np.linalg.lstsq(_stacked(matrix), _stacked(goal), rcond=1e-12)[0]
+            theta = np.linalg.lstsq(_stack(matrix), _stack(goal), rcond=1e-12)[0]
             d = np.append(theta[:n], 1.0)
             tops = np.split(theta[n:], np.cumsum([m + 1 for m in zeros])[:-1])
             before = np.polyval(d[::-1], s)
@@ -194,16 +194,16 @@ class _Problem:
             columns = columns * np.exp(-s[mine] * delays[j])[:, None]
             scale = self.weight[mine, 0] / np.abs(self.g[mine])
             goal = self.g[mine] * scale
-            theta = np.linalg.lstsq(_stacked(columns * scale[:, None]), _stacked(goal), rcond=1e-12)[0]
+            theta = np.linalg.lstsq(_stack(columns * scale[:, None]), _stack(goal), rcond=1e-12)[0]
             found.append(np.asarray(theta, dtype=np.float64))
         return found
 
 
-def _stacked(values: npt.NDArray[Any]) -> FloatArray:
+def _stack(values: npt.NDArray[Any]) -> FloatArray:
     return np.concatenate([values.real, values.imag])
 
 
-def _reflected(d: FloatArray) -> FloatArray:
+def _reflect(d: FloatArray) -> FloatArray:
     """The polynomial with its right-half-plane roots mirrored on the imaginary axis."""
     roots = np.roots(d[::-1])
     roots = -np.maximum(np.abs(roots.real), 1e-3) + 1j * roots.imag
@@ -252,12 +252,12 @@ def fit_response(
             hint="choose other orders, or stable=False where the plant is unstable",
         )
     for _ in range(FOLDING_ROUNDS if hold != "none" else 0):
-        problem = replace(problem, g=_unfolded(measured, problem, best.theta, hold))
+        problem = replace(problem, g=_unfold(measured, problem, best.theta, hold))
         best = levenberg_marquardt(problem.residuals, best.theta, max_iterations=30)
-    return _finished(problem, best.theta, len(measured.inputs))
+    return _finish(problem, best.theta, len(measured.inputs))
 
 
-def _unfolded(measured: MeasuredResponse, problem: _Problem, theta: FloatArray, hold: Hold) -> ComplexArray:
+def _unfold(measured: MeasuredResponse, problem: _Problem, theta: FloatArray, hold: Hold) -> ComplexArray:
     """(M,) the measured response without what hold and folding (at the Nyquist frequency) add to it."""
     rational = problem.coordinates.rational(theta)
     omega = problem.x * problem.omega_0
@@ -357,7 +357,7 @@ def picked_points(
     return np.flatnonzero(inside)
 
 
-def _finished(problem: _Problem, theta: FloatArray, n_u: int) -> ResponseFit:
+def _finish(problem: _Problem, theta: FloatArray, n_u: int) -> ResponseFit:
     residual, jacobian = problem.residuals(theta)
     m = len(problem.x)
     coordinates = problem.coordinates

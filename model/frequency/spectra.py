@@ -45,8 +45,8 @@ def welch_response(
         )
     omega = grid(_lowest(lengths[0], dt_s), dt_s, points, band)
     pieces = [_Spectra.of(records, n, dt_s, omega) for n in lengths]
-    spectra, averages, window_s = _combined([p for p in pieces if p is not None], omega)
-    return _conditioned(spectra, averages, window_s, omega)
+    spectra, averages, window_s = _combine([p for p in pieces if p is not None], omega)
+    return _condition(spectra, averages, window_s, omega)
 
 
 def multitaper_response(
@@ -66,8 +66,8 @@ def multitaper_response(
         )
     omega = grid(_lowest(max(longest // 2, 1), dt_s), dt_s, points, band)
     piece = _Spectra.of(records, longest, dt_s, omega, tapered=True)
-    spectra, averages, window_s = _combined([piece] if piece else [], omega)
-    return _conditioned(spectra, averages, window_s, omega)
+    spectra, averages, window_s = _combine([piece] if piece else [], omega)
+    return _condition(spectra, averages, window_s, omega)
 
 
 def _lowest(longest: int, dt_s: float) -> float:
@@ -101,7 +101,7 @@ class _Spectra:
         tapered: bool = False,
     ) -> _Spectra | None:
         """None where fewer than two independent windows fit."""
-        own = _tapered(records) if tapered else _hann_frames(records, length)
+        own = _taper(records) if tapered else _hann_frames(records, length)
         size = 1 << (2 * length - 1).bit_length()
         n = records[0].shape[1]
         total = np.zeros((size // 2 + 1, n, n), dtype=np.complex128)
@@ -135,7 +135,7 @@ def _hann_frames(
             yield (batch - batch.mean(axis=1, keepdims=True)) * taper[:, None]
 
 
-def _tapered(records: Sequence[FloatArray]) -> Iterator[FloatArray]:
+def _taper(records: Sequence[FloatArray]) -> Iterator[FloatArray]:
     """(tapers, N, n) every whole segment under each of the Slepian windows."""
     from scipy.signal.windows import dpss
 
@@ -160,7 +160,7 @@ def _independent(records: Sequence[FloatArray], length: int) -> float:
     return frames**2 / shared if shared else 0.0
 
 
-def _combined(pieces: Sequence[_Spectra], omega: FloatArray) -> tuple[ComplexArray, FloatArray, FloatArray]:
+def _combine(pieces: Sequence[_Spectra], omega: FloatArray) -> tuple[ComplexArray, FloatArray, FloatArray]:
     """Spectra, averages and window of every frequency, each length weighted by its error to the power -4.
 
     A length speaks only where at least two cycles fit into it.
@@ -190,18 +190,18 @@ def _multiple(matrix: ComplexArray) -> FloatArray:
     uu = matrix[:, :-1, :-1]
     uy = matrix[:, :-1, -1]
     yy = matrix[:, -1, -1].real
-    h = _solved(uu, uy)
+    h = _solve(uu, uy)
     explained = np.einsum("fi,fi->f", np.conj(h), uy).real
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.asarray(np.where(yy > 0.0, np.clip(explained / yy, 0.0, 1.0), 0.0))
 
 
-def _solved(uu: ComplexArray, uy: ComplexArray) -> ComplexArray:
+def _solve(uu: ComplexArray, uy: ComplexArray) -> ComplexArray:
     """H of S_uu H = S_uy, the shortest where inputs cannot be told apart."""
     return np.asarray(np.einsum("fij,fj->fi", np.linalg.pinv(uu, rcond=1e-10, hermitian=True), uy))
 
 
-def _conditioned(
+def _condition(
     spectra: ComplexArray, averages: FloatArray, window_s: FloatArray, omega: FloatArray
 ) -> Spectral:
     """Responses and partial coherences: S_uu H = S_uy; the power of input j that the others do not bring is
@@ -209,7 +209,7 @@ def _conditioned(
     uu = spectra[:, :-1, :-1]
     uy = spectra[:, :-1, -1]
     yy = spectra[:, -1, -1].real
-    h = _solved(uu, uy)
+    h = _solve(uu, uy)
     left = np.maximum(yy - np.einsum("fi,fi->f", np.conj(h), uy).real, 0.0)
     inverse = np.linalg.pinv(uu, rcond=1e-10, hermitian=True)
     own = 1.0 / np.maximum(np.einsum("fii->fi", inverse).real, np.finfo(float).tiny)

@@ -249,7 +249,7 @@ def _four_stages(signals: _Signals, orders: IVOrders, driven: Path | None, memor
     if image is None:
         plain = signals.gram(depth, None, none)
         regressors = orders.columns(step, 0, 1)
-        first = _solved(plain[np.ix_(regressors, regressors)], plain[regressors, 0])
+        first = _solve(plain[np.ix_(regressors, regressors)], plain[regressors, 0])
         image = _path(orders, first, signals.inputs)
     gram = signals.gram(depth + memory, image, none)
     second = _instrumental(gram, orders, signals).theta
@@ -270,12 +270,12 @@ def _instrumental(gram: FloatArray, orders: IVOrders, signals: _Signals) -> Esti
     phi = orders.columns(step, 0, 2)
     z = orders.columns(step, 1, 2 + n_u if signals.images else 2)
     cross = gram[np.ix_(z, phi)]
-    theta = _solved(cross, gram[z, 0])
+    theta = _solve(cross, gram[z, 0])
     misfit = np.append(1.0, -theta)
     both = gram[np.ix_([0, *phi], [0, *phi])]
     rows = float(gram[-1, -1])
     variance = max(float(misfit @ both @ misfit), 0.0) / max(rows - len(theta), 1.0)
-    half = _solved(cross, _root(gram[np.ix_(z, z)]))
+    half = _solve(cross, _root(gram[np.ix_(z, z)]))
     return Estimate(theta, variance * half @ half.T)
 
 
@@ -285,7 +285,7 @@ def _root(gram: FloatArray) -> FloatArray:
     return root
 
 
-def _solved(matrix: FloatArray, right: FloatArray) -> FloatArray:
+def _solve(matrix: FloatArray, right: FloatArray) -> FloatArray:
     """matrix⁻¹ right, rows and columns scaled first.
 
     Raises
@@ -362,10 +362,10 @@ def _model(
         covariance[block, block] = estimate.covariance * np.outer(sign, sign)
         at += len(sign)
     system = Difference(a, b, c)
-    return _started(parts, system, free, covariance * np.outer(factors, factors), n_init)
+    return _start(parts, system, free, covariance * np.outer(factors, factors), n_init)
 
 
-def _started(
+def _start(
     parts: Parts, system: Difference, free: Sequence[int], covariance: FloatArray, n_init: int | None
 ) -> FittedLinear:
     """The model with its start and its noise model; lags as measured where it is not stable."""

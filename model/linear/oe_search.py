@@ -41,7 +41,7 @@ class Refined:
 
     def final(self, notes: Sequence[str] = ()) -> FittedLinear:
         """The chosen orders on all training data."""
-        fits = _refitted(self.parts, self.fits)
+        fits = _refit(self.parts, self.fits)
         return assemble(self.structure, self.parts, fits, (self.note, *notes), self.settings.n_init)
 
 
@@ -59,11 +59,11 @@ def search(
     ------
     FitError : no stable model was found.
     """
-    fits, note = _searched(settings, parts, known_nk if len(parts.train.inputs) > FEW_INPUTS else None)
+    fits, note = _search(settings, parts, known_nk if len(parts.train.inputs) > FEW_INPUTS else None)
     return Refined(structure, settings, parts, fits, note)
 
 
-def _asked(settings: PolynomialSettings, parts: Parts, known_nk: tuple[int, ...] | None) -> Hashable:
+def _ask(settings: PolynomialSettings, parts: Parts, known_nk: tuple[int, ...] | None) -> Hashable:
     """What a search depends on: ARX, OE, ARMAX and Box-Jenkins ask for the same one."""
     s = settings
     given = (s.na, s.nb, s.nk, s.offset, tuple(s.nk_hint), s.trend == "estimate")
@@ -74,8 +74,8 @@ def _data(parts: Parts) -> Hashable:
     return parts.seed, digest(parts.train), None if parts.validation is None else digest(parts.validation)
 
 
-@once(_asked)
-def _searched(
+@once(_ask)
+def _search(
     settings: PolynomialSettings, parts: Parts, known_nk: tuple[int, ...] | None
 ) -> tuple[tuple[OneOutput, ...], str]:
     n_y = len(parts.train.outputs)
@@ -96,7 +96,7 @@ def _searched(
 
 
 @once(lambda parts, fits: (_data(parts), tuple((f.problem.orders, f.theta.tobytes()) for f in fits)))
-def _refitted(parts: Parts, fits: tuple[OneOutput, ...]) -> list[OneOutput]:
+def _refit(parts: Parts, fits: tuple[OneOutput, ...]) -> list[OneOutput]:
     return refit(parts, fits)
 
 

@@ -162,12 +162,12 @@ def assemble(
 
 def runner(structure: str, parts: Parts, fits: Sequence[OneOutput], n_init: int | None) -> FittedLinear:
     """A model good for free runs only: its noise is white, its covariance unknown."""
-    system = _joined([f.transfer for f in fits], len(parts.whole.inputs))
+    system = _join([f.transfer for f in fits], len(parts.whole.inputs))
     starts = start_gains(system, parts, n_init)
     return free_runner(structure, parts, system, starts, _free(system, fits))
 
 
-def _joined(transfers: Sequence[Transfer], n_u: int) -> Difference:
+def _join(transfers: Sequence[Transfer], n_u: int) -> Difference:
     n_y = len(transfers)
     na = max(len(t.a) for t in transfers)
     nb = max((len(b) for t in transfers for b in t.b), default=1)
@@ -262,7 +262,7 @@ def choose_orders(parts: Parts, candidates: Sequence[Sequence[OutputOrders]]) ->
     since = 0
     for orders in candidates:
         try:
-            before = [_fitted(f, orders, b) for f, b in zip(folds, before, strict=True)]
+            before = [_fit(f, orders, b) for f, b in zip(folds, before, strict=True)]
         except (FitError, DataError):
             continue
         own = _run_errors(folds, before, window, [f.fitted for f in folds])
@@ -285,7 +285,7 @@ def choose_orders(parts: Parts, candidates: Sequence[Sequence[OutputOrders]]) ->
         return tried[0].fits, ""
     index = simplest([t.errors for t in tried], ORDER_LOSS)
     said = _said(tried, _order(tried[index].fits), left_out)
-    reduced = _reduced(
+    reduced = _reduce(
         tried[: index + 1], lambda fits: _run_errors(folds, fits, window, [f.check for f in folds])
     )
     if reduced is not tried[index]:
@@ -321,9 +321,7 @@ def _run_errors(
     )
 
 
-def _reduced(
-    tried: Sequence[_Tried], judged: Callable[[Sequence[Sequence[OneOutput]]], FloatArray]
-) -> _Tried:
+def _reduce(tried: Sequence[_Tried], judged: Callable[[Sequence[Sequence[OneOutput]]], FloatArray]) -> _Tried:
     """The last of these, or with lower orders for outputs that have a pole which a zero nearly cancels.
 
     Such a pair has a place that the search was free to choose, among six orders, so that a gain of one or two
@@ -362,7 +360,7 @@ def _said(tried: Sequence[_Tried], chosen: int, left_out: Sequence[int]) -> str:
     )
 
 
-def _fitted(parts: Parts, orders: Sequence[OutputOrders], before: Sequence[OneOutput]) -> list[OneOutput]:
+def _fit(parts: Parts, orders: Sequence[OutputOrders], before: Sequence[OneOutput]) -> list[OneOutput]:
     """Every output on the fitting part; never worse than the fits of lower orders (`before`, or none)."""
     fits = []
     for i, own in enumerate(orders):

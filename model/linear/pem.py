@@ -128,13 +128,13 @@ class PredictionError:
         if self.kind == "armax":
             equation = filtered(transfer.a, ONE, record.y) - transfer.driven(record.u)
             error = filtered(ONE, noise.c, equation[first:])
-            basis = _padded(free_space(noise.c, len(error)), len(error))
+            basis = _pad(free_space(noise.c, len(error)), len(error))
             return error, basis, (np.zeros((len(error), 0)), np.zeros((0, basis.shape[1])))
         miss = (record.y - transfer.forced(record.u))[first:]
         error = filtered(noise.d, noise.c, miss)
-        states = _padded(free_space(transfer.a, len(miss)), len(miss))
+        states = _pad(free_space(transfer.a, len(miss)), len(miss))
         seen = filtered(noise.d, noise.c, states)
-        own = _padded(free_space(noise.c, len(miss)), len(miss))
+        own = _pad(free_space(noise.c, len(miss)), len(miss))
         tail = np.eye(len(miss), self.nd) if self.nc < self.nd else np.zeros((len(miss), 0))
         q, r = np.linalg.qr(np.hstack([seen, own, tail]))
         kept = np.abs(np.diag(r)) > 1e-10 * np.abs(np.diag(r)).max(initial=1e-300)
@@ -148,8 +148,8 @@ class PredictionError:
         orders = self.orders
         first = self.start_row()
         rows = slice(first, len(record.y))
-        columns = [_filtered(differences(record.y, orders.na, 0, rows, monic=True), noise.c)]
-        columns += [-_filtered(x, noise.c) for x in _input_columns(record.u, orders, rows)]
+        columns = [_apply_filter(differences(record.y, orders.na, 0, rows, monic=True), noise.c)]
+        columns += [-_apply_filter(x, noise.c) for x in _input_columns(record.u, orders, rows)]
         if orders.offset:
             columns.append(-filtered(ONE, noise.c, np.ones(len(rest)))[:, None])
         shifted = filtered(ONE, noise.c, rest)
@@ -165,9 +165,9 @@ class PredictionError:
         response[first:] += free
         response[:first] = 0.0
         inner = filtered(ONE, transfer.a, response)
-        columns = [_filtered(differences(inner, orders.na, 0, rows, monic=True), noise.c, noise.d)]
+        columns = [_apply_filter(differences(inner, orders.na, 0, rows, monic=True), noise.c, noise.d)]
         through = filtered(ONE, transfer.a, record.u)
-        columns += [-_filtered(x, noise.c, noise.d) for x in _input_columns(through, orders, rows)]
+        columns += [-_apply_filter(x, noise.c, noise.d) for x in _input_columns(through, orders, rows)]
         if orders.offset:
             ramp = filtered(ONE, transfer.a, np.ones(len(record.y)))[first:]
             columns.append(-filtered(noise.d, noise.c, ramp)[:, None])
@@ -177,7 +177,7 @@ class PredictionError:
         return [*columns, *(delayed(miss, i)[:, None] for i in range(1, self.nd + 1))]
 
 
-def _filtered(columns: FloatArray, c: FloatArray, d: FloatArray | None = None) -> FloatArray:
+def _apply_filter(columns: FloatArray, c: FloatArray, d: FloatArray | None = None) -> FloatArray:
     return filtered(ONE if d is None else d, c, columns)
 
 
@@ -189,7 +189,7 @@ def _input_columns(u: FloatArray, orders: OutputOrders, rows: slice) -> list[Flo
     ]
 
 
-def _padded(space: FloatArray, rows: int) -> FloatArray:
+def _pad(space: FloatArray, rows: int) -> FloatArray:
     """A basis that lives on the first rows, as one on all rows."""
     out = np.zeros((rows, space.shape[1]))
     out[: len(space)] = space[:rows]

@@ -125,7 +125,7 @@ def _assemble(
     noises = [f.problem.parts(f.theta)[1] for f in fits]
     system: Difference = base.system
     if kind == "armax":
-        starts = equation_starts(_scaled(parts, system), parts, base.n_init)
+        starts = equation_starts(_scale(parts, system), parts, base.n_init)
         base = replace(base, starts=starts, n_init=max(base.n_init, system.depth))
     return replace(
         base,
@@ -137,7 +137,7 @@ def _assemble(
     )
 
 
-def _scaled(parts: Parts, system: Difference) -> Difference:
+def _scale(parts: Parts, system: Difference) -> Difference:
     ratio = parts.scaling.y_scale[:, None] / parts.scaling.y_scale
     gain = parts.scaling.y_scale[:, None] / parts.scaling.u_scale
     return Difference(system.a / ratio, system.b / gain, system.c / parts.scaling.y_scale)

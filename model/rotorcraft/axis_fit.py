@@ -71,8 +71,8 @@ def fit_axis(records: Sequence[Record], dt: float, integrates: bool, curved: boo
     starts = _starts(records, dt, integrates, curved, free)
     if not starts:
         raise FitError("no start of the physical model is finite", hint="check the units of the signals")
-    best = min((_descended(records, s, dt, integrates, free, low, high) for s in starts), key=lambda f: f[0])
-    return _judged(records, best[1], dt, integrates, free, low, high)
+    best = min((_descend(records, s, dt, integrates, free, low, high) for s in starts), key=lambda f: f[0])
+    return _judge(records, best[1], dt, integrates, free, low, high)
 
 
 def _sags(records: Sequence[Record]) -> bool:
@@ -121,7 +121,7 @@ def _starts(
 def _least_squares(
     records: Sequence[Record], theta: FloatArray, dt: float, integrates: bool, linear: list[int]
 ) -> tuple[FloatArray, float]:
-    parts, slopes = _stacked(records, theta, dt, integrates)
+    parts, slopes = _stack(records, theta, dt, integrates)
     errors = np.concatenate(parts)
     columns = np.concatenate(slopes)[:, linear]
     if not (np.isfinite(errors).all() and np.isfinite(columns).all()):
@@ -131,7 +131,7 @@ def _least_squares(
     return theta[linear] + step, float(left @ left)
 
 
-def _stacked(
+def _stack(
     records: Sequence[Record], theta: FloatArray, dt: float, integrates: bool
 ) -> tuple[list[FloatArray], list[FloatArray]]:
     """Innovations and derivatives of the predictions, without the rows that start them."""
@@ -144,7 +144,7 @@ def _stacked(
     return errors, slopes
 
 
-def _descended(
+def _descend(
     records: Sequence[Record],
     theta: FloatArray,
     dt: float,
@@ -160,7 +160,7 @@ def _descended(
 
     `enough`: share of the sum of squares that a step must win for another one.
     """
-    errors, slopes = _stacked(records, theta, dt, integrates)
+    errors, slopes = _stack(records, theta, dt, integrates)
     left = np.concatenate(errors)
     cost = float(left @ left)
     damp = 1e-3
@@ -174,7 +174,7 @@ def _descended(
             other = theta.copy()
             other[free] = np.clip(theta[free] + step, low[free], high[free])
             if forgets(other, dt, integrates):
-                new_errors, new_slopes = _stacked(records, other, dt, integrates)
+                new_errors, new_slopes = _stack(records, other, dt, integrates)
                 new_left = np.concatenate(new_errors)
                 new_cost = float(new_left @ new_left)
                 if new_cost < cost:
@@ -207,7 +207,7 @@ def _normal(
     return columns.T @ columns, np.where(stuck, 0.0, back)
 
 
-def _judged(
+def _judge(
     records: Sequence[Record],
     theta: FloatArray,
     dt: float,
@@ -218,7 +218,7 @@ def _judged(
 ) -> FittedAxis:
     """The axis with the covariance of what is away from the ends of its range."""
     inside = [int(i) for i in free if low[i] < theta[i] < high[i]]
-    errors, slopes = _stacked(records, theta, dt, integrates)
+    errors, slopes = _stack(records, theta, dt, integrates)
     covariance = np.zeros((len(theta), len(theta)))
     own = coloured_covariance([s[:, inside] for s in slopes], *noise_model(errors))
     covariance[np.ix_(inside, inside)] = own

@@ -29,7 +29,7 @@ FIRST = len(NAMES)
 
 
 @njit(cache=True)
-def _moved(n, n_lag, n_delay, target, h, grows, lag, sums):  # type: ignore[no-untyped-def]
+def _move(n, n_lag, n_delay, target, h, grows, lag, sums):  # type: ignore[no-untyped-def]
     """Motor speed after h seconds towards a target, and its derivatives by lag and delay.
 
     sums (2, 3) grows by the integrals of n and n^2 and by their derivatives; `grows` is dh / d delay.
@@ -53,7 +53,7 @@ def _moved(n, n_lag, n_delay, target, h, grows, lag, sums):  # type: ignore[no-u
 
 
 @njit(cache=True)
-def _carried(n, by, target, target_by, h, lag, sums):  # type: ignore[no-untyped-def]
+def _carry(n, by, target, target_by, h, lag, sums):  # type: ignore[no-untyped-def]
     """The derivative `by` of a motor's speed, h seconds later, by what moves its target only.
 
     sums (2,) grows by the derivatives of the integrals of n and n^2.
@@ -149,10 +149,10 @@ def run(x, by, y, theta, dt, integrates, resting, out, slopes):  # type: ignore[
                 now_by = by[k - whole, i] if k >= whole else earlier_by[i]
                 then_by = by[k - whole - 1, i] if k > whole else earlier_by[i]
                 halfway = then[i] + (n[i] - then[i]) * math.exp(-past / lag)
-                n_by[i] = _carried(n[i], n_by[i], then[i], then_by, past, lag, by_sums)
-                n_by[i] = _carried(halfway, n_by[i], now[i], now_by, dt - past, lag, by_sums)
-            a, b, c = _moved(n[i], n_lag[i], n_delay[i], then[i], past, 1.0, lag, sums)
-            n[i], n_lag[i], n_delay[i] = _moved(a, b, c, now[i], dt - past, -1.0, lag, sums)
+                n_by[i] = _carry(n[i], n_by[i], then[i], then_by, past, lag, by_sums)
+                n_by[i] = _carry(halfway, n_by[i], now[i], now_by, dt - past, lag, by_sums)
+            a, b, c = _move(n[i], n_lag[i], n_delay[i], then[i], past, 1.0, lag, sums)
+            n[i], n_lag[i], n_delay[i] = _move(a, b, c, now[i], dt - past, -1.0, lag, sums)
             torque = theta[7 + i]
             if integrates:  # the torque's mean over the row
                 sums /= dt

@@ -32,7 +32,7 @@ def slackless(blocks: Sequence[Block], x: FloatArray) -> FloatArray | None:
     def known(gap: float, x: FloatArray) -> bool:
         return gap < max(_CLOSE, float(x[-1]))
 
-    found = _followed(blocks, cost, x, 1.0 / float(x[-1]), known, lambda x: bool(x[-1] < 0.0))
+    found = _follow(blocks, cost, x, 1.0 / float(x[-1]), known, lambda x: bool(x[-1] < 0.0))
     return found if found[-1] < 0.0 else None
 
 
@@ -47,10 +47,10 @@ def cheapest(blocks: Sequence[Block], cost: FloatArray, x: FloatArray, share: fl
     def known(gap: float, x: FloatArray) -> bool:
         return gap < share * abs(float(cost @ x))
 
-    return _followed(blocks, cost, x, 1.0 / max(abs(float(cost @ x)), 1e-12), known, lambda _: False)
+    return _follow(blocks, cost, x, 1.0 / max(abs(float(cost @ x)), 1e-12), known, lambda _: False)
 
 
-def _followed(
+def _follow(
     blocks: Sequence[Block],
     cost: FloatArray,
     x: FloatArray,
@@ -60,10 +60,10 @@ def _followed(
 ) -> FloatArray:
     """Where the central path is left: the gap is known closely enough, or what was found is enough."""
     rows = sum(len(F0) for F0, _ in blocks)
-    stacks = _stacked(blocks)
+    stacks = _stack(blocks)
     for _ in range(_STEPS):
         try:
-            whitened = [_whitened(stack, x) for stack in stacks]
+            whitened = [_whiten(stack, x) for stack in stacks]
         except np.linalg.LinAlgError:  # at the edge, but for rounding
             return x
         g, H = _slopes(whitened, weight * cost)
@@ -82,14 +82,14 @@ def _followed(
     return x
 
 
-def _stacked(blocks: Sequence[Block]) -> list[Block]:
+def _stack(blocks: Sequence[Block]) -> list[Block]:
     """F0 (b, m, m) and F (b, k, m, m) of the blocks of a size: one call for all of them."""
     sizes = dict.fromkeys(len(F0) for F0, _ in blocks)
     alike = [[block for block in blocks if len(block[0]) == size] for size in sizes]
     return [(np.stack([F0 for F0, _ in some]), np.stack([F for _, F in some])) for some in alike]
 
 
-def _whitened(stack: Block, x: FloatArray) -> FloatArray:
+def _whiten(stack: Block, x: FloatArray) -> FloatArray:
     """(b, k, m, m) of blocks whose value at x is L L': inverse(L) F inverse(L)'."""
     inverse = np.linalg.inv(np.linalg.cholesky(stack[0] + np.einsum("k,bkij->bij", x, stack[1])))[:, None]
     return np.asarray(inverse @ stack[1] @ inverse.transpose(0, 1, 3, 2))

@@ -45,7 +45,7 @@ def is_bounded(stage: Stage) -> bool:
     """
     problem = stage.problem
     layout = stage.layout
-    x = _pushed(stage, seed=0)[_PUSHES + _PUSHES // 4 :]
+    x = _push(stage, seed=0)[_PUSHES + _PUSHES // 4 :]
     limits = problem.limits
     seen = [run[layout.uncompared :, : layout.n] for run in stage.simulated()]
     if layout.hidden:
@@ -77,11 +77,11 @@ def _returns(stage: Stage) -> bool:
     """
     if stage.rules == 1 or stage.layout.hidden:
         return True
-    y = _pushed(stage, _LONG_SEED, _LONG_HOLD)[:_PUSHES]
+    y = _push(stage, _LONG_SEED, _LONG_HOLD)[:_PUSHES]
     return _share_at(y, stage.problem.limits) < _MOST_AWAY
 
 
-def _pushed(stage: Stage, seed: int, longest: int | None = None) -> FloatArray:
+def _push(stage: Stage, seed: int, longest: int | None = None) -> FloatArray:
     """(2 _PUSHES, n) what is simulated under the inputs of `probe_run`, held at the limits."""
     problem = stage.problem
     layout = stage.layout

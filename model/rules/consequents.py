@@ -149,7 +149,7 @@ def fit_consequents(
     phi = next(pieces())[0]
     rules = phi.shape[1]
     share = _SHARE_GLOBAL[criterion]
-    triangle: Triangle = reduce_data(lambda: _weighed(pieces(), share))
+    triangle: Triangle = reduce_data(lambda: _weigh(pieces(), share))
     n = triangle.n
     m = triangle.m
     R = triangle.r[: n + m, :n]
@@ -159,12 +159,12 @@ def fit_consequents(
         solution = np.linalg.lstsq(R, Q, rcond=_RCOND)[0]
         taken = 0.0
     else:
-        solution, taken = _ridged(R, Q, rules, samples, ridge)
+        solution, taken = _solve_with_ridge(R, Q, rules, samples, ridge)
     theta = solution.reshape(rules, n // rules, m).transpose(0, 2, 1)
     return Consequents(np.ascontiguousarray(theta), samples, taken)
 
 
-def _weighed(
+def _weigh(
     pieces: Iterator[tuple[FloatArray, FloatArray, FloatArray]], share: float
 ) -> Iterator[tuple[FloatArray, FloatArray]]:
     """Rows of the least-squares problem: of the rules together, then of every rule by itself."""
@@ -182,7 +182,7 @@ def _weighed(
             yield alone, root * Y
 
 
-def _ridged(
+def _solve_with_ridge(
     R: FloatArray, Q: FloatArray, rules: int, samples: int, ridge: float | Literal["auto"]
 ) -> tuple[FloatArray, float]:
     """(R n_x, n_y) coefficients of the triangle's problem, and the ridge that was taken.

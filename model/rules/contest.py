@@ -110,13 +110,13 @@ def contest(
         if learned.stage.rules == 1 == known.stage.rules:
             return Contest(lags)
         states = Searched(learned, learned.model(train, intervals=False))
-        judgement = _judged(lags, states, train, validation)
+        judgement = _judge(lags, states, train, validation)
     except (DataError, FitError, UsageError, np.linalg.LinAlgError):  # e.g. antecedents that it does not have
         return Contest(lags)
     return Contest(lags, states, *judgement)
 
 
-def _judged(
+def _judge(
     lags: Searched, states: Searched, train: Dataset, validation: Dataset | None
 ) -> tuple[Advantage, bool]:
     """The advantage of hidden states on held-out parts, and whether they fit the training data better."""

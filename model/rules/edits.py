@@ -35,7 +35,7 @@ def edits(layout: Layout, p: Parameters, support: FloatArray) -> Iterator[tuple[
     if rules == 1:
         return
     for i, j in combinations(range(rules), 2):
-        yield f"R{i + 1} and R{j + 1} merged", layout, _merged(p, i, j, share)
+        yield f"R{i + 1} and R{j + 1} merged", layout, _merge(p, i, j, share)
     if rules > 2:
         for r in range(rules):
             yield f"R{r + 1} dropped", layout, _kept(p, np.delete(np.arange(rules), r))
@@ -52,7 +52,7 @@ def edits(layout: Layout, p: Parameters, support: FloatArray) -> Iterator[tuple[
         )
 
 
-def _merged(p: Parameters, i: int, j: int, share: FloatArray) -> Parameters:
+def _merge(p: Parameters, i: int, j: int, share: FloatArray) -> Parameters:
     """Rules i and j as one: means weighted by support; the set covers both."""
     w = np.array([share[i], share[j]]) / (share[i] + share[j])
     centre = w @ p.centre[[i, j]]

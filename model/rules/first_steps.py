@@ -42,7 +42,7 @@ def lag_starts(settings: RuleSettings, train: Dataset, validation: Dataset | Non
     starts, notes = context.linear(choices)
     if not any(s.linear.stable for s in starts):
         context = replace(context, must_be_bounded=False)
-        starts = [_unstressed(tolerant(s)) for s in starts]
+        starts = [_without_stress(tolerant(s)) for s in starts]
         notes.append(f"{INTEGRATES} Boundedness was not asked for.")
     if context.folds:
         notes.append("Little data: parts of it were held out in turn to choose the number of rules.")
@@ -87,7 +87,7 @@ def _context(
     return context, own
 
 
-def _unstressed(family: Family) -> Family:
+def _without_stress(family: Family) -> Family:
     def freed(c: Candidate) -> Candidate:
         return replace(c, stage=replace(c.stage, problem=replace(c.stage.problem, stress=None)))
 

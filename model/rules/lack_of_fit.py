@@ -27,7 +27,7 @@ def scale_factor(model: RuleModel, train: Dataset) -> float:
     The root of a chi square over its degrees of freedom: the Wald statistic of all terms of the regression,
     with the covariance of the errors' own autoregression.
     """
-    runs = list(_followed(model, train))
+    runs = list(_follow(model, train))
     if not runs:
         return 1.0
     square = 0.0
@@ -44,7 +44,7 @@ def scale_factor(model: RuleModel, train: Dataset) -> float:
     return float(np.sqrt(max(1.0, square / freedom)))
 
 
-def _followed(model: RuleModel, data: Dataset) -> Iterator[tuple[FloatArray, FloatArray, FloatArray]]:
+def _follow(model: RuleModel, data: Dataset) -> Iterator[tuple[FloatArray, FloatArray, FloatArray]]:
     """Inputs, free run and what it leaves of every segment, behind the samples that start it, normalised."""
     n_y = len(data.outputs)
     signals = np.vstack([np.hstack([s.y, s.u]) for s in data.segments])

@@ -71,10 +71,10 @@ def order_choices(settings: RuleSettings, inputs: int) -> list[Orders]:
             choices.append(orders)
     if all(b == 0 for b in choices[0].nb) and choices[0].na == 0:
         raise UsageError("na = 0 and nb = 0 leave nothing to learn")
-    return sorted([*choices, *_delayed(settings, choices)], key=lambda o: (o.na, sum(o.nb)))
+    return sorted([*choices, *_delay(settings, choices)], key=lambda o: (o.na, sum(o.nb)))
 
 
-def _delayed(settings: RuleSettings, choices: Sequence[Orders]) -> list[Orders]:
+def _delay(settings: RuleSettings, choices: Sequence[Orders]) -> list[Orders]:
     """The choices behind the dead times that the log shows, where no choice bridges those by itself."""
     hint = tuple(settings.nk_hint)
     if settings.nk != "auto" or max(hint, default=0) < _LATE:

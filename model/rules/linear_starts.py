@@ -55,7 +55,7 @@ class LinearStart:
 
     def refitted(self, data: Dataset) -> LinearStart | None:
         """The same orders on other data; None where they cannot be fitted."""
-        return _fitted(self.name, self.again, data, None)
+        return _fit(self.name, self.again, data, None)
 
 
 def linear_models(train: Dataset, validation: Dataset, nk_hint: Sequence[int] = ()) -> list[LinearStart]:
@@ -64,11 +64,11 @@ def linear_models(train: Dataset, validation: Dataset, nk_hint: Sequence[int] = 
         "ARX": ARX(nk_hint=nk_hint),
         "state space": StateSpace(refine=False, nk=1),
     }
-    found = [_fitted(name, kind, train, validation) for name, kind in settings.items()]
+    found = [_fit(name, kind, train, validation) for name, kind in settings.items()]
     return [model for model in found if model is not None]
 
 
-def _fitted(name: str, settings: Estimator, train: Dataset, validation: Dataset | None) -> LinearStart | None:
+def _fit(name: str, settings: Estimator, train: Dataset, validation: Dataset | None) -> LinearStart | None:
     try:
         fitted = settings.fit(train, validation)
     except FlysidError:
@@ -159,7 +159,7 @@ def as_stage(found: LinearStart, problem: Problem) -> Stage:
 def arx_start(problem: Problem, data: Dataset) -> tuple[Stage, ...]:
     """ARX of `problem`'s orders, refined, as a stage; none where it cannot be fitted."""
     orders = problem.layout.orders
-    found = _fitted("ARX", ARX(na=orders.na, nb=orders.nb, nk=orders.nk, refine=True), data, None)
+    found = _fit("ARX", ARX(na=orders.na, nb=orders.nb, nk=orders.nk, refine=True), data, None)
     return () if found is None else (as_stage(found, problem),)
 
 

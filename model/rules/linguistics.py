@@ -94,7 +94,7 @@ def _words_of_levels(found: Sequence[Piece], centre: Sequence[float], axis: Axis
         return around
     of = [[name for level, name in named if level == i] for i in range(len(centre))]
     said = [
-        _joined(names, tongue) if names else f"near {axis.place(c)}"
+        _join(names, tongue) if names else f"near {axis.place(c)}"
         for names, c in zip(of, centre, strict=True)
     ]
     most = max(range(len(of)), key=lambda i: len(of[i]))
@@ -144,7 +144,7 @@ def _signs(piece: Piece, span: float) -> tuple[int, ...]:
     return (-1, 1)
 
 
-def _joined(names: Sequence[Name], tongue: Vocabulary | None) -> str:
+def _join(names: Sequence[Name], tongue: Vocabulary | None) -> str:
     """ "slow or fast to the left", "backward or slow forward", "low or high"."""
     if tongue is None:
         return " or ".join(size for _, size in names)

@@ -92,12 +92,12 @@ def common_lyapunov(rules: Sequence[FloatArray], *, bisections: int = 6) -> tupl
     low = max(_radii(rules))
     T = _balancing(rules, low)
     balanced = [np.asarray(np.linalg.solve(T, A @ T), dtype=np.float64) for A in rules]
-    best = _verified(_feasible(balanced, 1.0), balanced)
+    best = _verify(_feasible(balanced, 1.0), balanced)
     if best is None:
         return None
     for _ in range(bisections):
         middle = 0.5 * (low + best[1])
-        found = _verified(_feasible(balanced, middle), balanced)
+        found = _verify(_feasible(balanced, middle), balanced)
         if found is None or found[1] >= best[1]:
             low = middle
         else:
@@ -121,7 +121,7 @@ def _balancing(rules: Sequence[FloatArray], radius: float) -> FloatArray:
     return np.asarray(np.linalg.inv(np.linalg.cholesky(0.5 * (P + P.T))).T)
 
 
-def _verified(P: FloatArray | None, rules: Sequence[FloatArray]) -> tuple[FloatArray, float] | None:
+def _verify(P: FloatArray | None, rules: Sequence[FloatArray]) -> tuple[FloatArray, float] | None:
     """P and its decay, the largest sqrt(x'A'PAx / x'Px), where that is below 1 beyond rounding."""
     from scipy.linalg import eigh
 

@@ -292,7 +292,7 @@ def check_they_move(antecedents: Sequence[Antecedent], train: Dataset) -> None:
     signals = (*train.outputs, *train.inputs)
     for antecedent in antecedents:
         columns = [np.hstack([s.y, s.u])[:, antecedent.column] for s in train.segments]
-        values = np.concatenate([_lagged(antecedent, w) for w in columns])
+        values = np.concatenate([_lag(antecedent, w) for w in columns])
         size = max(float(np.abs(w).max(initial=0.0)) for w in columns)
         if len(values) and np.ptp(values) <= _STILL * size:
             raise DataError(
@@ -301,7 +301,7 @@ def check_they_move(antecedents: Sequence[Antecedent], train: Dataset) -> None:
             )
 
 
-def _lagged(antecedent: Antecedent, w: FloatArray) -> FloatArray:
+def _lag(antecedent: Antecedent, w: FloatArray) -> FloatArray:
     """What an antecedent is along one record (N,) of its signal, from where all its lags are known."""
     deepest = max(antecedent.lag, antecedent.minus)
     first = w[deepest - antecedent.lag : len(w) - antecedent.lag]

@@ -61,7 +61,7 @@ def search(context: SearchContext, plain: Family, starts: Sequence[Family]) -> t
     tell("1 rule", share=0.0, validation=float(plain.rmse[0]))
     if context.most_rules == 1 or not able:
         return plain, -np.inf
-    screened = _screened(context, able)
+    screened = _screen(context, able)
     fit = _change(*(min(s.fits[rules] for s in screened) for rules in (1, 0)))
     if context.auto and min(s.change for s in screened) > -context.promise:
         return plain, fit
@@ -76,7 +76,7 @@ def search(context: SearchContext, plain: Family, starts: Sequence[Family]) -> t
     return best, fit
 
 
-def _screened(context: SearchContext, starts: Sequence[Family]) -> list[Screened]:
+def _screen(context: SearchContext, starts: Sequence[Family]) -> list[Screened]:
     """Starts by what two rules do on the first part, best first."""
     known = min(s.linear.mean for s in starts)
     tried = []

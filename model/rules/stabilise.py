@@ -81,7 +81,7 @@ def with_stable_rules(
         raise DataError(f"no segment is longer than {model.n_init + 1} samples", hint="record longer")
     refuse_few(sum(len(W) - model.n_init for W in runs), theta[:, 0].size)
     drawn = _drawn(theta, model.support, holds, layout, largest)
-    stage = _refined(model, drawn, runs)
+    stage = _refine(model, drawn, runs)
     found = at_stage(model, ordered(stage), train)
     told = replace(found, notes=(*model.notes, _told(model, found, train, certified=certified)))
     return described(told, train)
@@ -139,7 +139,7 @@ def _nearest(start: FloatArray, mean: FloatArray, holds: Callable[[FloatArray], 
     return np.asarray(mean + inside * (start - mean))
 
 
-def _refined(model: FittedTS, theta: FloatArray, runs: tuple[FloatArray, ...]) -> Stage:
+def _refine(model: FittedTS, theta: FloatArray, runs: tuple[FloatArray, ...]) -> Stage:
     """The drawn rules with everything but their poles refined; as drawn where nothing got better."""
     layout = model.layout
     p = model.parameters
@@ -148,7 +148,7 @@ def _refined(model: FittedTS, theta: FloatArray, runs: tuple[FloatArray, ...]) -
     for block in (past, ~past):
         at = np.flatnonzero(block)
         if len(at):
-            basis[np.ix_(at, at)] = _whitened(layout, runs, at)
+            basis[np.ix_(at, at)] = _whiten(layout, runs, at)
     trained = widened(p.z_range, -layout.reach / (1.0 + 2.0 * layout.reach))
     problem = Problem(layout, runs, basis, np.zeros(theta.shape[1:]), trained, p.limits)
     a = np.ascontiguousarray(np.linalg.solve(basis.T, theta.transpose(2, 0, 1).reshape(len(past), -1)))
@@ -162,7 +162,7 @@ def _refined(model: FittedTS, theta: FloatArray, runs: tuple[FloatArray, ...]) -
     return found if found.cost < start.cost and is_bounded(found) else start
 
 
-def _whitened(layout: Layout, runs: tuple[FloatArray, ...], at: IntArray) -> FloatArray:
+def _whiten(layout: Layout, runs: tuple[FloatArray, ...], at: IntArray) -> FloatArray:
     """(n, n) coordinates in which these regressors are uncorrelated with unit mean square."""
     X = np.vstack([layout.regressor_values(W)[:, at] for W in runs])
     _, s, vt = np.linalg.svd(np.linalg.qr(X, mode="r") / np.sqrt(len(X)))

@@ -156,7 +156,7 @@ def _in_free_run(model: FittedTS, data: Dataset, forgetting: float, trust: float
     asked = is_bounded(stage)
     known = _Known.of(stage, forgetting, trust)
     for _ in range(_STEPS):
-        better = _stepped(stage, known, bounded=asked)
+        better = _step(stage, known, bounded=asked)
         if better is None:
             break
         stage = better
@@ -230,7 +230,7 @@ def _random_steps(stage: Stage) -> Stage:
     return replace(stage, problem=replace(stage.problem, runs=(W,)), initial=initial)
 
 
-def _stepped(stage: Stage, known: _Known, *, bounded: bool) -> Stage | None:
+def _step(stage: Stage, known: _Known, *, bounded: bool) -> Stage | None:
     """The stage after one Gauss-Newton step, or as much of it as helps; None where nothing does."""
     H, g = _normal(stage, known.weights)
     away = stage.body.a.ravel() - known.a

@@ -372,7 +372,7 @@ def starts(problem: JointProblem, free: Sequence[int]) -> FloatArray:
     rows = []
     goals = []
     for state, output in measured.items():
-        needed = _needed(layout, state)
+        needed = _find_needed(layout, state)
         if not needed <= set(measured):
             continue
         for r in plain.responses:
@@ -403,7 +403,7 @@ def starts(problem: JointProblem, free: Sequence[int]) -> FloatArray:
     return theta
 
 
-def _needed(layout: PlanLayout, state: int) -> set[int]:
+def _find_needed(layout: PlanLayout, state: int) -> set[int]:
     """States that the equation of a state holds."""
     fixed = {int(k) for k in np.flatnonzero(layout.fixed["F"][state])}
     return fixed | {p.column for t in layout.terms for p in t.places if p.table == "F" and p.row == state}
@@ -421,7 +421,7 @@ def _equation(
     matrices = layout.matrices(theta)
     sent = np.exp(-1j * omega * matrices["delay"][0, source])
     goal = 1j * omega * x[state] - matrices["G"][state, source] * sent
-    for k in _needed(layout, state):
+    for k in _find_needed(layout, state):
         goal = goal - matrices["F"][state, k] * x[k]
     row = np.zeros((len(omega), len(theta)), dtype=np.complex128)
     for q, term in enumerate(layout.terms):

@@ -110,7 +110,7 @@ class StructuredStateSpace:
         if dropped:
             notes = (*notes, f"Dropped: {'; '.join(f'{d.name} ({d.why})' for d in dropped)}.")
         own = [j for j in range(len(train.inputs)) if j not in references]
-        model = _sampled(self, Parts.of(train, None), _Sampling(problem, fit, self.hold, tuple(own)))
+        model = _sample(self, Parts.of(train, None), _Sampling(problem, fit, self.hold, tuple(own)))
         return replace(model, derivatives=_derivatives(layout, fit, dropped), notes=(*notes, *model.notes))
 
     def _check(self) -> None:
@@ -242,7 +242,7 @@ class _Sampling:
         )
 
 
-def _sampled(settings: StructuredStateSpace, parts: Parts, sampling: _Sampling) -> FittedStructured:
+def _sample(settings: StructuredStateSpace, parts: Parts, sampling: _Sampling) -> FittedStructured:
     """The sampled model with offsets, start and noise from the training flights."""
     problem = sampling.problem
     fit = sampling.fit

@@ -39,7 +39,7 @@ def start_gains(system: Realisation, most: int) -> tuple[FloatArray, FloatArray]
     """
     noise = _noise_root(system)
     gains, roots = _recursion(system, noise, most)
-    seen = _observed(system)
+    seen = _observe(system)
     size = np.sqrt(np.sum(noise**2, axis=1))
     spread = [np.max(np.sqrt(np.mean((seen @ r) ** 2, axis=0).sum(axis=-1)) / size) for r in roots]
     return gains, np.array(spread + [spread[-1]] * (most + 1 - len(spread)), dtype=np.float64)
@@ -62,7 +62,7 @@ def _recursion(system: Realisation, noise: FloatArray, most: int) -> tuple[Float
     return gains, list(roots[:count])
 
 
-def _observed(system: Realisation) -> FloatArray:
+def _observe(system: Realisation) -> FloatArray:
     """(LOOK, n_y, n) what each state adds to the outputs of the next samples; unstable parts are held."""
     rows = np.empty((LOOK, *system.c.shape))
     at = system.c

@@ -135,7 +135,7 @@ def _best_per_order(
     settings: SubspaceSettings, parts: Parts, ways: Sequence[tuple[Method, int]], orders: Sequence[int]
 ) -> list[tuple[Choice, FloatArray]]:
     """For every order the method and horizon of the best validation free run, with its errors in blocks."""
-    folds = [_tried(settings, fold, ways, orders) for fold in parts.folds]
+    folds = [_try_all(settings, fold, ways, orders) for fold in parts.folds]
     found: dict[int, tuple[Choice, FloatArray]] = {}
     for choice in folds[0]:
         if not all(choice in fold for fold in folds):
@@ -146,7 +146,7 @@ def _best_per_order(
     return [found[order] for order in orders if order in found]
 
 
-def _tried(
+def _try_all(
     settings: SubspaceSettings, parts: Parts, ways: Sequence[tuple[Method, int]], orders: Sequence[int]
 ) -> dict[Choice, FloatArray]:
     """The validation errors, in blocks, of everything that can be fitted and does not blow up."""

@@ -94,7 +94,7 @@ class SystemFit:
         total = 0.0
         for segment in self._usable():
             gram = _gram_of(system, segment, np.zeros(system.order), sensitive=False)
-            total += float(_eliminated(gram, 0, system.order)[0, 0])
+            total += float(_eliminate(gram, 0, system.order)[0, 0])
         return total
 
     def normal_equations(self, theta: FloatArray) -> NormalEquations:
@@ -107,7 +107,7 @@ class SystemFit:
         for segment in self._usable():
             first = self.first_state(system, segment)
             gram = _gram_of(system, segment, first, sensitive=True, feedthrough=self.feedthrough)
-            left = _eliminated(gram, p, system.order)
+            left = _eliminate(gram, p, system.order)
             total = total + float(left[-1, -1])
             jtj = jtj + left[:-1, :-1]
             jtr = jtr + left[:-1, -1]
@@ -117,7 +117,7 @@ class SystemFit:
         """The state that a segment's free run starts from best."""
         n = system.order
         gram = _gram_of(system, segment, np.zeros(n), sensitive=False)
-        found: FloatArray = -_solved(gram[:n, :n], gram[:n, -1])
+        found: FloatArray = -_solve(gram[:n, :n], gram[:n, -1])
         return found
 
     def runs(self, theta: FloatArray) -> Iterator[tuple[FloatArray, FloatArray]]:
@@ -170,7 +170,7 @@ class SystemFit:
         """
         _, jtj, jtr = self.normal_equations(theta)
         assert isinstance(jtj, np.ndarray)
-        step = _solved(jtj, jtr)
+        step = _solve(jtj, jtr)
         found: FloatArray = self.covariance(theta) + np.outer(step, step)
         return found
 
@@ -196,19 +196,19 @@ def mirrored(system: Realisation) -> Realisation:
     return replace(system, a=np.real(vectors @ np.diag(inside) @ np.linalg.inv(vectors)))
 
 
-def _eliminated(gram: FloatArray, p: int, n: int) -> FloatArray:
+def _eliminate(gram: FloatArray, p: int, n: int) -> FloatArray:
     """Of the Gram of [J E r], that of [J r] with the columns E projected out."""
     e = slice(p, p + n)
     rest = [*range(p), p + n]
     inner = gram[np.ix_(rest, rest)]
     cross = gram[e][:, rest]
     with np.errstate(invalid="ignore", over="ignore"):
-        left: FloatArray = inner - cross.T @ _solved(gram[e, e], cross)
+        left: FloatArray = inner - cross.T @ _solve(gram[e, e], cross)
     left[-1, -1] = max(left[-1, -1], 0.0) if np.isfinite(left[-1, -1]) else np.inf
     return left
 
 
-def _solved(matrix: FloatArray, right: FloatArray) -> FloatArray:
+def _solve(matrix: FloatArray, right: FloatArray) -> FloatArray:
     """The shortest solution; NaN where the matrix is not finite."""
     if not np.isfinite(matrix).all() or not np.isfinite(right).all():
         return np.full(right.shape, np.nan)

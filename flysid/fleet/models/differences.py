@@ -142,7 +142,7 @@ def judge_channel(
         differences[name] = (difference, covariance, hotelling(difference, covariance))
     usual = tail_of([], size, scatter.freedom)
     ordinary = _ordinary({n: usual.p_value(found[2], size) for n, found in differences.items()})
-    mixed = [_mixed(*divided[name], sampling, band, scatter) for name in ordinary]
+    mixed = [_mix(*divided[name], sampling, band, scatter) for name in ordinary]
     tail = tail_of([value for value in mixed if value is not None], size, scatter.freedom)
     tests = [
         Test(channel, name, "changed", difference, tail.scale * covariance, statistic,
@@ -213,7 +213,7 @@ def _ordinary(p_values: Mapping[str, float], *, suspect: float = 0.05) -> list[s
     return [name for name, q in zip(p_values, adjusted, strict=True) if q > suspect]
 
 
-def _mixed(
+def _mix(
     first: Sequence[FlightPart],
     second: Sequence[FlightPart],
     sampling: Sampling,

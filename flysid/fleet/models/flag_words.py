@@ -92,12 +92,12 @@ def finding(
     other = "before" if test.question == "changed" else "the fleet's"
     cause = _signal(recipe, judged.sampling.inputs[0])
     effect = _signal(recipe, judged.sampling.outputs[0])
-    sentence = f"{name}: the same {cause} gives {_compared(gain, delay, effect, other)}{moment}"
+    sentence = f"{name}: the same {cause} gives {_compare(gain, delay, effect, other)}{moment}"
     return Finding(name, test.channel, test.question, one_line(sentence), test.p, gain, delay,
                    first, day)  # fmt: skip
 
 
-def _compared(gain: Size, delay: Size, effect: str, other: str) -> str:
+def _compare(gain: Size, delay: Size, effect: str, other: str) -> str:
     """The sure parts, or that no single number tells."""
     if not (gain.is_sure or delay.is_sure):
         return f"another {effect} than {other}, though neither gain nor delay alone tells how"
