@@ -30,7 +30,7 @@ def has_cancelling(model: FittedLinear) -> bool:
 
 def unreduced(train: Dataset) -> FittedLinear:
     """The fit whose order is not reduced."""
-    with patch.object(output_error, "_reduced", lambda tried, _: tried[-1]):
+    with patch.object(output_error, "_reduce", lambda tried, _: tried[-1]):
         return OE().fit(train)
 
 

@@ -25,11 +25,8 @@ from flysid.progress import tell
 
 _SCREEN_ROWS = 3000  # of the first fitting part
 _SEARCH_ROWS = 12_000  # of a fitting part while searching; the chosen model is refined on all
-_HOPELESS = 2.0  # times the error of the best linear model: such a start is not grown
 _SCREEN = Training(ridge=0.1, tries=2, iterations=12, tolerance=1e-3)
 _AS_MUCH = 0.7  # of the first part's gain in logarithms, that another part must see from the same place
-_IDLE = 2  # rules in a row that may bring nothing,
-_HARM = 1.05  # or one, if the validation error is so many times the least
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,9 +52,7 @@ def search(context: SearchContext, plain: Family, starts: Sequence[Family]) -> t
 
     With it the change of the least training mean square by a second rule, on the first part, in logarithms.
     """
-    error = {id(s): tolerant(s).rmse[0] for s in starts}
-    limit = _HOPELESS * max(min(error.values()), EXACT)
-    able = [s for s in starts if context.room(s.linear.stage) and error[id(s)] <= limit]
+    able = [s for s in starts if context.room(s.linear.stage)]
     tell("1 rule", share=0.0, validation=float(plain.rmse[0]))
     if context.most_rules == 1 or not able:
         return plain, -np.inf
@@ -154,10 +149,8 @@ def _change(after: float, before: float) -> float:
 
 
 def _idle(context: SearchContext, family: Family, stages: Sequence[Stage]) -> bool:
-    """Whether more rules are not worth growing."""
+    """Whether more rules are not worth growing: the last one did not help, or nothing is left."""
     if not context.auto:
         return False
     errors = family.rmse
-    idle = len(errors) - 1 - int(errors.argmin())
-    harms = len(errors) > 2 and errors[-1] > _HARM * errors.min()  # a second rule may wait for the third
-    return idle >= _IDLE or bool(harms) or stages[0].mean_square() < EXACT
+    return bool(errors[-1] > errors.min()) or stages[0].mean_square() < EXACT

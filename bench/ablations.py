@@ -1,0 +1,101 @@
+"""What a step of the search for rules earns: fits with it and with the step left out.
+
+`python -m bench.ablations STEP SEED [PLANT...]`: plants as `bench.starts` names them, `inputs: NAME` of
+`bench.ts_inputs`, and `public: NAME` of `bench.accuracy_data`, of which the training part alone is used, its
+last quarter as fresh data. Free-run errors from estimated starts in per cent of the spread, defaults, with
+and without; then the geometric mean of the ratios, and CPU seconds.
+"""
+
+from __future__ import annotations
+
+import itertools
+import sys
+import time
+from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager
+from unittest.mock import patch
+
+import numpy as np
+
+from bench import starts, ts_inputs
+from bench.accuracy_data import CASES
+from flysid.model.rules import edits, first_steps, growth, refit, search, search_context
+from flysid.model.ts_best import BestTS
+
+Step = Callable[[], AbstractContextManager[object]]
+linear_starts = growth._linear_starts
+STEPS: Mapping[str, Step] = {
+    "own places": lambda: patch.object(search, "_AS_MUCH", -np.inf),
+    "further places": lambda: patch.object(growth, "_FIRST_PLACES", growth._PLACES),
+    "same places": lambda: patch.object(growth, "_PLACES", growth._FIRST_PLACES),
+    "lower orders": lambda: patch.object(search_context, "embedded_start", lambda *_: ()),
+    "instruments": lambda: patch.object(
+        growth, "_linear_starts", lambda problem: itertools.islice(linear_starts(problem), 1)
+    ),
+    "linear side": lambda: patch.object(search_context.SearchContext, "_linear_side", lambda *_: []),
+    "idle inputs": lambda: patch.object(search_context.SearchContext, "_needless", lambda *_: ()),
+    "integrator": lambda: patch.object(
+        search_context.SearchContext, "_settled", lambda _, stage, *__: (stage,)
+    ),
+    "fewer orders": lambda: patch.object(search_context, "_ORDER_LOSS", np.inf),
+    "short records": lambda: patch.object(first_steps, "_HIGHEST_LINEAR", first_steps._DEEPEST_DELAY),
+    "merge and split": lambda: patch.object(edits, "merge_and_split", lambda _, models, at: models[at]),
+    "ringing": lambda: patch.object(refit, "_rings_newly", lambda *_: False),
+}
+PLANTS = (
+    *("saturated", "tanks", "drone", "stiff", "hammerstein", "wiener", "propeller", "arm", "roll", "few"),
+    *("linear", "linear modes", "linear noisy", "two tanks with overflow", "hysteresis"),
+    *("public: tanks", "public: robot-arm", "public: dryer", "public: gas-furnace", "public: winding"),
+)
+
+
+def records(name: str, seed: int) -> starts.Records:
+    """What is learned from, what runs start from, and what they are compared with."""
+    kind, _, own = name.rpartition(": ")
+    if kind == "public":
+        data = CASES[own]().train
+        segment = data.segments[0]
+        cut = 3 * len(segment) // 4
+        parts = [segment.slice(0, cut, data.dt_s), segment.slice(cut, len(segment), data.dt_s)]
+        return data.with_segments(parts[:1]), data.with_segments(parts[1:]), [parts[1].y]
+    if kind == "inputs":
+        rng = np.random.default_rng(seed)
+        train = ts_inputs.records(own, 4, 0.02, rng)
+        fresh = ts_inputs.records(own, 8, 0.0, rng)
+        return train, fresh, [s.y for s in fresh.segments]
+    return starts.records(name, seed)
+
+
+def fitted(known: starts.Records) -> tuple[float, str, float]:
+    """Error, what the model is, and CPU seconds."""
+    train, test, truth = known
+    begin = time.process_time()
+    model = BestTS().fit(train)
+    seconds = time.process_time() - begin
+    error = starts.error(model, test, truth, first_samples=False)
+    return error, f"{model.structure}, {len(model.rules())} rules", seconds
+
+
+def main(words: list[str]) -> int:
+    """Print a line per plant, and the mean."""
+    step, seed = words[0], int(words[1])
+    ratios = []
+    spent = np.zeros(2)
+    for name in words[2:] or PLANTS:
+        known = records(name, seed)
+        whole, model, seconds = fitted(known)
+        with STEPS[step]():
+            without, other, less = fitted(known)
+        spent += seconds, less
+        ratios.append(without / whole)
+        print(
+            f"{name:40s} {seed} {whole:8.4g} -> {without:8.4g} ({ratios[-1]:.3f})  {model} -> {other}",
+            flush=True,
+        )
+    mean = np.exp(np.mean(np.log(ratios)))
+    print(f"without {step}: {mean:.3f} of the error, {spent[0]:.0f} -> {spent[1]:.0f} s of CPU")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
