@@ -18,12 +18,12 @@ from flysid.dataset import FloatArray
 from flysid.model.rules.free_run_error import Stage, widened
 from flysid.model.rules.kernel import Lags, Parameters, free_run
 
-_FAR = 10.0  # ranges: in a closed loop an output that integrates is never seen to move as it can
+FAR = 10.0
+"""Ranges: in a closed loop an output that integrates is never seen to move as it can."""
 _NEAR = 0.5  # of what was seen: hidden states, and outputs beside them, that are farther out have left it
 _PUSHES = 3000  # random inputs
-# samples that random inputs are held, at most
 _LONG_SEED = 2
-_LONG_HOLD = 100
+_LONG_HOLD = 100  # samples that random inputs are held, at most
 _RARELY = 0.02  # of the samples
 _MOST_AWAY = 0.2  # of the samples: models that were any good on fresh data stayed below a tenth
 _ROUNDING = 1e-5  # of a pole at one that stands twice
@@ -54,7 +54,7 @@ def is_bounded(stage: Stage) -> bool:
         if not _rules_settle(stage):
             return False
         x = np.diff(x, axis=0)
-        limits = widened(_range([np.diff(run, axis=0) for run in seen]), _FAR)
+        limits = widened(_range([np.diff(run, axis=0) for run in seen]), FAR)
     if not _share_at(x, limits) < _RARELY:
         return False
     if problem.integrates or not _returns(stage):

@@ -24,8 +24,6 @@ from flysid.split import MIN_FLIGHTS
 _HIGHEST_LINEAR = 12  # samples of lags that the linear side may choose on short records,
 _DEEPEST_DELAY = 40  # and on long ones, delay included
 _SHARE = 20  # a segment must be so many times longer than what the linear side looks back
-_STATE_RULE_GAIN = 0.1  # of the mean square: what a rule over hidden states must win
-_LEVEL = 1.02  # times the least error: as good, if it has fewer states
 
 
 def lag_starts(settings: RuleSettings, train: Dataset, validation: Dataset | None) -> Search:
@@ -135,7 +133,7 @@ def state_starts(settings: RuleSettings, train: Dataset, validation: Dataset | N
     ends = saturation_limits(train)
     context, own = _context(settings, (train, validation), least, scaled)
     ridges = context.ridges[1:] or context.ridges
-    context = replace(context, gain=_STATE_RULE_GAIN, promise=CLEARLY, ridges=ridges)
+    context = replace(context, promise=CLEARLY, ridges=ridges)
 
     def judged(system: System) -> Family:
         stages = [system_stage(system, fit, least, scaled, ends) for fit, _ in context.parts]
@@ -145,8 +143,7 @@ def state_starts(settings: RuleSettings, train: Dataset, validation: Dataset | N
         )
 
     families = sorted(map(judged, systems), key=lambda f: tolerant(f).rmse[0])
-    near = [f for f in families if tolerant(f).rmse[0] <= _LEVEL * tolerant(families[0]).rmse[0]]
-    plain = tolerant(min(near, key=lambda f: f.linear.stage.layout.n))
+    plain = tolerant(families[0])
     most = 2 * settings.search.highest_order
     starts = [f for f in families if f.linear.stage.layout.n <= most][: settings.search.linear_systems]
     tried = "; ".join(dict.fromkeys(s.title for s in systems))

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from flysid.dataset import Dataset, FloatArray
-from flysid.model.rules.boundedness import probe_run
+from flysid.model.rules.boundedness import FAR, probe_run
 from flysid.model.rules.families import Family
 from flysid.model.rules.free_run_error import Problem, Stage
 from flysid.model.rules.growth import embedded_start, first_basis, linear_stage, rebased, unrefined
@@ -23,13 +23,9 @@ from flysid.model.selection import simplest
 from flysid.model.shared import digest, once
 
 SPARE_ROWS = 10  # a segment must be longer than the depth by this to say anything
-# of the mean square: never, and at most, worth an order
-_ORDER_GAIN = 0.01
-_ORDER_LOSS = 0.05
-_ORDER_MISFIT = 0.1  # of the training mean square, which more lags always lower a little
+_ORDER_LOSS = 0.05  # of the mean square: at most worth an order
 _STEPS = 8  # of a linear model's refinement on other parts of the data
 _LOOSE = 100.0  # ranges within which the search for a linear model may move
-_FAR = 10.0  # ranges that a plant which integrates may leave its training range by
 _STRESS = 1000  # steps of each kind of stress
 _STRESS_SEED = 1  # not the one that models are asked with in the end
 _ROWS_PER_NUMBER = 4
@@ -121,7 +117,7 @@ class SearchContext:
         problem = stage.problem
         n_y = stage.problem.layout.n_y
         y = np.vstack([W[:, :n_y] for W in problem.runs])
-        margin = (_FAR if problem.integrates else 1.0) * np.ptp(y, axis=0)
+        margin = (FAR if problem.integrates else 1.0) * np.ptp(y, axis=0)
         limits = np.stack([y.min(axis=0) - margin, y.max(axis=0) + margin])
         steps = min(_STRESS, max(200, len(y) // 2))
         stress = (
@@ -261,15 +257,10 @@ def _simplest(candidates: Sequence[Candidate]) -> int:
     """Index of the simplest stable linear model that runs as near as the best stable one, or nearly.
 
     A linear model of too low an order makes rules look useful that only replace its lags, so that simplicity
-    may cost little, on the training part too: one validation flight may happen not to ask for what a simpler
-    model lacks.
+    may cost little.
     """
     stable = [i for i, c in enumerate(candidates) if c.stable] or [0]
-    best = candidates[min(stable, key=lambda i: candidates[i].mean)]
-    most = (1.0 + _ORDER_MISFIT) * best.stage.cost
-    fits = [i for i in stable if candidates[i] is best or candidates[i].stage.cost <= most]
-    errors = [np.maximum(candidates[i].errors, EXACT) for i in fits]
-    return fits[simplest(errors, _ORDER_LOSS, _ORDER_GAIN)]
+    return stable[simplest([np.maximum(candidates[i].errors, EXACT) for i in stable], _ORDER_LOSS)]
 
 
 def found_antecedents(layout: Layout) -> tuple[Antecedent, ...]:
