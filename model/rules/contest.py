@@ -19,6 +19,7 @@ from flysid.errors import DataError, FitError, UsageError
 from flysid.model.base import Fitted
 from flysid.model.noise import noise_model
 from flysid.model.rules import learning
+from flysid.model.rules.assembly import free_run_errors
 from flysid.model.rules.fitted import FittedTS
 from flysid.model.rules.judging import hold_out
 from flysid.model.rules.operating_points import described
@@ -26,7 +27,6 @@ from flysid.model.rules.regressor_layout import scaling
 from flysid.model.rules.search_record import Learned, LinearSide
 from flysid.model.rules.search_settings import QUARTERS, RuleSettings
 from flysid.model.rules.structure_choice import CLEARLY, Advantage, advantage, block_errors, compared
-from flysid.model.start import start_window
 
 _FORETOLD = 0.5  # share of the free run's error that its own past must explain
 _RESOLUTION = 1e-3  # of the outputs' spread: a free-run error below leaves nothing to explain
@@ -132,11 +132,7 @@ def hints_at_hidden_state(model: FittedTS, train: Dataset) -> bool:
     """Whether the free run errs more than the data resolve, in a way that its own past foretells."""
     if len(model.outputs) > _MOST_OUTPUTS or len(train) > _MOST_SAMPLES:
         return False
-    errors = []
-    for s in train.segments:
-        window = start_window(model.n_init, len(s), model.dt_s)
-        if len(s) > 2 * window:
-            errors.append(model.start.followed(model, s.u, s.y[:window])[window:] - s.y[window:])
+    errors = free_run_errors(model, train)
     if not errors:
         return False
     _, scale = scaling(train)

@@ -8,13 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from flysid.dataset import FloatArray
-from flysid.model.rules.judging import EXACT, Candidate
+from flysid.model.rules.judging import AWAY, EXACT, Candidate
 from flysid.model.rules.realisation import PLAIN, PLAIN_WORDS
 from flysid.model.rules.state_systems import System
 from flysid.model.selection import standard_error
 
 _CLEAR = 1.5  # standard errors over windows of several folds; those of one fold share a model
-_UNBOUNDED = 1e6  # mean square that stands for a model that may not be offered
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,9 +51,7 @@ class Family:
         Folds are averaged in logarithms: where a fold hides the only manoeuvre of its kind, every model
         errs there by multiples, and a plain mean would look at nothing else.
         """
-        means = [
-            [max(m.mean, EXACT) if m.stable else _UNBOUNDED for m in f[: self.stages]] for f in self.folds
-        ]
+        means = [[max(m.mean, EXACT) if m.stable else AWAY for m in f[: self.stages]] for f in self.folds]
         return np.asarray(np.log(np.array(means)), dtype=np.float64)
 
     @property
@@ -70,7 +67,7 @@ class Family:
         """
         models = [fold[at] for fold in self.folds]
         found = models[0].errors if len(models) == 1 else np.concatenate([m.windows for m in models])
-        return np.maximum(found, EXACT) if all(m.stable for m in models) else np.full(len(found), _UNBOUNDED)
+        return np.maximum(found, EXACT) if all(m.stable for m in models) else np.full(len(found), AWAY)
 
 
 def tolerant(family: Family) -> Family:
@@ -110,7 +107,7 @@ def sweep_in_words(family: Family, plain: Family) -> str:
     best = units[_best(units, family)]
     said = []
     for rules, (error, own) in enumerate(zip(errors, units, strict=True), 1):
-        if own.mean() >= _UNBOUNDED:
+        if own.max() >= AWAY:
             said.append(f"{rules}: not bounded")
             continue
         spread = 0.5 * error * standard_error(_gap(own, best, family))

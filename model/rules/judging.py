@@ -35,7 +35,8 @@ EXACT = 1e-10
 _WINDOWS = 4  # that a judging part is cut into,
 _LONGER = 3  # each at least this many times as long as what starts it,
 _SCORED = 5  # with so many rows at least to score
-_AWAY = 1e12  # mean square of what ran away
+AWAY = 1e12
+"""Mean square of what ran away, or may not be offered."""
 
 
 def hold_out(train: Dataset, least: int, fold: int = 0) -> tuple[Dataset, Dataset]:
@@ -136,4 +137,4 @@ def _window_errors(stage: Stage, runs: Sequence[FloatArray], skip: int) -> Float
 
 
 def _finite(errors: FloatArray) -> FloatArray:
-    return np.where(np.isfinite(errors), np.minimum(errors, _AWAY), _AWAY)
+    return np.where(np.isfinite(errors), np.minimum(errors, AWAY), AWAY)
