@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import pairwise
+from itertools import combinations, pairwise
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from flysid.model.rules.vocabulary import number
 Signals = tuple[Sequence[Signal], Sequence[Signal]]
 """Outputs and inputs."""
 _ALIKE = np.log(1.1)  # figures so near each other are the same in words
+_UNLIKE = np.log(1.25)  # figures so far apart are two in words, however wide their intervals
 _HARDLY = np.log(4.0)  # from end to end of an interval: a factor of two either way
 WORTH = 0.05
 """Of a change, or of a signal's spread: less is not worth a word."""
@@ -34,7 +35,7 @@ def sentences(points: Sequence[OperatingPoint], signals: Signals) -> list[str]:
             continue
         groups = _groups(own)
         said += [f"{_place(group, own, signal)}, {_effects(group, signal, inputs)}." for group in groups]
-        if len(groups) > 1:
+        if not all(answers_alike(p, q) for p, q in combinations(own, 2)):
             said.append(_variation(own))
     return said
 
@@ -48,6 +49,12 @@ def answers_alike(p: OperatingPoint, q: OperatingPoint) -> bool:
     return all(_same(*pair) for pair in pairs)
 
 
+def _farthest(p: OperatingPoint, q: OperatingPoint) -> float:
+    """Largest distance of two places' figures, in logarithms."""
+    with np.errstate(all="ignore"):
+        return float(np.abs(np.log([p.gain / q.gain, p.reached_s / q.reached_s])).max())
+
+
 def _same(a: FloatArray, sure_of_a: FloatArray, b: FloatArray, sure_of_b: FloatArray) -> bool:
     with np.errstate(all="ignore"):
         apart = np.abs(np.log(a / b))
@@ -59,7 +66,16 @@ def _same(a: FloatArray, sure_of_a: FloatArray, b: FloatArray, sure_of_b: FloatA
 
 def answers_like(p: OperatingPoint, q: OperatingPoint) -> bool:
     """Whether two places answer alike, and are known well enough to say so."""
-    return answers_alike(p, q) and all(_known(sure) for point in (p, q) for sure in _intervals(point))
+    return answers_alike(p, q) and _are_known(p, q) and not _farthest(p, q) > _UNLIKE
+
+
+def _told_together(p: OperatingPoint, q: OperatingPoint) -> bool:
+    """Whether one sentence does for two places: nothing tells them apart, or nothing is known of one."""
+    return answers_like(p, q) or (answers_alike(p, q) and not _are_known(p, q))
+
+
+def _are_known(*points: OperatingPoint) -> bool:
+    return all(_known(sure) for point in points for sure in _intervals(point))
 
 
 def _intervals(point: OperatingPoint) -> tuple[FloatArray, FloatArray]:
@@ -76,7 +92,7 @@ def _groups(own: Sequence[OperatingPoint]) -> list[list[OperatingPoint]]:
     """Neighbours that answer alike, then the groups that mirror each other about zero; slow ones first."""
     runs: list[list[OperatingPoint]] = []
     for point in own:
-        if runs and all(answers_alike(point, known) for known in runs[-1]):
+        if runs and all(_told_together(point, known) for known in runs[-1]):
             runs[-1].append(point)
         else:
             runs.append([point])
@@ -84,7 +100,7 @@ def _groups(own: Sequence[OperatingPoint]) -> list[list[OperatingPoint]]:
     while runs:
         first = runs.pop(0)
         last = runs[-1] if runs else []
-        opposite = all(_level(p) * _level(q) < 0.0 and answers_alike(p, q) for p in first for q in last)
+        opposite = all(_level(p) * _level(q) < 0.0 and _told_together(p, q) for p in first for q in last)
         found.append([*first, *runs.pop()] if last and opposite else first)
     signs = {np.sign(_level(p)) for p in own}
     return sorted(found, key=lambda g: min(abs(_level(p)) for p in g)) if len(signs) > 1 else found

@@ -166,7 +166,7 @@ def _at_rest(rule: Rule, others: Sequence[Rule], signals: Signals) -> list[str]:
 
 
 def answer_alike(rule: Rule, other: Rule) -> bool:
-    """Whether the model answers alike where either is the loudest, within 10 % or the 95 % intervals."""
+    """Whether the model answers alike where either is the loudest, and is known to, see `answers_like`."""
     same = len(rule.here) == len(other.here) > 0
     return same and all(answers_like(p, q) for p, q in zip(rule.here, other.here, strict=True))
 

@@ -297,6 +297,17 @@ def test_several_inputs_share_a_sentence_and_their_time() -> None:
     assert apart.count("63 % of that is reached after") == 2
 
 
+def test_places_whose_intervals_meet_are_told_apart_where_their_figures_are_far_apart() -> None:
+    """In hover 0.11, at half a metre per second 0.16: one sentence said 0.135 of both."""
+    slow, cruise = point(0.05, [0.11], [0.7], 1.4), point(0.5, [0.16], [1.0], 1.4)
+    assert answers_alike(slow, cruise)
+    assert not answers_like(slow, cruise)
+    said = sentences([slow, cruise], ([V], [TILT]))
+    assert [text.partition(",")[0] for text in said] == ["Near v_x = 0.05 m/s", "Near v_x = 0.5 m/s"]
+    fast = point(1.5, [0.3], [1.8], 1.4)
+    assert "varies 2.73-fold" in sentences([slow, cruise, fast], ([V], [TILT]))[-1]
+
+
 def test_places_that_are_poorly_determined_are_not_called_alike() -> None:
     """They were merged into the middle of both, and one rule was said to answer as the other does."""
     slow, fast = point(-0.25, [2.0], [0.3], 3.0), point(0.25, [0.9], [0.06], 30.0)
