@@ -30,6 +30,8 @@ APART = 0.06  # of its spread: how far a copy may lie from the flight, root mean
 FARTHEST = 0.2  # of a window's size: beyond it, windows are not alike
 POINTS = 1 << 18  # in a tree
 SURE_OVERLAP = WINDOW + STEP  # any overlap of so many samples holds a window of the held-out flight
+SLOW_SHAPES = dct(np.eye(WINDOW), norm="ortho", axis=0)[1 : COSINES + 1].T
+"""(WINDOW, COSINES) the first cosines."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,7 +104,7 @@ def _windows(y: FloatArray, flight: int, step: int) -> Windows:
     if len(y) < WINDOW:
         return Windows(np.empty((0, COSINES)), np.empty(0), np.empty(0, dtype=np.int64))
     cut = np.lib.stride_tricks.sliding_window_view(y, WINDOW)[::step]
-    shapes = cut @ dct(np.eye(WINDOW), norm="ortho", axis=0)[1 : COSINES + 1].T
+    shapes = cut @ SLOW_SHAPES
     size = np.sqrt(np.maximum((cut**2).mean(axis=1) - cut.mean(axis=1) ** 2, 0.0))
     moves = size > 1e-9 * (np.abs(cut).max(axis=1) + 1e-300)
     points = shapes[moves] / (size[moves] * np.sqrt(WINDOW))[:, None]

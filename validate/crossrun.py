@@ -15,7 +15,7 @@ from typing import Any
 from flysid.catalogue import FlightFacts
 from flysid.dataset import Dataset
 from flysid.errors import DataError, FlysidError, UsageError
-from flysid.ingest.align.doubts import Doubt
+from flysid.ingest.align.doubts import Doubt, vehicles_of
 from flysid.ingest.lake.chosen_flights import Selection, require_one_vehicle
 from flysid.ingest.lake.lake import Lake
 from flysid.ingest.lake.lake import open as open_lake
@@ -90,12 +90,10 @@ def judge_runs(
 
 def _of_other_vehicles(train: Dataset, test: Dataset) -> tuple[Doubt, ...]:
     """Run A's training data and the flights compared on are known to be of vehicles that are not the same."""
-    a, b = (
-        {str(s.marks["vehicle"]) for s in data.segments if s.marks.get("vehicle")} for data in (train, test)
-    )
-    if not (a and b) or a & b:
+    a, b = vehicles_of(train), vehicles_of(test)
+    if not (a and b) or set(a) & set(b):
         return ()
-    own, other = (", ".join(sorted(names)) for names in (a, b))
+    own, other = ", ".join(a), ", ".join(b)
     text = f"run A was fitted to {own}, these flights are of {other}: the change is also that of the vehicles"
     return (Doubt("pooled", text, "compare runs of one vehicle"),)
 

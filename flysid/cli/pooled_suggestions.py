@@ -33,19 +33,24 @@ def _row(own: Sequence[Suggestion]) -> tuple[str, ...]:
     sign = {1: "+", -1: "-"}.get(signs.pop(), "") if len(signs) == 1 and len(inputs) == 1 else ""
     made = [s for s in own if s.rate_hz > 0]
     related = [s for s in made if s.band_hz is not None]
+    bands = [s.band_hz for s in made if s.band_hz is not None]
     rates = [s.rate_hz for s in made]
-    lows = [s.band_hz[0] for s in related if s.band_hz is not None]
-    highs = [s.band_hz[1] for s in related if s.band_hz is not None]
+    coherences = [s.coherence for s in made]
     return (
         own[0].channel,
         f"{sign}{inputs[0]}" if len(inputs) == 1 else counted(len(inputs), "input"),
         str(len({s.flight for s in own})),
         f"{sum(s.duration_s for s in made):.0f} s" if made else "-",
         f"{spread(min(rates), max(rates), '.3g')} Hz" if made else "-",
-        spread(min(s.coherence for s in made), max(s.coherence for s in made), ".2f") if made else "-",
-        f"{hertz(min(lows))} to {hertz(max(highs))}" if related else "none" if made else "-",
+        spread(min(coherences), max(coherences), ".2f") if made else "-",
+        _band(bands) if bands else "none" if made else "-",
         _delay(related),
     )
+
+
+def _band(bands: Sequence[tuple[float, float]]) -> str:
+    """From the lowest to the highest frequency, Hz."""
+    return f"{hertz(min(low for low, _ in bands))} to {hertz(max(high for _, high in bands))}"
 
 
 def spread(low: float, high: float, form: str) -> str:
@@ -70,7 +75,12 @@ def _delay(related: Sequence[Suggestion]) -> str:
     middle = median(s.delay_s for s in told if s.delay_s is not None)
     low = min(s.delay_low_s or 0.0 for s in told)
     high = max(s.delay_high_s or 0.0 for s in told)
-    return f"{1e3 * middle:.0f} ({1e3 * low:.0f}-{1e3 * high:.0f}){loop}"
+    return f"{dead_time(middle, low, high)}{loop}"
+
+
+def dead_time(value_s: float, low_s: float, high_s: float) -> str:
+    """ "40 (35-46)", in milliseconds."""
+    return f"{1e3 * value_s:.0f} ({1e3 * low_s:.0f}-{1e3 * high_s:.0f})"
 
 
 def pooled_advice(found: Sequence[Suggestion], names: Mapping[str, str]) -> list[str]:

@@ -319,14 +319,15 @@ def is_ingested(data: Path) -> bool:
 
 def say_mixed_gains(lake: Lake, quiet: bool) -> None:
     """Say that flights flew several sets of gains: a closed loop over all of them is an average."""
+    if quiet:
+        return
     from flysid.loops.judged import sets_of_gains
 
     sets = sets_of_gains(lake.logs)
     if sets > 1:
         say(
             f"caution: these flights flew {sets} sets of gains. A response to the setpoint is an average "
-            "over them: 'flysid gains DATA' names the sets, --flight chooses",
-            quiet,
+            "over them: 'flysid gains DATA' names the sets, --flight chooses"
         )
 
 

@@ -12,7 +12,7 @@ import click
 
 from flysid.cli.output import aligned, printable, say
 from flysid.cli.pooled_suggestions import HEADINGS as POOLED_HEADINGS
-from flysid.cli.pooled_suggestions import hertz, pooled, pooled_advice
+from flysid.cli.pooled_suggestions import dead_time, hertz, pooled, pooled_advice
 from flysid.showing import counted
 
 if TYPE_CHECKING:
@@ -156,9 +156,7 @@ def _delay(found: Suggestion) -> str:
     loop = " loop" if found.feedback else ""
     if unbounded(found):
         return f"?{loop}"
-    low_ms = 1e3 * (found.delay_low_s or 0.0)
-    high_ms = 1e3 * (found.delay_high_s or 0.0)
-    return f"{1e3 * found.delay_s:.0f} ({low_ms:.0f}-{high_ms:.0f}){loop}"
+    return f"{dead_time(found.delay_s, found.delay_low_s or 0.0, found.delay_high_s or 0.0)}{loop}"
 
 
 def advice(found: Sequence[Suggestion], names: dict[str, str]) -> list[str]:

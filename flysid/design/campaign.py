@@ -156,7 +156,7 @@ def fly_design(axes: Sequence[Axis], vehicles: int, seed: int, doubtful: Doubtfu
 
 def _laws(axes: Sequence[Axis]) -> tuple[dict[str, dict[str, Gains]], tuple[str, ...]]:
     """Axis -> law -> gains, the same laws on both axes."""
-    published = _publish()
+    published = _published_gains()
     by_input = {axis.input: axis for axis in axes}
     mine = {name: by_input.get(u) for name, u in AXES.items()}
     there = [a for a in mine.values() if a is not None]
@@ -181,19 +181,15 @@ def _laws(axes: Sequence[Axis]) -> tuple[dict[str, dict[str, Gains]], tuple[str,
         if axis is None:
             own |= dict.fromkeys(names, published)
             notes.append(f"{name}: not designed, flown with the published gains")
-        laws[name] = {law: _turn(own[law], axis) for law in names}
+        if axis is not None and axis.sign < 0.0:
+            raise UsageError(
+                f"{axis.channel}: the output falls as {axis.input} rises; the simulated vehicle's rises"
+            )
+        laws[name] = {law: own[law] for law in names}
     return laws, tuple(notes)
 
 
-def _turn(gains: Gains, axis: Axis | None) -> Gains:
-    if axis is not None and axis.sign < 0.0:
-        raise UsageError(
-            f"{axis.channel}: the output falls as {axis.input} rises; the simulated vehicle's rises"
-        )
-    return gains
-
-
-def _publish() -> Gains:
+def _published_gains() -> Gains:
     """The default of the AR.Drone's best known autopilot, on the simulated vehicle's limit of tilt."""
     scheme = SCHEMES["tum-ardrone"][0]
     limit = math.degrees(Vehicle().loop.tilt_max_rad)

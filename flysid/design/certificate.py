@@ -43,7 +43,7 @@ def proves(a: Any, b: Any, gains: Any, metric: Any, decay: float) -> bool:
     for i in range(len(rules)):
         for j in range(i, len(rules)):
             corner = _half(_close(rules[i], pushes[i], laws[j]), _close(rules[j], pushes[j], laws[i]))
-            moved = _times(_turn(corner), _times(P, corner))
+            moved = _times(_transpose(corner), _times(P, corner))
             if not _positive(
                 [[square * p - m for p, m in zip(*rows, strict=True)] for rows in zip(P, moved, strict=True)]
             ):
@@ -63,12 +63,12 @@ def _half(one: Matrix, other: Matrix) -> Matrix:
     return [[(x + y) / 2 for x, y in zip(*rows, strict=True)] for rows in zip(one, other, strict=True)]
 
 
-def _turn(matrix: Matrix) -> Matrix:
+def _transpose(matrix: Matrix) -> Matrix:
     return [list(column) for column in zip(*matrix, strict=True)]
 
 
 def _times(one: Matrix, other: Matrix) -> Matrix:
-    columns = _turn(other)
+    columns = _transpose(other)
     return [[sum((x * y for x, y in zip(row, c, strict=True)), Fraction(0)) for c in columns] for row in one]
 
 

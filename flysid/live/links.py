@@ -125,7 +125,7 @@ class UdpLink(Link):
                 self._socket.connect(address)
         except OSError as error:
             self._socket.close()
-            raise _refuse(target, error) from error
+            raise _refusal(target, error) from error
         self._batches = BatchReceiver(self._socket) if is_offered() else None
 
     def fileno(self) -> int:
@@ -263,7 +263,7 @@ class SerialLink(StreamLink):
         try:
             return self._open()
         except OSError as error:
-            raise _refuse(self.target, error) from error
+            raise _refusal(self.target, error) from error
 
     def _open(self) -> int:
         import termios
@@ -360,7 +360,7 @@ def _resolve(target: Target, kind: int) -> tuple[int, int, int, str, tuple[Any, 
     return found
 
 
-def _refuse(target: Target, error: OSError) -> UsageError:
+def _refusal(target: Target, error: OSError) -> UsageError:
     hints = {
         errno.EADDRINUSE: "another program listens there: end it, choose another port, or let mavlink-router "
         "serve both",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -213,8 +214,7 @@ def judge(logs: Iterable[Any], axes: Iterable[str] = ("roll", "pitch")) -> list[
     Flights of the same gains are judged together. What cannot be known is refused with its reason; nothing is
     raised.
     """
-    every = list(logs)
-    groups = [(axis, group) for axis in axes for group in _flown_alike(every, axis)]
+    groups = _flown_alike(logs, axes)
     found = []
     for i, (axis, group) in enumerate(groups):
         tell(f"measuring the {axis} loop", log=group[0].name, share=i / len(groups))
@@ -225,20 +225,37 @@ def judge(logs: Iterable[Any], axes: Iterable[str] = ("roll", "pitch")) -> list[
 def sets_of_gains(logs: Iterable[Any], axes: Iterable[str] = ("roll", "pitch")) -> int:
     """How many different sets of gains flights flew, as far as they state them: the most of any axis."""
     stating = [log for log in logs if states_gains(log)]
-    return max((len(_flown_alike(stating, axis)) for axis in axes), default=0)
+    sets = Counter(axis for axis, _ in _flown_alike(stating, axes))
+    return max(sets.values(), default=0)
 
 
-def _flown_alike(logs: list[Any], axis: str) -> list[list[Any]]:
-    """Flights by the gains of an axis, in their order; one that states none stands alone."""
-    groups: dict[tuple[Any, ...], list[Any]] = {}
-    for log in logs:
-        try:
-            kind = _kind(log)
-            key: tuple[Any, ...] = (kind.mark, kind.alike(kind.settings(log), axis))
-        except (DataError, UsageError):
-            key = (log.name,)
-        groups.setdefault(key, []).append(log)
-    return list(groups.values())
+def _flown_alike(logs: Iterable[Any], axes: Iterable[str]) -> list[tuple[str, list[Any]]]:
+    """Of every axis the flights by their gains, in their order; one that states none stands alone."""
+    stated = [(log, _settings(log)) for log in logs]
+    found: list[tuple[str, list[Any]]] = []
+    for axis in axes:
+        groups: dict[tuple[Any, ...], list[Any]] = {}
+        for log, settings in stated:
+            groups.setdefault(_gains_key(log, settings, axis), []).append(log)
+        found += [(axis, group) for group in groups.values()]
+    return found
+
+
+def _settings(log: Any) -> Mapping[str, Any] | None:
+    """What a log states; None where it states nothing that is known."""
+    try:
+        return _kind(log).settings(log)
+    except (DataError, UsageError):
+        return None
+
+
+def _gains_key(log: Any, settings: Mapping[str, Any] | None, axis: str) -> tuple[Any, ...]:
+    """Equal for flights of the same gains."""
+    kind = _kind(log)
+    try:
+        return (log.name,) if settings is None else (kind.mark, kind.alike(settings, axis))
+    except (DataError, UsageError):
+        return (log.name,)
 
 
 def _judge(logs: list[Any], axis: str) -> Judged:

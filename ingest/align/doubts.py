@@ -120,8 +120,13 @@ def _between(low_hz: float, high_hz: float) -> str:
     return f"at {high} Hz" if low == high else f"from {low} to {high} Hz"
 
 
+def vehicles_of(data: Dataset) -> list[str]:
+    """The vehicles that a dataset is known to be of, each once."""
+    return sorted({str(s.marks["vehicle"]) for s in data.segments if s.marks.get("vehicle")})
+
+
 def _pooled(data: Dataset) -> Iterator[Doubt]:
-    vehicles = sorted({str(s.marks["vehicle"]) for s in data.segments if s.marks.get("vehicle")})
+    vehicles = vehicles_of(data)
     if len(vehicles) > 1:
         yield Doubt(
             "pooled",

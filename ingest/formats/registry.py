@@ -14,7 +14,6 @@ from pathlib import Path
 from flysid.errors import FormatError, UsageError
 from flysid.flight import Flight
 from flysid.ingest.formats.base import WHOLE_BATCH_BYTES, Format, Limits, collect
-from flysid.ingest.formats.common.capture import is_capture
 from flysid.ingest.formats.opening import OpenLog, members_of, open_log, own_name
 from flysid.ingest.formats.recognised import stranger
 from flysid.mirror import log_at
@@ -120,22 +119,29 @@ def detect(head: bytes, name: str) -> Format:
         if lower.endswith(likely.suffixes) and likely.sniff(head, name) >= CERTAIN:
             return likely  # the usual case: no other reader is imported
     confidence, best = _most_likely(head, name)
-    if confidence < PLAUSIBLE and is_capture(head):
-        raise FormatError(
+    if confidence < PLAUSIBLE:
+        raise _unknown(head, name)
+    return best
+
+
+def _unknown(head: bytes, name: str) -> FormatError:
+    """What to say of a file that no format recognises."""
+    from flysid.ingest.formats.common.capture import is_capture
+
+    if is_capture(head):
+        return FormatError(
             f"a network capture without MAVLink or navdata in its first {len(head):,} bytes",
             path=name,
             byte=0,
             hint="where it begins later, --format tlog or navdata; read are unencrypted UDP and TCP, over "
             "Ethernet, raw IP, loopback or Linux cooked capture",
         )
-    if confidence < PLAUSIBLE:
-        raise FormatError(
-            "not a flight log that flysid knows",
-            path=name,
-            byte=0,
-            hint="formats read: " + ", ".join(f.title for f in all_formats().values()),
-        )
-    return best
+    return FormatError(
+        "not a flight log that flysid knows",
+        path=name,
+        byte=0,
+        hint="formats read: " + ", ".join(f.title for f in all_formats().values()),
+    )
 
 
 def format_of(log: OpenLog, limits: Limits) -> Format:

@@ -161,9 +161,11 @@ class _Asked:
     def _figures(self, model: SteadyMap, place: Place, samples: int | None) -> FloatArray | None:
         """(2, n_u) gain and samples to 63 % of a model that rests near a place; None where it does not."""
         found = model.resting(place.w, self.output, self.moved)
-        if found is None or samples is None:
-            return None
-        answers = (found.tangent.answer(j, samples) for j in range(len(model.layout.inputs)))
+        return None if found is None or samples is None else self._figures_at(found, samples)
+
+    def _figures_at(self, place: Place, samples: int) -> FloatArray:
+        """(2, n_u) gain and samples to 63 % of the tangent at a place."""
+        answers = (place.tangent.answer(j, samples) for j in range(len(self.model.layout.inputs)))
         return np.array([(a.gain[self.output], a.reached[self.output]) for a in answers]).T
 
     def _half_widths(self, place: Place, figures: FloatArray, samples: int, apart: FloatArray) -> FloatArray:
@@ -204,9 +206,10 @@ class _Asked:
 
     def _of_neighbour(self, level: float, place: Place) -> FloatArray:
         """(2, n_u) logarithms of what the neighbour says there over what this one does; 0 without one."""
-        figures = self._figures(self.model, place, place.tangent.samples())
-        if self.neighbour is None or figures is None:
+        samples = place.tangent.samples()
+        if self.neighbour is None or samples is None:
             return np.zeros((2, len(self.model.layout.inputs)))
+        figures = self._figures_at(place, samples)
         own, other = self.model.layout, self.neighbour.layout
         way = np.unique(np.append(np.linspace(own.shift[self.output], level, _GRID // 5), level))
         there = walked(self.neighbour, self.output, self.moved, way).get(level)

@@ -8,6 +8,7 @@ from __future__ import annotations
 import struct
 from dataclasses import dataclass, field
 from enum import IntEnum
+from itertools import islice
 
 MAX_PENDING = 64
 V4_BYTES = 20
@@ -21,6 +22,9 @@ class NextHeader(IntEnum):
     ROUTING = 43
     FRAGMENT = 44
     DESTINATION = 60
+
+
+EXTENSIONS = frozenset(NextHeader)
 
 
 @dataclass(frozen=True)
@@ -92,7 +96,7 @@ def _version_6(frame: bytes, start: int) -> IpPacket:
     offset = 0
     more = False
     number = b""
-    while kind in set(NextHeader) and at + 8 <= min(end, len(frame)):
+    while kind in EXTENSIONS and at + 8 <= min(end, len(frame)):
         following = frame[at]
         if kind == NextHeader.FRAGMENT:
             place = int.from_bytes(frame[at + 2 : at + 4], "big")
@@ -142,7 +146,7 @@ class Fragments:
 
         Without its first fragment nothing tells whose a datagram was.
         """
-        old = list(self._pending)[: max(len(self._pending) - most, 0)]
+        old = list(islice(self._pending, max(len(self._pending) - most, 0)))
         found = []
         for held in map(self._pending.pop, old):
             if 0 in held.parts:

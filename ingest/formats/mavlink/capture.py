@@ -37,14 +37,12 @@ class _Stream:
     early : segments that came ahead of others, by number.
     """
 
-    expected: int | None = None
+    expected: int
     waiting: bytes = b""
     early: dict[int, Payload] = field(default_factory=dict)
 
     def in_order(self, found: Payload) -> Iterator[Payload]:
         """The segments that can be read now: what was sent before is passed over, what came early waits."""
-        if self.expected is None:
-            self.expected = found.sequence or 0
         self.early.setdefault(found.sequence or 0, found)
         while ready := self._next(MAX_EARLY):
             yield ready
@@ -56,7 +54,7 @@ class _Stream:
 
     def _next(self, most: int) -> Payload | None:
         """The segment that comes next; where more than `most` wait for it, the first of these."""
-        ahead = {number: (number - (self.expected or 0)) % SEQUENCES for number in self.early}
+        ahead = {number: (number - self.expected) % SEQUENCES for number in self.early}
         for number, distance in ahead.items():
             if distance == 0 or distance >= SEQUENCES // 2:
                 return self._taken(number)
@@ -68,9 +66,9 @@ class _Stream:
 
     def _taken(self, number: int) -> Payload:
         found = self.early.pop(number)
-        known = ((self.expected or 0) - number) % SEQUENCES
+        known = (self.expected - number) % SEQUENCES
         content = found.content[known:]
-        self.expected = ((self.expected or 0) + len(content)) % SEQUENCES
+        self.expected = (self.expected + len(content)) % SEQUENCES
         return replace(found, content=content)
 
 
@@ -134,7 +132,7 @@ class Capture:
             if found.sequence is None:
                 yield found
             else:
-                yield from self._streams.setdefault(found.flow, _Stream()).in_order(found)
+                yield from self._streams.setdefault(found.flow, _Stream(found.sequence)).in_order(found)
         for stream in self._streams.values():
             yield from stream.rest()
 
