@@ -70,13 +70,13 @@ def make_messages(rng: random.Random, kinds: dict[int, str]) -> list[Message]:
             else bytes(rng.choice((0, 0, 0, 1)) for _ in range(size))
         )
         found.append(Message(number, time_us, rest))
-        time_us += rng.choice((0, 17, 2500, 20_000, 1_000_000))
+        time_us += rng.choice((0, 17, 2500, 20_000, 1_000_000, 3_000_000))
     return found
 
 
 def plant(rng: random.Random, kinds: dict[int, str], messages: list[Message]) -> int:
     """Write a header into one of the messages; returns by how many microseconds the log must be shifted."""
-    victim = rng.choice(messages)
+    victim = rng.choice([messages[0], messages[-1], *messages])
     raw = bytearray(victim.packed(0))
     number = rng.choice([*kinds, FMT_ID, rng.randrange(256)])
     ends_there = len(raw) - (packed_length(kinds[number]) if number in kinds else 89)

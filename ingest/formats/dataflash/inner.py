@@ -71,6 +71,14 @@ class Neighbours:
         leads = time_ns <= behind + BACK_STEP_NS
         return (follows and leads) if before <= behind else (follows or leads)
 
+    def contradict(self, time_ns: int) -> bool:
+        """Whether a time is out of order with those that are known: the first and the last have one at most."""
+        if self.before is None:
+            return self.behind is not None and time_ns > self.behind + BACK_STEP_NS
+        if self.behind is None:
+            return time_ns < self.before - BACK_STEP_NS
+        return not self.admit(time_ns)
+
     def _ends(self) -> tuple[int, int]:
         before = self.before if self.before is not None else self.behind or 0
         return before, self.behind if self.behind is not None else before
@@ -126,7 +134,7 @@ def is_several(data: memoryview, span: tuple[int, int], heads: IntArray, ids: Id
     start, end = span
     is_doubtful = data[start + 2] in ids.doubtful
     own_ns = stated_ns(data, start, ids)
-    if not is_doubtful and (own_ns is None or near.admit(own_ns)):
+    if not is_doubtful and (own_ns is None or not near.contradict(own_ns)):
         return False
     for at in heads.tolist():
         inner = list(_chain(data, at, end, ids))

@@ -206,6 +206,20 @@ def test_headers_inside_sound_messages_neither_cost_nor_invent_a_row() -> None:
     assert (outcome.trials, outcome.failures) == (40, [])
 
 
+@pytest.mark.parametrize("at", [0, 1])
+def test_a_first_and_a_last_message_far_from_the_others_hide_nothing(at: int) -> None:
+    blob = define(128, *TYPES[128]) + define(20, "ATT", "QB", "TimeUS,Roll")
+    blob += define(21, "TWO", "QIQB", "TimeUS,A,B,C")  # ends as an ATT would
+    far_us = (2_000_000, 9_000_000)[at]
+    inner = struct.pack("<QB", 5_000_000, 7)
+    outer = b"\xa3\x95" + bytes([21]) + struct.pack("<Q", far_us) + b"\0" + b"\xa3\x95" + bytes([20]) + inner
+    messages = [message(20, "QB", 5_000_000 + 100_000 * i, i) for i in range(20)]
+    messages.insert((0, 20)[at], outer)
+    flight = read(blob + b"".join(messages))
+    assert {s: t.num_rows for s, t in flight.tables.items()} == {"ATT": 20, "TWO": 1, "FMT": 3}
+    assert not flight.damage.lossy
+
+
 @pytest.mark.parametrize(("time_us", "is_believed"), [(10**15, False), (5_400_000, True)])
 def test_messages_inside_another_count_where_its_time_is_impossible(time_us: int, is_believed: bool) -> None:
     blob = define(128, *TYPES[128]) + define(20, "ATT", "QB", "TimeUS,Roll")
