@@ -13,6 +13,7 @@ from flysid.cli.lakeoptions import LakeOptions, check_pattern, lake_options
 from flysid.cli.losses import report
 from flysid.cli.output import ExitCode, printable, say, say_passed_over
 from flysid.cli.source import format_option, time_unit_option
+from flysid.showing import counted
 
 if TYPE_CHECKING:
     from flysid.ingest.lake.batch import Result
@@ -121,8 +122,8 @@ def describe(result: Result) -> str:
         return f"{name}: unchanged"
     flight = result.flight
     return (
-        f"{name}: {flight.format}, {flight.rows:,} records in {len(flight.streams)} streams, "
-        f"{flight.duration_s:.1f} s"
+        f"{name}: {flight.format}, {counted(flight.rows, 'record')} in "
+        f"{counted(len(flight.streams), 'stream')}, {flight.duration_s:.1f} s"
     )
 
 

@@ -121,8 +121,8 @@ def describe(outcome: LogOutcome) -> str:
     facts = outcome.facts
     if outcome.status == "ingested" and facts is not None:
         return (
-            f"{outcome.log.name}: {facts.format}, {facts.rows:,} records in {len(facts.streams)} streams, "
-            f"{facts.duration_s:.1f} s"
+            f"{outcome.log.name}: {facts.format}, {counted(facts.rows, 'record')} in "
+            f"{counted(len(facts.streams), 'stream')}, {facts.duration_s:.1f} s"
         )
     said = {"quarantined": "in quarantine: ", "duplicate": "a duplicate of ", "waiting": "not done: "}
     return f"{outcome.log.name}: {said.get(outcome.status, outcome.status)}{outcome.reason}"
@@ -135,7 +135,7 @@ def summarise(found: Sorted, outcomes: Sequence[LogOutcome], quiet: bool) -> Non
     words = {
         "ingested": "ingested",
         "unchanged": "there already",
-        "duplicate": "duplicates",
+        "duplicate": "already there under another name",
         "quarantined": "in quarantine",
         "waiting": "not done",
     }

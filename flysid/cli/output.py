@@ -58,7 +58,8 @@ def say_passed_over(files: Sequence[PassedOver], quiet: bool) -> None:
     for file in files:
         kinds.setdefault(file.kind, []).append(file.path.name)
     told = [f"{kind} ({len(names)}): {first_of(names, NAMES_SHOWN)}" for kind, names in kinds.items()]
-    say(f"ignored {counted(len(files), 'file')} that are not logs: {'; '.join(told)}", quiet)
+    what = "not a log" if len(files) == 1 else "not logs"
+    say(f"ignored {counted(len(files), 'file')}, {what}: {'; '.join(told)}", quiet)
 
 
 def duration(seconds: float) -> str:

@@ -133,7 +133,7 @@ def finish(recording: Recording, quiet: bool) -> int:
     if dropped:
         say(f"this host dropped {counted(dropped, 'datagram')}: see {parts.paths[-1]}.json")
     if parts.refusal:
-        say(f"{parts.refusal}: {counted(parts.unwritten_frames, 'frame')} were received but not written")
+        say(f"{parts.refusal}: {counted(parts.unwritten_frames, 'frame')} received, not written")
         return ExitCode.DISK_REFUSED
     return ExitCode.LOSSES if dropped else 0
 
@@ -147,6 +147,6 @@ def told(peer: dict[str, Any]) -> list[str]:
         sender = f"system {row['system']}, component {row['component']}"
         lines.append(f"{sender}: {counted(row['frames'], 'frame')}, lost by the link: {share}")
     if peer["bytes_that_are_no_frame"]:
-        lines.append(f"{counted(peer['bytes_that_are_no_frame'], 'byte')} belong to no frame")
+        lines.append(f"{counted(peer['bytes_that_are_no_frame'], 'byte')} of no frame")
     lines += [f"refused, {reason}: {counted(n, 'frame')}" for reason, n in peer["refused"].items()]
     return lines

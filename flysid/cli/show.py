@@ -179,7 +179,7 @@ def flight_text(manifest: Manifest, modes: Sequence[str] = ()) -> str:
     source = manifest.source
     facts = [
         ("flight", manifest.id),
-        ("log", f"{source.name} ({source.format}, {source.size_bytes:,} bytes)"),
+        ("log", f"{source.name} ({source.format}, {counted(source.size_bytes, 'byte')})"),
         ("sha256", source.sha256),
         ("duration", f"{clock_text(manifest.duration_s)} in {counted(len(manifest.clocks), 'boot')}"),
     ]
@@ -188,7 +188,7 @@ def flight_text(manifest: Manifest, modes: Sequence[str] = ()) -> str:
     facts += [(k, v) for k, v in sorted(manifest.info.items()) if v]
     facts += [("lost", line) for line in losses(manifest.damage)]
     facts += [
-        ("gaps", f"{count:,} messages of {name} never arrived")
+        ("gaps", f"{counted(count, 'message')} of {name} never arrived")
         for name, count in sorted(manifest.damage.sequence_gaps.items())
     ]
     rows = [("STREAM", "ROWS", "RATE", "COLUMNS", "TIME FROM")]
@@ -243,7 +243,7 @@ def stream_text(log: StoredLog, entry: StreamEntry, count: int) -> str:
         scale = "" if c.scale == 1.0 else f"{c.scale:g}"
         missing = f"{found.missing:,}" if found.missing else ""
         columns.append((c.name, c.type, c.unit, scale, *numbers, missing, names))
-    title = f"{printable(entry.stream)}: {entry.rows:,} rows, {rate_text(entry.rate_hz)}"
+    title = f"{printable(entry.stream)}: {counted(entry.rows, 'row')}, {rate_text(entry.rate_hz)}"
     first = [tuple(c.name for c in entry.columns)]
     first += [tuple(str(value)[:24] for value in row.values()) for row in table.slice(0, count).to_pylist()]
     return "\n".join([title, "", *aligned(columns), "", *aligned(first)])
