@@ -10,6 +10,7 @@ from flysid.dataset import FloatArray
 from flysid.model.arguments import as_record
 from flysid.model.base import Rule
 from flysid.model.capabilities import LinearModel
+from flysid.model.freerun import saturated
 
 
 def predicted(
@@ -31,7 +32,11 @@ def predicted(
     first = model.n_init + k - 1
     out = np.full(y.shape, np.nan)
     if len(y) > first:
-        out[first:] = ahead(u, y, k)[first:]
+        found = ahead(u, y, k)[first:]
+        is_finite = np.isfinite(found)
+        if not is_finite.all():  # a forged model, or one far outside its data
+            found = np.where(is_finite, found, saturated(found, model.output_limits))
+        out[first:] = found
     return out
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from flysid.errors import StoreError
@@ -67,6 +68,18 @@ def test_a_state_space_whose_predictor_runs_away_is_refused(tmp_path: Path, fact
     (tmp_path / "m.json").write_text(json.dumps(document))
     with pytest.raises(StoreError, match="its predictor is not stable"):
         load(tmp_path / "m.json")
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_a_state_space_whose_numbers_overflow_predicts_finite_numbers(tmp_path: Path) -> None:
+    document = forged(TS.with_name("statespace.json"), ("gains", 1, 0, 0), 1e308)
+    (tmp_path / "m.json").write_text(json.dumps(document))
+    model = load(tmp_path / "m.json")
+    rng = np.random.default_rng(4)
+    u = 10.0 * rng.standard_normal((200, len(model.inputs)))
+    y = model.output_limits.mean(axis=0) + 10.0 * rng.standard_normal((200, len(model.outputs)))
+    assert np.isfinite(model.predict(u, y)[model.n_init :]).all()
+    assert np.isfinite(model.simulate(u, y[: model.n_init])).all()
 
 
 def forged(path: Path, spot: tuple[str | int, ...], value: object) -> object:
