@@ -45,6 +45,12 @@ def records(blob: bytes) -> list[Record]:
     return found
 
 
+def left_of(piece: bytes) -> tuple[int, bool]:
+    """A line without its end is whole where its brackets are closed."""
+    is_whole = piece.endswith(b"}}")
+    return int(is_whole), is_whole
+
+
 def at_risk(blob: bytes, byte: int) -> int:
     """A line; a damaged line end joins two."""
     return 2 if byte == record_at(records(blob), byte).end - 1 else 1

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 from flysid.ingest.formats.base import release
@@ -14,31 +14,33 @@ class LineBatch:
 
     Attributes
     ----------
-    start : of `data` in the file.
+    start, end : of the lines in the file.
     data : lines with their ends; empty where the batch holds no line's end.
-    stop : of the batch; the bytes from the end of `data` on are lost.
+    stop : of the batch; the bytes from `end` on are lost.
     fault : why they are; "" where there are none.
     is_cut : the file ends inside a line.
     """
 
     start: int
+    end: int
     data: bytes
     stop: int
     fault: str = ""
     is_cut: bool = False
 
-    @property
-    def end(self) -> int:
-        """Of the last whole line in the file."""
-        return self.start + len(self.data)
+
+Ending = Callable[[bytes, bytes], bytes]
 
 
-def whole_lines(view: memoryview, start: int, size: int, longest: int) -> Iterator[LineBatch]:
+def whole_lines(
+    view: memoryview, start: int, size: int, longest: int, ending: Ending | None = None
+) -> Iterator[LineBatch]:
     """The lines from `start` on, in batches of about `size` bytes; pages of the file are released behind.
 
     Parameters
     ----------
     longest : bytes of a batch that holds no line's end in `size` bytes.
+    ending : of a last line without its end, and the lines before it: the line to read instead; b"" for none.
     """
     while start < len(view):
         data = bytes(view[start : start + size])
@@ -47,11 +49,16 @@ def whole_lines(view: memoryview, start: int, size: int, longest: int) -> Iterat
         end = data.rfind(b"\n") + 1
         stop = start + len(data)
         if stop == len(view) and end < len(data):
-            yield LineBatch(start, data[:end], stop, "the last line has no end", is_cut=True)
+            last = ending(data[end:], data[:end]) if ending is not None else b""
+            if last:
+                yield LineBatch(start, stop, data[:end] + last, stop)
+            else:
+                fault = "the last line has no end"
+                yield LineBatch(start, start + end, data[:end], stop, fault, is_cut=True)
         elif end == 0:
-            yield LineBatch(start, b"", stop, "a line without an end")
+            yield LineBatch(start, start, b"", stop, "a line without an end")
         else:
             stop = start + end
-            yield LineBatch(start, data[:end], stop)
+            yield LineBatch(start, stop, data[:end], stop)
         release(view, start, stop)
         start = stop

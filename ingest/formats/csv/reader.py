@@ -2,8 +2,9 @@
 
 One line a row, one stream called `table`; what its columns are says `layouts`. A column of numbers becomes
 float64, null where a cell is empty or says "nan", and null and counted where it is no number. A line with
-another number of cells, or without a time that fits its neighbours, is skipped and counted; so is a last line
-without its end, since nothing shows that it is whole. Quotes may enclose separators, not line ends.
+another number of cells, or without a time that fits its neighbours, is skipped and counted. Of a last line
+without its end the last cell is read where its shape shows that it is whole (`endings`); else it is null and
+counted. Quotes may enclose separators, not line ends.
 
 A batch of sound lines is parsed by Arrow at once; only where it balks are lines taken apart (`cells`).
 """
@@ -11,6 +12,7 @@ A batch of sound lines is parsed by Arrow at once; only where it balks are lines
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 import pyarrow as pa
@@ -34,6 +36,7 @@ from flysid.ingest.formats.csv.cells import (
     stamps,
     stated_times,
 )
+from flysid.ingest.formats.csv.endings import last_line
 from flysid.ingest.formats.csv.layouts import (
     MISSING,
     Column,
@@ -79,7 +82,8 @@ def read(view: memoryview, name: str, limits: Limits) -> Parts:
     layout = _with_time_unit(layout, view, name, limits.time_unit)
     reader = _Reader(layout, _schema(layout))
     _preamble(reader, bytes(view[: layout.start]))
-    for lines in whole_lines(view, layout.start, min(limits.batch_bytes, BATCH_BYTES), MAX_LINE_BYTES):
+    size = min(limits.batch_bytes, BATCH_BYTES)
+    for lines in whole_lines(view, layout.start, size, MAX_LINE_BYTES, partial(_ending, reader)):
         if lines.data:
             part = _part(reader, lines.data, lines.start)
             if part.num_rows:
@@ -213,6 +217,18 @@ def _picked(reader: _Reader, data: bytes, base: int) -> tuple[list[pa.Array], In
     time_ns = time_ns[fits]
     _count_skipped(reader, lines, untimely, base)
     return [_counted_column(reader, lines, rows, i) for i in range(len(reader.layout.columns))], time_ns
+
+
+def _ending(reader: _Reader, line: bytes, before: bytes) -> bytes:
+    """A last line without its end as one that has it; without its last cell where that may be cut."""
+    layout = reader.layout
+    others = before.splitlines()
+    found, is_whole = last_line(line, others, layout.separator, len(layout.columns))
+    if found and not is_whole:
+        reader.tally.truncated = True
+        name = f"{STREAM}.{layout.columns[-1].name}"
+        reader.tally.undecode(name, 1, "the file ends in it, without a line's end: it may be cut")
+    return found
 
 
 def _count_skipped(reader: _Reader, lines: Lines, untimely: set[int], base: int) -> None:

@@ -72,7 +72,7 @@ class Neighbours:
         return (follows and leads) if before <= behind else (follows or leads)
 
     def contradict(self, time_ns: int) -> bool:
-        """Whether a time is out of order with those that are known: the first and the last have one at most."""
+        """Whether a time is out of order with those that are known: at a log's ends only one is."""
         if self.before is None:
             return self.behind is not None and time_ns > self.behind + BACK_STEP_NS
         if self.behind is None:

@@ -4,7 +4,8 @@
 
 Messages that the MAVLink dialect knows get its types, units and enumerations; those of DataFlash get the
 types that its FMT lines state. The sender stands in a line only where `--show-source` was asked for. Vehicle
-time is made as for a .tlog. A line that is no such object, or that does not fit its message, is counted.
+time is made as for a .tlog. A line that is no such object, or that does not fit its message, is counted. A
+last line needs no end: its brackets show that it is whole.
 """
 
 from __future__ import annotations
@@ -79,7 +80,7 @@ def read(view: memoryview, name: str, limits: Limits) -> Parts:
     """Parts of a log; see `Format.read`."""
     reader = _Reader()
     count = 0
-    for lines in whole_lines(view, 0, limits.batch_bytes, MAX_LINE_BYTES):
+    for lines in whole_lines(view, 0, limits.batch_bytes, MAX_LINE_BYTES, _ending):
         messages = list(_messages(reader, lines.data, lines.start))
         count += len(messages)
         yield from _parts(reader, messages)
@@ -114,6 +115,11 @@ def _messages(reader: _Reader, data: bytes, base: int) -> Iterator[_Message]:
             reader.tally.skip(sound_to, at, "no message")
             sound_to = at
             reader.lost_to = at
+
+
+def _ending(line: bytes, before: bytes) -> bytes:  # noqa: ARG001
+    """A last line without its end, where it is whole: an object ends with a bracket of its own."""
+    return line if _message_of(line) is not None else b""
 
 
 def _message_of(line: bytes) -> _Message | None:

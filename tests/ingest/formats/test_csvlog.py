@@ -389,3 +389,28 @@ def test_late_rows_are_counted_across_batches() -> None:
     order = [i ^ (i % 10 < 2) for i in range(400)]
     blob = ("time_s,x\n" + "".join(f"{i / 10},{i}\n" for i in order)).encode()
     assert read(blob, batch_bytes=150).damage.out_of_order == {"table": 40}
+
+
+@pytest.mark.parametrize(
+    ("ends", "last"),
+    [
+        ([f"{0.5 * i:.3f}" for i in range(20)], 9.5),  # as many decimals as all others: whole
+        ([f"{0.5 * i:.3f}" for i in range(19)] + ["9.5"], None),  # may be 9.500
+        ([f"{0.125 * i}" for i in range(20)], None),  # 2.375 may be 2.3751
+        ([str(i % 2) for i in range(20)], 1.0),  # all of one character
+        ([str(i) for i in range(20)], None),  # 19 may be 190
+        ([f'"{i}"' for i in range(20)], 19.0),
+        ([f"{0.5 * i:.3f}" for i in range(19)] + [""], None),
+    ],
+)
+def test_a_last_row_without_a_line_end_is_read_as_far_as_it_is_surely_whole(
+    ends: list[str], last: float | None
+) -> None:
+    text = "\n".join(["time_s,a,b", *(f"{0.1 * i:.2f},{i},{end}" for i, end in enumerate(ends))])
+    flight = read(text.encode())
+    table = flight["table"]
+    assert table["a"].to_pylist() == list(range(20))
+    assert table["b"].to_pylist()[-1] == last
+    assert flight.damage.lossy == flight.damage.truncated == (last is None)
+    with_end = read(text.encode() + b"\r")
+    assert not with_end.damage.lossy

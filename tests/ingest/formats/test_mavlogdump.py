@@ -109,3 +109,15 @@ def test_what_does_not_fit_its_message_is_counted() -> None:
     assert flight.rows == len(lines) - 2
     assert flight.damage.undecoded == {"1.1/ATTITUDE.yaw": 1, "1.1/ATTITUDE.pytch": 1, "BAD_DATA": 1}
     assert flight.damage.bytes_skipped == len(lines[7])
+
+
+def test_a_last_line_without_its_end_is_whole_where_its_brackets_are_closed() -> None:
+    from tests.samplelogs import mavlogdump as sample
+
+    blob = sample.build()
+    whole = read(blob)
+    without = read(blob[:-1])
+    cut = read(blob[:-2])
+    assert (without.rows, cut.rows) == (whole.rows, whole.rows - 1)
+    assert not without.damage.lossy
+    assert cut.damage.truncated
