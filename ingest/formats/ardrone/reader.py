@@ -358,15 +358,16 @@ def read(view: memoryview, name: str, limits: Limits) -> Parts:
         yield part
     if not rows_seen:
         raise FormatError("no navdata packet with a valid checksum", path=name, byte=0)
-    return Summary(decoder.tally.freeze(), _clocks(decoder), _about(capture))
+    return Summary(decoder.tally.freeze(), _clocks(decoder), _about(capture, decoder.tally))
 
 
 def _clocks(decoder: Decoder) -> tuple[ClockMap, ...]:
     return decoder.utc.clocks()
 
 
-def _about(capture: bool) -> Mapping[str, str]:
-    return {"autopilot": "ardrone", "source": "pcap" if capture else "navdata"}
+def _about(capture: bool, tally: Tally) -> Mapping[str, str]:
+    seen = {"captured_twice": str(tally.repeats)} if tally.repeats else {}
+    return {"autopilot": "ardrone", "source": "pcap" if capture else "navdata", **seen}
 
 
 def sniff(head: bytes, name: str) -> float:  # noqa: ARG001

@@ -11,6 +11,8 @@ from enum import IntEnum
 from itertools import islice
 
 MAX_PENDING = 64
+MAX_BYTES = 65_535  # of a datagram
+WAIT_NS = 60 * 10**9  # for a missing fragment (RFC 8200, section 4.5)
 V4_BYTES = 20
 V6_BYTES = 40
 
@@ -38,6 +40,7 @@ class IpPacket:
     body : what is carried, or a part of it.
     offset, more : of a fragment, where its body belongs, and whether others follow.
     number : of the datagram that a fragment is of; b"" where the packet is whole.
+    identity : what its sender numbers packets with, whole ones too; b"" where it does not.
     """
 
     protocol: int
@@ -46,10 +49,11 @@ class IpPacket:
     offset: int = 0
     more: bool = False
     number: bytes = b""
+    identity: bytes = b""
 
 
 class HeaderError(ValueError):
-    """An IP header that is cut or whose checksum is wrong."""
+    """A header that is cut, whose checksum or length is wrong, or fragments that overlap."""
 
 
 def ip_packet(frame: bytes, start: int) -> IpPacket | None:
@@ -67,15 +71,19 @@ def _version_4(frame: bytes, start: int) -> IpPacket:
     if not _is_sound(frame[start : start + size], size):
         raise HeaderError("the checksum of the IP header is wrong")
     total = int.from_bytes(frame[start + 2 : start + 4], "big") or len(frame) - start  # 0: cut by the card
+    if total < size:
+        raise HeaderError("the length of the IP packet is less than its header")
     flags = int.from_bytes(frame[start + 6 : start + 8], "big")
     is_part = flags & 0x3FFF  # more to come, or not the first
+    number = frame[start + 4 : start + 6]
     return IpPacket(
         frame[start + 9],
         frame[start + 12 : start + 20],
         frame[start + size : start + total],
         (flags & 0x1FFF) * 8,
         bool(flags & 0x2000),
-        frame[start + 4 : start + 6] if is_part else b"",
+        number if is_part else b"",
+        number if any(number) else b"",
     )
 
 
@@ -114,12 +122,20 @@ def _version_6(frame: bytes, start: int) -> IpPacket:
 
 @dataclass
 class _Pending:
-    """A datagram of which fragments are missing: their bytes by offset, its whole size once known."""
+    """A datagram of which fragments are missing: their bytes by offset, and its whole size once known."""
 
     first: IpPacket
     place: tuple[int, int]
     parts: dict[int, bytes] = field(default_factory=dict)
     total: int = -1
+    size: int = 0
+
+    def take(self, packet: IpPacket) -> None:
+        """Another fragment; of two with one offset the last."""
+        self.size += len(packet.body) - len(self.parts.get(packet.offset, b""))
+        self.parts[packet.offset] = packet.body
+        if not packet.more:
+            self.total = packet.offset + len(packet.body)
 
 
 @dataclass
@@ -127,19 +143,31 @@ class Fragments:
     """Puts datagrams together, a bounded number at a time."""
 
     _pending: dict[bytes, _Pending] = field(default_factory=dict)
+    _left: list[_Pending] = field(default_factory=list)
 
     def add(self, packet: IpPacket, place: tuple[int, int]) -> tuple[IpPacket, tuple[int, int]] | None:
-        """The whole datagram and its first place, once its last missing piece has come."""
+        """The whole datagram and its first place, once its last missing piece has come.
+
+        Raises HeaderError where fragments overlap: which of them is right cannot be known.
+        """
         key = bytes([packet.protocol]) + packet.hosts + packet.number
-        held = self._pending.setdefault(key, _Pending(packet, place))
-        held.parts[packet.offset] = packet.body
-        if not packet.more:
-            held.total = packet.offset + len(packet.body)
-        if held.total != sum(map(len, held.parts.values())):
+        held = self._pending.get(key)
+        if held is not None and place[1] - held.place[1] > WAIT_NS:
+            self._left.append(self._pending.pop(key))  # numbers are used again
+            held = None
+        if held is None:
+            held = self._pending[key] = _Pending(packet, place)
+        held.take(packet)
+        if held.size > MAX_BYTES:
+            del self._pending[key]
+            raise HeaderError("its fragments overlap")
+        if held.size != held.total:
             return None
         del self._pending[key]
-        body = b"".join(held.parts[offset] for offset in sorted(held.parts))
-        return IpPacket(packet.protocol, packet.hosts, body), held.place
+        body = _beginning(held.parts)
+        if len(body) != held.total:
+            raise HeaderError("its fragments overlap")
+        return IpPacket(packet.protocol, packet.hosts, body, identity=packet.number), held.place
 
     def given_up(self, most: int = MAX_PENDING) -> list[tuple[IpPacket, tuple[int, int]]]:
         """The beginnings of datagrams that cannot be completed: all but the `most` that came last.
@@ -147,17 +175,17 @@ class Fragments:
         Without its first fragment nothing tells whose a datagram was.
         """
         old = list(islice(self._pending, max(len(self._pending) - most, 0)))
-        found = []
-        for held in map(self._pending.pop, old):
-            if 0 in held.parts:
-                body = _beginning(held.parts)
-                found.append((IpPacket(held.first.protocol, held.first.hosts, body), held.place))
-        return found
+        given, self._left = [*self._left, *map(self._pending.pop, old)], []
+        return [
+            (IpPacket(held.first.protocol, held.first.hosts, _beginning(held.parts)), held.place)
+            for held in given
+            if 0 in held.parts
+        ]
 
 
 def _beginning(parts: dict[int, bytes]) -> bytes:
     """The bytes from the first on that are known without a gap."""
-    body = b""
+    body = bytearray()
     while len(body) in parts and parts[len(body)]:
         body += parts[len(body)]
-    return body
+    return bytes(body)

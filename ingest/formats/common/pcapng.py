@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import IntEnum
 
 from flysid.ingest.formats.base import release
@@ -23,6 +23,7 @@ ORDERS = {b"\x4d\x3c\x2b\x1a": "<", b"\x1a\x2b\x3c\x4d": ">"}
 MAGIC = b"\x0a\x0d\x0d\x0a"
 LEAST_BLOCK = 12
 MOST_BLOCK = 16 << 20
+MAX_NS = 1 << 62  # in the year 2116
 
 
 class InterfaceOption(IntEnum):
@@ -73,9 +74,16 @@ def packets(view: memoryview, tally: Tally) -> Iterator[Packet]:
             section = _Section(ORDERS[bytes(view[at + 8 : at + 12])])
         elif kind == BlockKind.INTERFACE and end - at >= 20:
             section.interfaces.append(_interface(view, (at + 8, end - 4), section.order))
-        elif (found := _packet(view, (at, end), kind, section, last_ns)) is not None:
-            last_ns = found.time_ns
-            yield found
+        elif kind in (BlockKind.SIMPLE, BlockKind.PACKET, BlockKind.OBSOLETE):
+            found = _packet(view, (at, end), kind, section, last_ns)
+            if found is None:
+                tally.skip(at, end, "a packet that does not fit its block, or of no interface")
+            elif found.time_ns < MAX_NS:
+                last_ns = found.time_ns
+                yield found
+            else:
+                tally.time_outliers["capture"] += 1
+                yield replace(found, time_ns=last_ns)
         at = end
 
 
@@ -129,11 +137,12 @@ def _interface(view: memoryview, body: tuple[int, int], order: str) -> tuple[int
 def _packet(
     view: memoryview, span: tuple[int, int], kind: int, section: _Section, last_ns: int
 ) -> Packet | None:
-    """The packet in a block; None where it holds none, or of an interface that nothing describes."""
+    """The packet in a block; None where it does not fit, or is of an interface that nothing describes."""
     at, end = span
-    if kind == BlockKind.SIMPLE and section.interfaces:
-        return Packet(at, last_ns, section.interfaces[0][0], at + 12, end - 4)
-    if kind not in (BlockKind.PACKET, BlockKind.OBSOLETE) or end - at < 32:
+    if kind == BlockKind.SIMPLE:
+        link = section.interfaces[0][0] if section.interfaces else None
+        return None if link is None else Packet(at, last_ns, link, at + 12, end - 4)
+    if end - at < 32:
         return None
     number, high, low, captured = struct.unpack_from(section.order + "4I", view, at + 8)
     if kind == BlockKind.OBSOLETE:
@@ -142,4 +151,4 @@ def _packet(
         return None
     link, ticks, offset_s = section.interfaces[number]
     time_ns = (high << 32 | low) * 10**9 // ticks + offset_s * 10**9
-    return Packet(at, time_ns, link, at + 28, at + 28 + captured)
+    return Packet(at, time_ns if time_ns >= 0 else MAX_NS, link, at + 28, at + 28 + captured)

@@ -24,6 +24,7 @@ class Tally:
         self._reasons: dict[str, str] = {}
         self.bad_checksums = 0
         self.truncated = False
+        self.repeats = 0  # what a capture saw twice: nothing that was lost
         self.time_outliers: Counter[str] = Counter()
         self.sequence_gaps: Counter[str] = Counter()
         self.dropouts: Counter[str] = Counter()

@@ -2,7 +2,7 @@
 
 What other programs sent is passed over: a flow (from one address and port to another) carries MAVLink once a
 whole payload is frames from end to end and the first one's checksum holds. A frame's arrival is that of the
-packet in which it ends. The same message sent to two receivers is there twice, as on the network.
+packet in which it ends. What was captured twice, or sent again, is read once and counted.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ from flysid.ingest.formats.mavlink.frames import Frames, Scanner, is_checked, re
 LONGEST_FRAME = 280 + 13
 SEQUENCES = 1 << 32
 MAX_EARLY = 64  # segments that wait for one ahead of them
+MAX_STREAMS = 1024  # of those that spoke last
 
 
 @dataclass
@@ -40,6 +41,11 @@ class _Stream:
     expected: int
     waiting: bytes = b""
     early: dict[int, Payload] = field(default_factory=dict)
+
+    def knows(self, found: Payload) -> bool:
+        """Whether all of a segment was there before."""
+        ends = ((found.sequence or 0) + len(found.content) - self.expected) % SEQUENCES
+        return ends == 0 or ends >= SEQUENCES // 2 or (found.sequence or 0) in self.early
 
     def in_order(self, found: Payload) -> Iterator[Payload]:
         """The segments that can be read now: what was sent before is passed over, what came early waits."""
@@ -131,8 +137,15 @@ class Capture:
         for found in payloads(view, self.tally):
             if found.sequence is None:
                 yield found
-            else:
-                yield from self._streams.setdefault(found.flow, _Stream(found.sequence)).in_order(found)
+                continue
+            stream = self._streams.pop(found.flow, None) or _Stream(found.sequence)
+            self._streams[found.flow] = stream  # the last that spoke
+            self.tally.repeats += stream.knows(found)
+            yield from stream.in_order(found)
+            if len(self._streams) > MAX_STREAMS:
+                flow, silent = next(iter(self._streams.items()))
+                yield from silent.rest()
+                del self._streams[flow]
         for stream in self._streams.values():
             yield from stream.rest()
 
@@ -188,6 +201,7 @@ class Capture:
             region_count=damage.region_count + own.region_count,
             truncated=own.truncated,
             undecoded={**damage.undecoded, **own.undecoded},
+            time_outliers={**damage.time_outliers, **own.time_outliers},
             reasons={**damage.reasons, **own.reasons},
         )
 

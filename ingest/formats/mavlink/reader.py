@@ -126,7 +126,8 @@ def _read_capture(view: memoryview, name: str, limits: Limits) -> Parts:
             hint="unencrypted UDP and TCP are read, over Ethernet, raw IP, loopback or Linux cooked capture",
         )
     summary = _summary(reader)
-    return replace(summary, damage=capture.located(summary.damage))
+    seen = {"captured_twice": str(capture.tally.repeats)} if capture.tally.repeats else {}
+    return replace(summary, damage=capture.located(summary.damage), info={**summary.info, **seen})
 
 
 def frame_batches(view: memoryview, limits: Limits) -> Iterator[tuple[Frames, Dialect, int]]:

@@ -312,3 +312,114 @@ def test_no_damage_to_a_capture_crashes_the_reader(edits: list[tuple[float, byte
         blob[at : at + len(content)] = content
     with suppress(FormatError):
         read(bytes(blob))
+
+
+def seen_by_any(packets: list[Packet], delay_ns: int, *, changed: Callable[[bytes], bytes] = bytes) -> bytes:
+    """What the device "any" of Linux sees of packets that pass through: in, and a little later out."""
+    cooked = []
+    for time_ns, data in packets:
+        for kind, at_ns, seen in ((0, time_ns, data), (4, time_ns + delay_ns, changed(data))):
+            head = struct.pack(">HHH8s", kind, 1, 6, bytes(8))
+            cooked.append((at_ns, head + seen[12:]))
+    return pcap(sorted(cooked, key=lambda packet: packet[0]), link=113)
+
+
+def numbered(packets: list[Packet], first: int = 1) -> list[Packet]:
+    """The packets with numbers of their own, as their sender gives them."""
+    return [(t, d[:18] + struct.pack(">H", first + i) + d[20:]) for i, (t, d) in enumerate(packets)]
+
+
+def one_hop_on(frame: bytes) -> bytes:
+    """As forwarded: another count of hops, and an address that was translated."""
+    return frame[:22] + b"\x3f" + frame[23:26] + b"\xc0\xa8\x07\x01" + frame[30:]
+
+
+@pytest.mark.parametrize("carry", [over_udp, over_tcp])
+@pytest.mark.parametrize("delay_ns", [0, 40_000, 3_000_000])
+def test_what_a_capture_on_all_interfaces_sees_twice_is_read_once(
+    carry: Callable[[list[bytes]], list[Packet]], delay_ns: int
+) -> None:
+    packets = numbered(carry(flying(sender(), 200)))
+    once = read(pcap(packets))
+    twice = read(seen_by_any(packets, delay_ns))
+    assert twice["ATTITUDE"].num_rows == once["ATTITUDE"].num_rows == 200
+    assert int(twice.info["captured_twice"]) >= int(once.info.get("captured_twice", 0)) + 60
+    assert not twice.damage.lossy
+    assert twice.damage.sequence_gaps == once.damage.sequence_gaps
+
+
+def test_a_datagram_that_is_forwarded_with_another_address_is_the_same_one() -> None:
+    packets = numbered(over_udp(flying(sender(), 200)))
+    flight = read(seen_by_any(packets, 50_000, changed=one_hop_on))
+    assert flight["ATTITUDE"].num_rows == 200
+    assert not flight.damage.lossy
+
+
+def test_genuine_repeats_stay() -> None:
+    frames = flying(sender(), 40)
+    packets = [(START_NS + 20 * 10**6 * i, udp(frames[i])) for i in range(40)]
+    again = [(t + 5 * 10**6, d) for t, d in packets]  # sent again: another packet of the same flow
+    late = [(t + 11 * 10**6, d) for t, d in packets]  # later than the numbers can come round
+    for second in (numbered(again, 1000), numbered(late)):
+        both = sorted([*numbered(packets), *second], key=lambda packet: packet[0])
+        flight = read(pcap(both))
+        assert flight["ATTITUDE"].num_rows == 80
+        assert "captured_twice" not in flight.info
+
+
+@pytest.mark.parametrize(
+    ("at", "value"),
+    [(16, b"\0\1"), (16, b"\0\x13"), (38, b"\0\0"), (38, b"\0\7"), (14, b"\x40"), (14, b"\x4f")],
+)
+def test_lengths_that_cannot_be_are_counted(at: int, value: bytes) -> None:
+    packets = over_udp(flying(sender(), 100))
+    time_ns, data = packets[20]
+    packets[20] = (time_ns, data[:at] + value + data[at + len(value) :])
+    flight = read(pcap(packets))
+    assert flight["ATTITUDE"].num_rows == 98
+    assert flight.damage.undecoded == {"packets": 1}
+
+
+@pytest.mark.parametrize("option", [struct.pack("<2HB3x", 9, 1, 0), struct.pack("<2Hq", 14, 8, 2**63 - 1)])
+def test_times_of_a_capture_that_cannot_be_are_counted(option: bytes) -> None:
+    packets = over_udp(flying(sender(), 20))
+    blob = pcapng(packets, nano=False)
+    plain = block(1, struct.pack("<2HI", 1, 0, 65535), "<")
+    flight = read(blob.replace(plain, block(1, struct.pack("<2HI", 1, 0, 65535) + option + bytes(4), "<")))
+    assert flight["ATTITUDE"].num_rows == 20
+    assert flight.damage.time_outliers["capture"] == len(packets)
+
+
+def test_a_packet_larger_than_its_block_is_counted() -> None:
+    packets = over_udp(flying(sender(), 100))
+    blob = bytearray(pcapng(packets))
+    at = blob.index(packets[40][1]) - 8
+    blob[at : at + 4] = b"\xff\xff\xff\xff"
+    flight = read(bytes(blob))
+    assert flight["ATTITUDE"].num_rows == 98
+    assert flight.damage.region_count == 1
+
+
+def test_fragments_that_overlap_are_counted_and_cost_nothing_else() -> None:
+    packets = over_udp(flying(sender(), 100))
+    time_ns, data = packets[0]
+    first, last = fragments(data, 7)
+    shifted = (
+        last[:20] + struct.pack(">H", 1) + last[22:-8]
+    )  # begins inside the first one, and ends too early
+    flood = [
+        (time_ns, first[:20] + struct.pack(">H", 0x2000 | i) + first[22:] + bytes(1400)) for i in range(2000)
+    ]
+    for parts in ([(time_ns, first), (time_ns, shifted)], flood):
+        flight = read(pcap([*parts, *packets[1:]]))
+        assert flight["ATTITUDE"].num_rows == 98
+        assert flight.damage.undecoded
+
+
+def test_a_fragment_waits_no_longer_than_its_number_is_its_own() -> None:
+    packets = over_udp(flying(sender(), 100))
+    first, last = fragments(packets[10][1], 7)
+    stale = packets[0][0] - 61 * 10**9, fragments(packets[8][1], 7)[1]
+    parts = [(packets[10][0], first), (packets[10][0], last)]
+    flight = read(pcap([stale, *packets[:10], *parts, *packets[11:]]))
+    assert flight["ATTITUDE"].num_rows == 100
