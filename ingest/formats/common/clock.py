@@ -17,6 +17,7 @@ from flysid.flight import ClockMap
 
 IntArray = npt.NDArray[np.int64]
 BoolArray = npt.NDArray[np.bool_]
+FloatArray = npt.NDArray[np.float64]
 
 SECOND_NS = 1_000_000_000
 UNIX_NS = 10**18
@@ -25,7 +26,6 @@ BACK_STEP_NS = 1 * SECOND_NS
 JUMP_NS = 3600 * SECOND_NS
 LEAP_NS = 10 * SECOND_NS
 SIDE = 3
-MEMORY = 256  # messages that a clock which leapt must be ahead of
 MAX_KNOTS = 1 << 16
 
 
@@ -156,12 +156,16 @@ def split_points(falls: list[Fall], streams: list[Extent]) -> list[int]:
     return splits
 
 
-def leaps(time_ns: IntArray, arrival_ns: IntArray, least_ns: int) -> IntArray:
+def leaps(time_ns: IntArray, arrival_ns: IntArray, least_ns: int, *, memory: int = 256) -> IntArray:
     """Indices i before which a clock leapt ahead of the arrivals by more than `least_ns`.
 
     What the arrivals explain is their step times the rate of this record: replays run up to 27 times as fast.
     Messages may come late, and what was late catches up; but none comes early, so that only a clock that
     leapt is ahead of all that it said before.
+
+    Parameters
+    ----------
+    memory : messages before that it must be ahead of: further back, the rate is not known well enough.
     """
     steps = np.diff(time_ns)
     if not (steps > least_ns).any():
@@ -172,33 +176,70 @@ def leaps(time_ns: IntArray, arrival_ns: IntArray, least_ns: int) -> IntArray:
     ahead = np.append(0.0, np.cumsum(beyond))
     found = np.flatnonzero((steps > least) & (beyond > least)) + 1
     leapt = [
-        ahead[i : i + SIDE].min() - ahead[max(i - MEMORY, 0) : i].max() > beyond[i - 1] / 2 for i in found
+        ahead[i : i + SIDE].min() - ahead[max(i - memory, 0) : i].max() > beyond[i - 1] / 2 for i in found
     ]
     return found[np.array(leapt, dtype=np.bool_)]
 
 
-def _usual_rate(x: IntArray, y: IntArray) -> float:
-    """How fast y rises with x: the median between pairs a twentieth of the record apart.
+def _usual_rate(x: IntArray, y: IntArray, *, parts: int = 20) -> float:
+    """How fast y rises with x: the median between pairs a part of the record apart. 1.0 where x stands still.
 
-    A leap bends one of these in twenty. 1.0 where x stands still.
+    A leap bends one of these in `parts`; the fewer there are, the less does what came late.
     """
-    apart = max(1, len(x) // 20)
+    apart = max(1, len(x) // parts)
     run = (x[apart:] - x[:-apart]).astype(np.float64)
     rise = (y[apart:] - y[:-apart])[run > 0]
     return max(float(np.median(rise / run[run > 0])), 0.0) if len(rise) else 1.0
 
 
-def settings(time_ns: IntArray, utc_ns: IntArray) -> IntArray:
-    """Indices i before which somebody set the clock that says the UTC: it leaps, either way, and stays."""
-    steps = np.diff(utc_ns)
-    if not (np.abs(steps) > LEAP_NS).any():
-        return np.empty(0, np.int64)
-    left = (utc_ns - utc_ns[0]) - _usual_rate(time_ns, utc_ns) * (time_ns - time_ns[0])
-    found = np.flatnonzero(np.abs(np.diff(left)) > LEAP_NS) + 1
-    stays = [
-        abs(np.median(left[i : i + SIDE]) - np.median(left[max(i - SIDE, 0) : i])) > LEAP_NS for i in found
-    ]
-    return found[np.array(stays, dtype=np.bool_)]
+def settings(time_ns: IntArray, utc_ns: IntArray, *, memory: int = 256) -> IntArray:
+    """Indices i before which somebody set the clock that says the UTC: it leaps, either way, and stays.
+
+    Messages may come late, but none comes early: the least delay so far is a floor, which only a clock that
+    is set leaves. One that is set back says times below the floor; one that is set ahead comes no more down
+    to it. A link that delays all messages alike from one moment on looks as the latter does, and is cut like
+    it. A floor that moves by less than a second is left to the fit: links that queue up do as much.
+
+    Parameters
+    ----------
+    memory : messages on either side that must show it, too: what bends slowly is no clock that was set.
+    """
+    left = (utc_ns - utc_ns[0]) - _usual_rate(time_ns, utc_ns, parts=8) * (time_ns - time_ns[0])
+    found: list[int] = []
+    parts = [(0, len(left))]
+    while parts:
+        start, stop = parts.pop()
+        at = _setting_within(left[start:stop], utc_ns[start:stop], memory)
+        if at:
+            found.append(start + at)
+            parts += [(start, start + at), (start + at, stop)]
+    return np.array(sorted(found), dtype=np.int64)
+
+
+def _setting_within(left: FloatArray, utc_ns: IntArray, memory: int) -> int:
+    """Where the floor of these delays moves most; 0 where it does not.
+
+    Behind a clock that was set ahead all places look alike, and so do those before one that was set back:
+    there, the first and the last one are meant. What was held up comes at once: a part that lasts no longer
+    than the floor moves may have been late as a whole, but not by more than links are.
+    """
+    steps = np.diff(left)
+    places = np.flatnonzero(np.abs(steps) > BACK_STEP_NS / 2) + 1
+    places = places[(places >= SIDE) & (places <= len(left) - SIDE)]
+    if not len(places):
+        return 0
+    before = np.minimum.accumulate(left)
+    behind = np.minimum.accumulate(left[::-1])[::-1]
+    moved = behind[places] - before[places - 1]
+    near = np.array([left[i : i + memory].min() - left[max(i - memory, 0) : i].min() for i in places])
+    sizes = np.where(moved * near > 0, np.minimum(np.abs(moved), np.abs(near)), 0.0)
+    lasts = np.where(moved > 0, utc_ns[-1] - utc_ns[places], utc_ns[places - 1] - utc_ns[0])
+    sizes[(lasts <= sizes) & (sizes < LEAP_NS)] = 0.0
+    best = float(sizes.max())
+    if best <= BACK_STEP_NS:
+        return 0
+    alike = places[sizes > best / 2]
+    return int(alike[0] if moved[sizes.argmax()] > 0 else alike[-1])
 
 
 def interpolate(at: IntArray, knots: IntArray, values: IntArray, slope: float) -> IntArray:

@@ -24,7 +24,6 @@ import numpy as np
 from flysid.ingest.formats.common.clock import (
     BACK_STEP_NS,
     LEAP_NS,
-    MEMORY,
     SECOND_NS,
     UNIX_NS,
     BoolArray,
@@ -110,6 +109,7 @@ class VehicleTime:
     ----------
     vehicles : systems known to be vehicles (filled by the reader from heartbeats).
     has_one_clock : every stated time is of one and the same clock, and zero is a time like others.
+    memory : messages of the batch before that a leap at the start of one is judged by.
 
     Attributes
     ----------
@@ -119,6 +119,7 @@ class VehicleTime:
 
     vehicles: set[int] = field(default_factory=set)
     has_one_clock: bool = False
+    memory: int = 256
     main: int | None = None
     outliers: dict[Source, int] = field(default_factory=dict)
     out_of_order: dict[Source, int] = field(default_factory=dict)
@@ -249,7 +250,7 @@ class VehicleTime:
         first_boot = state.boot
         state.boot = state.boot + len(splits)
         if len(rows):
-            state.tail = self._arrival[rows[-MEMORY:]], times[-MEMORY:].copy()
+            state.tail = self._arrival[rows[-self.memory :]], times[-self.memory :].copy()
         whole = frozenset(s.source for s, g in zip(streams, good, strict=True) if s is g)
         return Knots(rows, times, tuple(splits), first_boot, whole)
 
@@ -280,7 +281,7 @@ class VehicleTime:
             return []
         arrival = np.concatenate([state.tail[0], self._arrival[rows]])
         joined = np.concatenate([state.tail[1], times])
-        found = leaps(joined, arrival, BACK_STEP_NS) - len(state.tail[0])
+        found = leaps(joined, arrival, BACK_STEP_NS, memory=self.memory) - len(state.tail[0])
         found = found[found >= 0]
         steps = np.diff(joined)
         for at in found.tolist():

@@ -406,8 +406,8 @@ def _info(reader: _Reader) -> Mapping[str, str]:
             count = len(times) - 1
             more = f", and {'once' if count == 1 else f'{count} times'} more" if count else ""
             notes.append(
-                f"the station's clock was set by {times[0] / SECOND_NS:+,.1f} s in boot {boot}{more}; "
-                "its UTC is that of the longest part"
+                f"the station's clock was set by {times[0] / SECOND_NS:+,.1f} s in boot {boot}{more}, or the "
+                "link was later by as much from then on; the UTC is that of the longest part"
             )
     note = {"clock_note": "; ".join(notes)} if notes else {}
     about = {"dialect": reader.dialect.name, "timestamps": stamps, "clock_system": main}
