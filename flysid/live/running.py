@@ -20,7 +20,7 @@ from flysid.ingest.align.recipe import SignalSpec, Source
 from flysid.ingest.align.signals import angle_between, find_source, gain_of, schema_of
 from flysid.ingest.align.transforms import TRANSFORMS
 from flysid.ingest.align.values import ELEMENT, is_one_of, names_of
-from flysid.ingest.formats.common.columns import texts
+from flysid.ingest.formats.common.arrow_arrays import fixed_text
 from flysid.ingest.formats.common.units import factor
 from flysid.live.decoding import Decoder, Rows
 
@@ -261,5 +261,5 @@ def values_of(records: npt.NDArray[np.void], column: str) -> npt.NDArray[np.gene
     if values.dtype.kind == "S":
         width = values.dtype.itemsize
         plain = np.ascontiguousarray(values).view(np.uint8).reshape(len(values), width)
-        return np.array(texts(plain).to_pylist(), dtype=object)
+        return np.array(fixed_text(plain).to_pylist(), dtype=object)
     return np.asarray(values[:, int(match[2])] if match else values)

@@ -13,7 +13,7 @@ import numpy as np
 import pyarrow as pa
 
 from flysid.flight import BOOT, RECEIVED, TIME
-from flysid.ingest.formats.common.gather import Bytes, Index, Values, as_bytes
+from flysid.ingest.formats.common.gather import Bytes, Index, Values
 
 ARROW_TYPES: Mapping[str, pa.DataType] = {
     "b1": pa.bool_(),
@@ -96,9 +96,11 @@ def fixed_text(values: Values) -> pa.Array:
 
 def strings(values: Iterable[str]) -> pa.Array:
     """Python strings; lone surrogates become "?"."""
-    encoded = [v.encode("utf-8", "replace") for v in values]
-    sizes = np.array([len(v) for v in encoded], dtype=np.int64)
-    return text(as_bytes(b"".join(encoded)), sizes)
+    whole = list(values)
+    try:
+        return pa.array(whole, pa.string())
+    except UnicodeEncodeError:
+        return pa.array([v.encode("utf-8", "replace").decode() for v in whole], pa.string())
 
 
 def blobs(values: Sequence[bytes]) -> pa.Array:

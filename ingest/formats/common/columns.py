@@ -1,8 +1,8 @@
-"""Records of one kind -> Arrow columns, vectorised.
+"""Records of one kind -> Arrow tables, vectorised.
 
-The records of one message are gathered into an (n, size) byte matrix, viewed as a packed little-endian
-dtype, and each field is copied once into a contiguous buffer that Arrow takes over as it is. Nothing
-here calls `pa.array` on a NumPy array: its first call imports pandas (0.2 to 0.3 s).
+The records of one message are gathered into an (n, size) byte matrix, and each field is copied once into the
+buffer of the table (`record_tables`). Nothing here calls `pa.array` on a NumPy array: its first call imports
+pandas (0.2 to 0.3 s).
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ import pyarrow as pa
 
 from flysid.flight import BOOT, RECEIVED, TIME, field_metadata
 from flysid.ingest.formats.common import arrow_arrays
+from flysid.ingest.formats.common.record_tables import HEADS, Cell, RecordForm
 
 ByteMatrix = npt.NDArray[np.uint8]
 IntArray = npt.NDArray[np.int64]
@@ -51,14 +52,29 @@ class Layout:
     @cached_property
     def columns(self) -> tuple[pa.Field, ...]:
         """The Arrow fields of `fields`. Logs of one process share them: a small log has as many as rows."""
-        return tuple(schema_field(spec, self._kind(spec)) for spec in self.fields)
+        types = (self._cell(spec).type for spec in self.fields)
+        return tuple(schema_field(spec, kind) for spec, kind in zip(self.fields, types, strict=True))
 
-    def _kind(self, spec: Field) -> pa.DataType:
-        if spec.is_text:
-            return pa.string()
-        kind = self.dtype[spec.name]
-        number = arrow_arrays.number_type(kind.base)
-        return pa.list_(number, kind.shape[0]) if kind.shape else number
+    @cached_property
+    def _forms(self) -> dict[int, RecordForm]:
+        return {}
+
+    def table(self, schema: pa.Schema, heads: Sequence[IntArray], matrix: ByteMatrix) -> pa.Table:
+        """Records as a table: time_ns, boot, maybe recv_ns, (n,) each, then `fields`.
+
+        Parameters
+        ----------
+        matrix : (n, size) C-contiguous bytes, one record per row.
+        """
+        form = self._forms.get(len(heads))
+        if form is None:
+            form = RecordForm(self.size, HEADS[: len(heads)], [self._cell(spec) for spec in self.fields])
+            self._forms[len(heads)] = form
+        return form.table(schema, heads, matrix.reshape(-1))
+
+    def _cell(self, spec: Field) -> Cell:
+        kind, offset = self.dtype.fields[spec.name][:2]  # type: ignore[index]
+        return Cell(offset, kind.base, kind.shape[0] if kind.shape else 0)
 
 
 def as_array(content: memoryview | bytes) -> npt.NDArray[np.uint8]:
@@ -71,56 +87,11 @@ def numbers(values: npt.NDArray[np.generic]) -> pa.Array:
     return arrow_arrays.matrix(values) if values.ndim == 2 else arrow_arrays.numeric(values)
 
 
-def constant(value: int, count: int, dtype: type[np.integer]) -> pa.Array:
-    """`count` times the same integer."""
-    return numbers(np.full(count, value, dtype=dtype))
-
-
-def texts(matrix: ByteMatrix) -> pa.Array:
-    """(n, k) bytes as strings: each ends at its first NUL; bytes that are not UTF-8 become U+FFFD."""
-    count, width = matrix.shape
-    if width == 0 or count == 0:
-        return strings([""] * count)
-    ends = np.where((matrix == 0).any(axis=1), (matrix == 0).argmax(axis=1), width)
-    kept = np.arange(width) < ends[:, None]
-    if ((matrix & 0x80).astype(bool) & kept).any():
-        rows = [bytes(row[:end]) for row, end in zip(matrix, ends.tolist(), strict=True)]
-        return strings([row.decode("utf-8", "replace") for row in rows])
-    offsets = np.zeros(count + 1, dtype=np.int32)
-    np.cumsum(ends, out=offsets[1:])
-    data = np.ascontiguousarray(matrix[kept])
-    return pa.Array.from_buffers(pa.string(), count, [None, pa.py_buffer(offsets), pa.py_buffer(data)])
-
-
-def strings(values: Sequence[str]) -> pa.Array:
-    """Python strings as an Arrow array; lone surrogates become U+FFFD."""
-    return pa.array([v.encode("utf-8", "replace").decode() for v in values], pa.string())
-
-
 def schema_field(spec: Field, kind: pa.DataType) -> pa.Field:
     """The column's Arrow field with unit, scale and enumeration."""
     return pa.field(
         spec.name, kind, metadata=field_metadata(spec.unit, spec.scale, spec.enum, spec.description)
     )
-
-
-def decode(matrix: ByteMatrix, layout: Layout) -> list[pa.Array]:
-    """The columns of a message, in the order of `layout.fields`.
-
-    Parameters
-    ----------
-    matrix : (n, layout.size) C-contiguous bytes, one record per row.
-    """
-    records = matrix.view(layout.dtype).reshape(len(matrix))
-    columns = []
-    for spec in layout.fields:
-        if spec.is_text:
-            start = layout.dtype.fields[spec.name][1]  # type: ignore[index]
-            width = layout.dtype[spec.name].itemsize
-            columns.append(texts(matrix[:, start : start + width]))
-        else:
-            columns.append(numbers(records[spec.name]))
-    return columns
 
 
 def message_schema(fields: Iterable[pa.Field], metadata: Mapping[str, str], *, received: bool) -> pa.Schema:

@@ -18,11 +18,8 @@ from flysid.ingest.formats.common.clock import IntArray, UtcFit
 from flysid.ingest.formats.common.columns import (
     ByteMatrix,
     as_array,
-    constant,
-    decode,
     gather,
     message_schema,
-    numbers,
 )
 from flysid.ingest.formats.common.tally import Tally
 from flysid.ingest.formats.crazyflie.layouts import Header, header_of
@@ -104,10 +101,9 @@ def _parts(reader: _Reader, view: memoryview, events: Events) -> list[StreamPart
 
 def _part(reader: _Reader, kind: int, matrix: ByteMatrix, time_ns: IntArray) -> StreamPart:
     layout = reader.header.kinds[kind]
-    columns = decode(matrix, layout) if layout.size else []
     if kind not in reader.schemas:
         source = "the deck's clock, since boot"
         metadata = {"time_source": source, "message": layout.name}
         reader.schemas[kind] = message_schema(layout.columns, metadata, received=False)
-    heads = [numbers(time_ns), constant(0, len(time_ns), np.int32)]
-    return StreamPart(layout.name, pa.Table.from_arrays([*heads, *columns], schema=reader.schemas[kind]))
+    heads = (time_ns, np.zeros_like(time_ns))
+    return StreamPart(layout.name, layout.table(reader.schemas[kind], heads, matrix))

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -160,10 +161,11 @@ def is_consistent(number: int, length: int, name: str, form: str, labels: str) -
     return plain and 0 <= number < 256 and make_layout(name, form, columns, length) is not None
 
 
+@lru_cache(maxsize=1024)
 def make_layout(name: str, form: str, labels: tuple[str, ...], length: int) -> Layout | None:
     """The layout of a message; None where a character is unknown or the lengths disagree.
 
-    Missing labels are made up, superfluous ones ignored, repeated ones numbered.
+    Missing labels are made up, superfluous ones ignored, repeated ones numbered. Logs share their layouts.
     """
     if any(c not in CHARACTERS for c in form):
         return None

@@ -22,7 +22,7 @@ from flysid.errors import FormatError
 from flysid.flight import ClockMap, Damage
 from flysid.ingest.formats.base import Limits, Parts, StreamPart, Summary, release
 from flysid.ingest.formats.common.clock import SECOND_NS, IntArray, UtcFit
-from flysid.ingest.formats.common.columns import ByteMatrix, Layout, decode, gather, message_schema, numbers
+from flysid.ingest.formats.common.columns import ByteMatrix, Layout, gather, message_schema
 from flysid.ingest.formats.common.vehicle_time import Clocked, Source, VehicleTime
 from flysid.ingest.formats.dataflash.frames import LOOK_AHEAD, Messages, Walker
 from flysid.ingest.formats.dataflash.inner import HEAD
@@ -267,7 +267,6 @@ def utc_of_gps(gps_ns: IntArray) -> IntArray:
 
 def _table(reader: _Reader, code: int, matrix: ByteMatrix, time_ns: IntArray, boots: IntArray) -> StreamPart:
     definition = reader.walker.definitions.items[code]
-    columns = decode(matrix, _layout_of(definition))
     if definition.stream not in reader.schemas:
         layout, instance = reader.units.apply(definition)
         source = (SYSTEM, 1, code)
@@ -278,7 +277,7 @@ def _table(reader: _Reader, code: int, matrix: ByteMatrix, time_ns: IntArray, bo
         }
         reader.schemas[definition.stream] = message_schema(layout.columns, metadata, received=False)
     schema = reader.schemas[definition.stream]
-    table = pa.Table.from_arrays([numbers(time_ns), numbers(boots.astype(np.int32)), *columns], schema=schema)
+    table = _layout_of(definition).table(schema, (time_ns, boots), matrix)
     return StreamPart(definition.stream, table)
 
 

@@ -21,8 +21,9 @@ import pyarrow as pa
 from flysid.errors import FormatError
 from flysid.flight import ClockMap, Damage, Region
 from flysid.ingest.formats.base import Limits, Parts, StreamPart, Summary
+from flysid.ingest.formats.common.arrow_arrays import strings
 from flysid.ingest.formats.common.clock import IntArray
-from flysid.ingest.formats.common.columns import Layout, message_schema, numbers, schema_field, strings
+from flysid.ingest.formats.common.columns import Layout, message_schema, numbers, schema_field
 from flysid.ingest.formats.common.line_batches import whole_lines
 from flysid.ingest.formats.common.vehicle_time import Clocked, VehicleTime
 from flysid.ingest.formats.dataflash.layouts import (

@@ -26,10 +26,8 @@ from flysid.ingest.formats.common.columns import (
     ByteMatrix,
     Layout,
     as_array,
-    decode,
     gather,
     message_schema,
-    numbers,
 )
 from flysid.ingest.formats.common.vehicle_time import Clocked, Source, VehicleTime
 from flysid.ingest.formats.mavlink.capture import Capture, holds_mavlink, scan_batch
@@ -340,7 +338,6 @@ def _table(
     received: IntArray | None,
 ) -> StreamPart:
     layout = reader.dialect.layout(source[2])
-    columns = decode(matrix, layout)
     if source not in reader.schemas:
         metadata = {
             "time_source": reader.time.source_of(source),
@@ -349,10 +346,8 @@ def _table(
             "message": layout.name,
         }
         reader.schemas[source] = message_schema(layout.columns, metadata, received=received is not None)
-    heads = [numbers(times[0]), numbers(times[1].astype(np.int32))]
-    if received is not None:
-        heads.append(numbers(received))
-    table = pa.Table.from_arrays(heads + columns, schema=reader.schemas[source])
+    heads = times if received is None else (*times, received)
+    table = layout.table(reader.schemas[source], heads, matrix)
     return StreamPart(f"{source[0]}.{source[1]}/{layout.name}", table)
 
 

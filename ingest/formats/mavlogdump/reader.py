@@ -22,7 +22,7 @@ import pyarrow as pa
 from flysid.errors import FormatError
 from flysid.flight import BOOT, RECEIVED, TIME
 from flysid.ingest.formats.base import Limits, Parts, StreamPart, Summary
-from flysid.ingest.formats.common.columns import Field, IntArray, decode, numbers, schema_field
+from flysid.ingest.formats.common.columns import Field, IntArray, numbers, schema_field
 from flysid.ingest.formats.common.line_batches import whole_lines
 from flysid.ingest.formats.common.tally import Tally
 from flysid.ingest.formats.common.vehicle_time import Clocked, Source, VehicleTime
@@ -241,7 +241,7 @@ def _part(
 
 def _schema(reader: _Reader, source: Source, first: _Message) -> pa.Schema:
     """time_ns, boot, recv_ns, then the message's fields."""
-    own = _dialect_fields(source[2]) if source[2] < FIRST_OTHER else []
+    own = list(load_dialect().layout(source[2]).columns) if source[2] < FIRST_OTHER else []
     if not own:
         kinds = reader.formats.get(first.kind) or {name: _guessed(v) for name, v in first.data.items()}
         own = [schema_field(Field(name), kind) for name, kind in kinds.items()]
@@ -251,14 +251,6 @@ def _schema(reader: _Reader, source: Source, first: _Message) -> pa.Schema:
     if any(first.sender):
         metadata |= {"system": str(source[0]), "component": str(source[1])}
     return pa.schema(heads + fields, metadata=metadata)
-
-
-@cache
-def _dialect_fields(number: int) -> list[pa.Field]:
-    """The fields of a MAVLink message with their types, units and enumerations."""
-    layout = load_dialect().layout(number)
-    empty = decode(np.zeros((1, layout.size), dtype=np.uint8), layout)
-    return [schema_field(spec, column.type) for spec, column in zip(layout.fields, empty, strict=True)]
 
 
 def _guessed(value: object) -> pa.DataType:

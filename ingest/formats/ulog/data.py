@@ -19,10 +19,10 @@ from flysid.flight import BOOT, TIME, field_metadata
 from flysid.ingest.formats.base import StreamPart
 from flysid.ingest.formats.common import arrow_arrays
 from flysid.ingest.formats.common.clock import UNIX_NS, UtcFit
-from flysid.ingest.formats.common.gather import Bytes, Index, Values, numbers, rows
+from flysid.ingest.formats.common.gather import Bytes, Index, numbers, rows
 from flysid.ingest.formats.common.px4_units import px4_unit
 from flysid.ingest.formats.common.tally import Tally
-from flysid.ingest.formats.ulog.layouts import NUMBERS, UlogField, UlogLayout
+from flysid.ingest.formats.ulog.layouts import NUMBERS, UlogLayout
 from flysid.ingest.formats.ulog.records import DataRun
 
 AHEAD_US = 60_000_000
@@ -56,7 +56,6 @@ class DataDecoder:
     subscriptions: list[Subscription] = field(default_factory=list)
     utc: UtcFit = field(default_factory=UtcFit)
     _previous_ns: dict[int, int] = field(default_factory=dict)
-    _schemas: dict[int, pa.Schema] = field(default_factory=dict)
 
     def parts(self, runs: Sequence[DataRun], now_us: int) -> Iterator[StreamPart]:
         """Tables of records that follow each other in the file; `now_us` is the time of the last of them."""
@@ -67,14 +66,14 @@ class DataDecoder:
         order = np.argsort(number.astype(np.uint16), kind="stable")
         cuts = np.flatnonzero(np.diff(number[order])) + 1
         groups = [(int(number[which[0]]), which) for which in np.split(order, cuts)]
-        time_us = self._times(at, groups)
+        time_us = self._times(at, number)
         ahead = far_ahead(time_us)
+        if ahead.any():
+            groups = [(k, self._without_outliers(k, which, ahead, time_us, now_us)) for k, which in groups]
+        self.utc.add(0, time_us[~ahead] * 1000)
         for index, which in groups:
-            kept = (
-                self._without_outliers(index, which, ahead, time_us, now_us) if ahead[which].any() else which
-            )
-            if len(kept):
-                yield self._part(index, at[kept], time_us[kept])
+            if len(which):
+                yield self._part(index, at[which], time_us[which])
 
     def _without_outliers(
         self, index: int, which: Index, ahead: NDArray[np.bool_], time_us: Index, now_us: int
@@ -92,14 +91,15 @@ class DataDecoder:
             self.tally.time_outliers[stream] += int(rejected.sum())
         return which[~rejected]
 
-    def _times(self, at: Index, groups: list[tuple[int, Index]]) -> Index:
+    def _times(self, at: Index, number: Index) -> Index:
         """Times of all records in file order, in us; those of topics without any are the last one before."""
         time_us = np.full(len(at), -1, dtype=np.int64)
-        for index, which in groups:
-            spec = self.subscriptions[index].layout.time
-            if spec is not None:
-                raw = numbers(self.data, at[which] + spec.offset, NUMBERS[spec.kind])
-                time_us[which] = np.where(raw > MAX_TIME_US, MAX_TIME_US, raw).astype(np.int64)
+        specs = [subscription.layout.time for subscription in self.subscriptions]
+        for place in {(spec.offset, spec.kind) for spec in specs if spec is not None}:
+            has = np.array([spec is not None and (spec.offset, spec.kind) == place for spec in specs])
+            which = np.flatnonzero(has[number])
+            raw = numbers(self.data, at[which] + place[0], NUMBERS[place[1]])
+            time_us[which] = np.where(raw > MAX_TIME_US, MAX_TIME_US, raw).astype(np.int64)
         unknown = np.flatnonzero(time_us < 0)
         if len(unknown):
             known = np.maximum.accumulate(np.where(time_us >= 0, np.arange(len(at)), -1))
@@ -110,69 +110,46 @@ class DataDecoder:
     def _part(self, index: int, at: Index, time_us: Index) -> StreamPart:
         subscription = self.subscriptions[index]
         layout = subscription.layout
-        records = rows(self.data, at, layout.size)
-        columns = [layout.values(records, spec) for spec in layout.fields]
+        records = rows(self.data, at, layout.size).view(np.uint8)
         time_ns = time_us * 1000
-        self._observe(index, columns, time_ns)
-        arrays = [
-            arrow_arrays.numeric(time_ns),
-            arrow_arrays.numeric(np.zeros(len(time_ns), dtype=np.int32)),
-            *map(_column, layout.fields, columns),
-        ]
-        if index not in self._schemas:
-            self._schemas[index] = _schema(subscription)
-        return StreamPart(subscription.stream, pa.Table.from_arrays(arrays, schema=self._schemas[index]))
+        self._observe(index, records, time_ns)
+        schema = _schema(subscription.topic, subscription.instance, layout)
+        boot = np.zeros(len(at), dtype=np.int32)
+        return StreamPart(subscription.stream, layout.form.table(schema, (time_ns, boot), records))
 
-    def _observe(self, index: int, columns: Sequence[Values], time_ns: Index) -> None:
+    def _observe(self, index: int, records: Bytes, time_ns: Index) -> None:
         """Count steps back and collect pairs of vehicle time and UTC."""
         subscription = self.subscriptions[index]
-        back = int((np.diff(time_ns) < 0).sum()) + int(time_ns[0] < self._previous_ns.get(index, 0))
+        back = int(np.count_nonzero(time_ns[1:] < time_ns[:-1]))
+        back += int(time_ns[0] < self._previous_ns.get(index, 0))
         self._previous_ns[index] = int(time_ns[-1])
         if back:
             self.tally.out_of_order[subscription.stream] += back
-        self.utc.add(0, time_ns, None)
-        for spec, values in zip(subscription.layout.fields, columns, strict=True):
-            if spec.name == "time_utc_usec" and not spec.count:
-                utc_us = values.astype(np.int64)
-                good = (utc_us > UNIX_NS // 1000) & (utc_us < MAX_TIME_US)
-                self.utc.add(0, time_ns[good], utc_us[good] * 1000)
-
-
-def _column(spec: UlogField, values: Values) -> pa.Array:
-    if spec.kind == "char" and spec.count:
-        return arrow_arrays.fixed_text(values)
-    if spec.kind == "bool":
-        values = values != 0
-    return arrow_arrays.matrix(values) if spec.count else arrow_arrays.numeric(values)
-
-
-def _schema(subscription: Subscription) -> pa.Schema:
-    about = {
-        "time_source": "timestamp" if subscription.layout.time else "neighbours",
-        "topic": subscription.topic,
-        "instance": str(subscription.instance),
-    }
-    return pa.schema(_fields(subscription.topic, subscription.layout), metadata=about)
+        utc = subscription.layout.utc
+        if utc is not None:
+            places = np.arange(len(time_ns)) * subscription.layout.size + utc.offset
+            utc_us = numbers(records, places, NUMBERS[utc.kind]).astype(np.int64)
+            good = (utc_us > UNIX_NS // 1000) & (utc_us < MAX_TIME_US)
+            self.utc.add(0, time_ns[good], utc_us[good] * 1000)
 
 
 @lru_cache(maxsize=1024)
-def _fields(topic: str, layout: UlogLayout) -> tuple[pa.Field, ...]:
-    """time_ns, boot, then the fields of a topic with their units; logs of one kind share them."""
-    fields = [pa.field(TIME, pa.int64()), pa.field(BOOT, pa.int32())]
+def _schema(topic: str, instance: int, layout: UlogLayout) -> pa.Schema:
+    """time_ns, boot, then the fields of a topic with their units; logs of one kind share it."""
+    names = [TIME, BOOT]
     taken = {TIME, BOOT}
+    notes: list[dict[bytes, bytes] | None] = [None, None]
     for spec in layout.fields:
         name = arrow_arrays.free_name(spec.name, taken)
         taken.add(name)
-        fields.append(pa.field(name, _kind(spec), metadata=field_metadata(px4_unit(topic, spec.name))))
-    return tuple(fields)
-
-
-def _kind(spec: UlogField) -> pa.DataType:
-    """The type that `_column` gives."""
-    if spec.kind == "char" and spec.count:
-        return pa.string()
-    number = arrow_arrays.number_type(np.dtype("?" if spec.kind == "bool" else NUMBERS[spec.kind]))
-    return pa.list_(number, spec.count) if spec.count else number
+        names.append(name)
+        notes.append(field_metadata(px4_unit(topic, spec.name)))
+    fields = [
+        pa.field(name, kind, metadata=note)
+        for name, kind, note in zip(names, layout.form.types, notes, strict=True)
+    ]
+    time_source = "timestamp" if layout.time else "neighbours"
+    return pa.schema(fields, metadata={"time_source": time_source, "topic": topic, "instance": str(instance)})
 
 
 def far_ahead(time_us: Index) -> NDArray[np.bool_]:

@@ -14,7 +14,7 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
-from flysid.ingest.formats.common.gather import Values
+from flysid.ingest.formats.common.record_tables import HEADS, Cell, RecordForm
 
 MAX_RECORD_BYTES = 0xFFFF
 MAX_FIELDS = 4000
@@ -34,7 +34,7 @@ NUMBERS: Mapping[str, str] = {
     "bool": "u1",
     "char": "i1",
 }
-_KINDS = {kind: np.dtype(code) for kind, code in NUMBERS.items()}
+_KINDS = {**{kind: np.dtype(code) for kind, code in NUMBERS.items()}, "bool": np.dtype(np.bool_)}
 MAX_FIELD_TEXTS = 1 << 12
 MAX_FIELD_CHARS = 1 << 10
 MAX_SHARED_CHARS = 1 << 12  # of a layout that is kept for the next log
@@ -82,12 +82,15 @@ class UlogLayout:
                 return field
         return None
 
-    def values(self, records: Values, field: UlogField) -> Values:
-        """A field of (n,) records of `size` bytes each, as a view: (n,), or (n, count) of an array."""
-        kind = _KINDS[field.kind]
-        shape = (len(records), field.count) if field.count else (len(records),)
-        strides = (self.size, kind.itemsize)[: len(shape)]
-        return np.ndarray(shape, dtype=kind, buffer=records.data, offset=field.offset, strides=strides)
+    @cached_property
+    def utc(self) -> UlogField | None:
+        """The field that carries UTC in microseconds."""
+        return next((f for f in self.fields if f.name == "time_utc_usec" and not f.count), None)
+
+    @cached_property
+    def form(self) -> RecordForm:
+        """How records become a table: time_ns, boot, then the fields."""
+        return RecordForm(self.size, HEADS[:2], [_cell(field) for field in self.fields])
 
     def dtype(self) -> np.dtype[np.void]:
         """Structured type of one record; columns are numbered."""
@@ -99,6 +102,13 @@ class UlogLayout:
                 "itemsize": self.size,
             }
         )
+
+
+def _cell(field: UlogField) -> Cell:
+    """A field as a column."""
+    if field.kind == "char" and field.count:
+        return Cell(field.offset, np.dtype(f"S{field.count}"))
+    return Cell(field.offset, _KINDS[field.kind], field.count)
 
 
 def parse_format(text: str) -> tuple[str, str]:
@@ -116,7 +126,13 @@ def flatten(name: str, formats: Mapping[str, str]) -> UlogLayout:
     """
     if name in formats and (known := _plain(formats[name])) is not None:
         return known
-    return _flattened(name, formats)
+    return _shared(_flattened(name, formats))
+
+
+@lru_cache(maxsize=1024)
+def _shared(layout: UlogLayout) -> UlogLayout:
+    """The first layout that is equal: what it has made of itself is not made again."""
+    return layout
 
 
 @lru_cache(maxsize=1024)

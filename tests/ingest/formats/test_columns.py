@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
+from random import Random
+
 import numpy as np
 import pyarrow as pa
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from flysid.ingest.formats.common.arrow_arrays import fixed_text, strings
 from flysid.ingest.formats.common.columns import (
     Field,
     Layout,
-    decode,
     gather,
     message_schema,
-    strings,
-    texts,
 )
 
 
@@ -26,7 +26,7 @@ def matrix_of(rows: list[bytes], width: int) -> np.ndarray[tuple[int, int], np.d
 @given(st.lists(st.binary(max_size=9), min_size=1, max_size=8))
 @settings(deadline=None)
 def test_texts_end_at_the_first_nul_and_are_always_utf8(rows: list[bytes]) -> None:
-    column = texts(matrix_of(rows, 7))
+    column = fixed_text(matrix_of(rows, 7))
     column.validate(full=True)
     assert column.to_pylist() == [row[:7].split(b"\0", 1)[0].decode("utf-8", "replace") for row in rows]
 
@@ -41,19 +41,42 @@ def test_gather_pads_and_cuts(rows: list[bytes], size: int) -> None:
     assert [bytes(row) for row in got] == [row[:size].ljust(size, b"\0") for row in rows]
 
 
-def test_every_kind_of_field_keeps_its_bits() -> None:
-    kinds = ["<i1", "<i2", "<i4", "<i8", "<u1", "<u2", "<u4", "<u8", "<f4", "<f8", "<f2"]
-    dtype = np.dtype([("s", "S3"), *((f"f{i}", k) for i, k in enumerate(kinds)), ("a", "<f4", (3,))])
-    raw = np.random.default_rng(1).integers(0, 256, (50, dtype.itemsize), dtype=np.uint8)
-    layout = Layout("M", dtype, tuple(Field(n, is_text=n == "s") for n in dtype.names or ()))
-    columns = decode(raw, layout)
-    records = raw.view(dtype).reshape(50)
-    for spec, column in zip(layout.fields, columns, strict=True):
-        column.validate(full=True)
-        assert layout.columns[layout.fields.index(spec)].type == column.type
-        if not spec.is_text:
-            values = column.flatten() if spec.name == "a" else column
-            assert bytes(values.buffers()[1])[: values.nbytes] == records[spec.name].tobytes()
+KINDS = ("<i1", "<i2", "<i4", "<i8", "<u1", "<u2", "<u4", "<u8", "<f4", "<f8", "<f2", "?", "S3")
+
+
+@given(
+    st.lists(st.tuples(st.sampled_from(KINDS), st.sampled_from([0, 0, 1, 3])), min_size=1, max_size=12),
+    st.sampled_from([0, 1, 7, 8, 9, 50]),
+    st.randoms(use_true_random=False),
+)
+@settings(deadline=None)
+def test_every_kind_of_field_keeps_its_bits(kinds: list[tuple[str, int]], rows: int, random: Random) -> None:
+    shapes = [(k, (n,)) if n and k != "S3" else (k, ()) for k, n in kinds]
+    dtype = np.dtype([(f"f{i}", *shape) for i, shape in enumerate(shapes)])
+    raw = np.frombuffer(random.randbytes(rows * dtype.itemsize), np.uint8).reshape(rows, dtype.itemsize)
+    names = random.sample(dtype.names or (), len(kinds))
+    layout = Layout("M", dtype, tuple(Field(n) for n in names))
+    time_ns = np.arange(rows)
+    schema = message_schema(layout.columns, {}, received=False)
+    table = layout.table(schema, (time_ns, time_ns + 1), raw)
+    table.validate(full=True)
+    assert table.schema == schema
+    assert table["boot"].to_pylist() == (time_ns + 1).tolist()
+    for name in names:
+        kind, offset = dtype.fields[name][:2]  # type: ignore[index]
+        fields = [row[offset : offset + kind.itemsize].tobytes() for row in raw]
+        column = table[name].combine_chunks()
+        if kind.kind == "S":
+            expected = [f.split(b"\0", 1)[0].decode("utf-8", "replace") for f in fields]
+            assert column.to_pylist() == expected
+            continue
+        flat = column.flatten() if kind.shape else column
+        values = np.frombuffer(b"".join(fields), kind.base)
+        if kind.base == np.bool_:
+            assert flat.to_pylist() == (values.view(np.uint8) != 0).tolist()
+        else:
+            start = flat.offset * kind.base.itemsize
+            assert bytes(flat.buffers()[1])[start:][: values.nbytes] == values.tobytes()
 
 
 def test_schema_states_units_and_avoids_reserved_names() -> None:
