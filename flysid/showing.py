@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import html
+import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 MOST_LINES = 20
+WIDTH = 100
+"""Columns of what a terminal shows."""
 
 
 def counted(count: int, noun: str) -> str:
@@ -24,6 +27,13 @@ def first_of(names: Sequence[str], most: int) -> str:
     """The first names, and how many more there are: "a, b, c and 4 more"."""
     rest = len(names) - most
     return ", ".join(names[:most]) + (f" and {rest:,} more" if rest > 0 else "")
+
+
+def folded(line: str) -> str:
+    """A line within the width; what is longer goes on below, set in. No word is broken."""
+    if len(line) <= WIDTH:
+        return line
+    return textwrap.fill(line, WIDTH, subsequent_indent="  ", break_long_words=False, break_on_hyphens=False)
 
 
 @dataclass(frozen=True)

@@ -19,13 +19,12 @@ from typing import Any
 from flysid.errors import StoreError, UsageError
 from flysid.manifest import DATA_FILE
 from flysid.validate.compare_models import CONTENDERS
-from flysid.validate.judge import DOCUMENT
+from flysid.validate.judge import DOCUMENT, REPORT
 from flysid.validate.run import RUN_FILE, Run, open_run
 from flysid.validate.trials import FREE_RUN
 from flysid.validate.verdict import Verdict
 from flysid.validate.words import named
 
-REPORT = "report"
 NOT_JUDGED = "not judged"
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shlex
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
@@ -17,6 +18,7 @@ from flysid.ingest.lake.chosen_flights import Selection
 from flysid.ingest.lake.lake import open as open_lake
 from flysid.loops.judged import Judged, judge, states_gains
 from flysid.progress import tell
+from flysid.showing import folded
 from flysid.validate.caution import Caution
 from flysid.validate.cautions import cautions
 from flysid.validate.compare_models import Comparison, across_channels, compare
@@ -34,6 +36,8 @@ from flysid.validate.words import one_line, physics_words
 
 PAGE = "report.html"
 DOCUMENT = "report.json"
+REPORT = "report"
+"""Folder of the report inside a run, where none is named."""
 FIT_TIME = ": fit time"  # on the page only: equal runs give equal documents
 
 
@@ -68,10 +72,9 @@ class Judgement:
     @property
     def table(self) -> str:
         """The comparison for a terminal: every model, channel and horizon, verdicts in words, warnings."""
-        times = self.context.fit_seconds
         poor = "\n".join(worse_than_constant(self.comparisons))
         physics = "\n".join(line for c in self.comparisons.values() for line in physics_words(c))
-        head = [table(self.comparisons, times), poor, summary(self.comparisons), physics]
+        head = [table(self.comparisons), poor, summary(self.comparisons), physics]
         parts = [*head, *self._grave(), *self._simpler()]
         return "\n\n".join(part for part in parts if part)
 
@@ -79,7 +82,7 @@ class Judgement:
         """Dangers and warnings; notes are on the page."""
         grave = [c for c in self.cautions if c.level in ("danger", "warning")]
         lines = [f"caution: {c.text} Try: {c.todo}" for c in grave]
-        return ["\n".join(map(one_line, lines))] if lines else []
+        return ["\n".join(folded(one_line(line)) for line in lines)] if lines else []
 
     def _simpler(self) -> list[str]:
         """The cheapest way to fewer words of every channel with several rules."""
@@ -88,7 +91,7 @@ class Judgement:
             checks = d.checks.get(self.comparisons[channel].contender or "")
             if checks is not None and checks.simpler:
                 lines.append(f"{channel}: simpler rules: {checks.simpler[0]} RMSE on the training flights")
-        return ["\n".join(map(one_line, lines))] if lines else []
+        return ["\n".join(folded(one_line(line)) for line in lines)] if lines else []
 
     def text(self, form: str = "table") -> str:
         """The comparison as "table", "json", "markdown" or "csv", without a line break at the end.
@@ -193,12 +196,23 @@ def write_judgement(judgement: Judgement, folder: Path, figures: str | None = No
     with replacing_folder(folder) as incoming:
         judgement.context.diagnoses  # noqa: B018 - made here, and told
         tell("drawing the page", share=0.9)
-        document = json.dumps(judgement.document, indent=1, allow_nan=False) + "\n"
-        write_atomically(incoming / DOCUMENT, document.encode())
+        write_atomically(incoming / DOCUMENT, _written(judgement))
         write_atomically(incoming / PAGE, render(judgement.context).encode())
         if figures is not None:
             write_figures(incoming, judgement.context, figures)
     return folder / PAGE
+
+
+def remember(judgement: Judgement) -> None:
+    """Leave the document in the run, where `flysid runs` looks; one that cannot be written stays as it is."""
+    place = judgement.run.folder / REPORT
+    with suppress(OSError):
+        place.mkdir(exist_ok=True)
+        write_atomically(place / DOCUMENT, _written(judgement))
+
+
+def _written(judgement: Judgement) -> bytes:
+    return (json.dumps(judgement.document, indent=1, allow_nan=False) + "\n").encode()
 
 
 def _context(

@@ -17,8 +17,8 @@ from typing import Any
 
 from flysid.errors import StoreError
 from flysid.files import write_atomically
-from flysid.validate.history import REPORT, RunChannel, find_runs, run_channels
-from flysid.validate.judge import DOCUMENT
+from flysid.validate.history import RunChannel, find_runs, run_channels
+from flysid.validate.judge import DOCUMENT, REPORT
 from flysid.validate.run import RUN_FILE
 
 INDEX = ".flysid-runs.parquet"

@@ -17,7 +17,7 @@ from markupsafe import Markup
 from flysid.validate.caution import Caution
 from flysid.validate.comparison import Comparison, Entry, Pair
 from flysid.validate.metrics import Scores
-from flysid.validate.terminal import Seconds, shown_models, standing, summary_cells
+from flysid.validate.terminal import shown_models, standing, summary_cells
 from flysid.validate.words import (
     change_words,
     horizon_words,
@@ -36,6 +36,7 @@ CSV_HEADER = (
 
 FORMULA = ("=", "+", "-", "@", "\t", "\r")
 Cell = str | float | int | None
+Seconds = Mapping[str, Mapping[str, float]]
 
 
 @dataclass(frozen=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from flysid.validate.comparison import Comparison, Entry
+from flysid.validate.intervals import Scope
 from flysid.validate.trials import FREE_RUN
 from flysid.validate.verdict import Verdict
 from flysid.validate.words import (
@@ -17,27 +18,33 @@ from flysid.validate.words import (
     verdict_words,
 )
 
-HEADER = (
-    "CHANNEL", "HORIZON", "MODEL", "RMSE", "UNIT", "FIT %", "VAF %", "CHANGE", "95 %", "RULES", "PARAMS",
-    "FIT S", "VERDICT",
-)  # fmt: skip
-RIGHT = {3, 5, 6, 7, 9, 10, 11}
-Seconds = Mapping[str, Mapping[str, float]]
+HEADER = ("MODEL", "RMSE", "FIT %", "VAF %", "CHANGE", "95 %", "RULES", "PARAMS", "VERDICT")
+RIGHT = {1, 2, 3, 4, 6, 7}
 
 
-def table(comparisons: Mapping[str, Comparison], fit_seconds: Seconds | None = None) -> str:
+def table(comparisons: Mapping[str, Comparison]) -> str:
     """Every model in free run, the best first; at other horizons the two models of the headline.
 
-    One line each, no line break at the end. `fit_seconds` is wall time by channel and model.
+    A line each below the output and horizon they are of, no line break at the end.
     """
     rows: list[Sequence[str]] = [HEADER]
+    titles: dict[int, str] = {}
+    notes: dict[int, str] = {}
     for channel, comparison in comparisons.items():
         several = len(comparison.test.outputs) > 1
         for entry in comparison.entries:
             label = one_line(f"{channel}/{entry.output.name}" if several else channel)
-            rows += _rows(entry, label, comparison, (fit_seconds or {}).get(channel, {}))
+            titles[len(rows)] = _title(entry, label, comparison)
+            for name in shown_models(entry, comparison):
+                rows.append(_row(name, entry, comparison))
+                notes[len(rows) - 1] = _divergence(name, entry, comparison)
     widths = [max(len(row[i]) for row in rows) for i in range(len(HEADER))]
-    return "\n".join(_line(row, widths) for row in rows)
+    lines = []
+    for i, row in enumerate(rows):
+        lines += [titles[i]] if i in titles else []
+        lines += [_line(row, widths)]
+        lines += [f"    {notes[i]}"] if notes.get(i) else []
+    return "\n".join(lines)
 
 
 def summary(comparisons: Mapping[str, Comparison]) -> str:
@@ -79,54 +86,62 @@ def shown_models(entry: Entry, comparison: Comparison) -> list[str]:
     return [m for m in ranked if m in (comparison.baseline, comparison.contender)]
 
 
-def standing(name: str, entry: Entry, comparison: Comparison) -> str:
-    """A model's verdict in words; "baseline" and "reference" for what no verdict is about."""
+def standing(name: str, entry: Entry, comparison: Comparison, scoped: bool = True) -> str:
+    """A model's verdict in words; "baseline" and "reference" for what no verdict is about.
+
+    `scoped`: with what the verdict is of, where that is not another flight.
+    """
     pair = entry.pairs.get(name)
     if pair is None:
         return "baseline"
     if comparison.models[name].reference and pair.verdict is not Verdict.BETTER:
         return "reference"
-    return verdict_words(pair)
+    return verdict_words(pair, scoped)
 
 
-def _rows(
-    entry: Entry, label: str, comparison: Comparison, seconds: Mapping[str, float]
-) -> list[Sequence[str]]:
-    rows: list[Sequence[str]] = []
-    for name in shown_models(entry, comparison):
-        score = entry.models[name]
-        pair = entry.pairs.get(name)
-        info = comparison.models[name]
-        s = score.scores
-        verdict = standing(name, entry, comparison)
-        headline = entry.horizon == comparison.head
-        if score.diverged and entry.horizon == FREE_RUN:
-            first = score.diverged[0]
-            verdict += (
-                f" (diverged at t = {first.diverged_s:.1f} s, {one_line(comparison.segments[first.segment])})"
-            )
-        rows.append(
-            (
-                label if not rows else "",
-                horizon_words(entry.horizon, comparison.dt_s) if not rows else "",
-                one_line(name),
-                number(s.rmse),
-                one_line(entry.output.unit),
-                percentage(s.fit_pct),
-                percentage(s.vaf_pct),
-                "" if pair is None else change_words(pair),
-                "" if pair is None else interval_words(pair),
-                str(info.n_rules) if headline and not info.reference else "",
-                str(info.n_parameters) if headline else "",
-                f"{seconds[name]:.1f}" if headline and name in seconds else "",
-                verdict,
-            )
-        )
-    return rows
+def _title(entry: Entry, label: str, comparison: Comparison) -> str:
+    """ "roll (deg), free run: verdicts on this flight"."""
+    unit = f" ({one_line(entry.output.unit)})" if entry.output.unit else ""
+    scope = _scope(entry)
+    where = f": verdicts on {scope}" if scope not in (None, Scope.ANOTHER) else ""
+    return f"{label}{unit}, {horizon_words(entry.horizon, comparison.dt_s)}{where}"
+
+
+def _scope(entry: Entry) -> Scope | None:
+    """What all verdicts of an entry are of; None where they differ, or there are none."""
+    scopes = {pair.scope for pair in entry.pairs.values()}
+    return scopes.pop() if len(scopes) == 1 else None
+
+
+def _row(name: str, entry: Entry, comparison: Comparison) -> Sequence[str]:
+    s = entry.models[name].scores
+    pair = entry.pairs.get(name)
+    info = comparison.models[name]
+    headline = entry.horizon == comparison.head
+    return (
+        one_line(name),
+        number(s.rmse),
+        percentage(s.fit_pct),
+        percentage(s.vaf_pct),
+        "" if pair is None else change_words(pair),
+        "" if pair is None else interval_words(pair),
+        str(info.n_rules) if headline and not info.reference else "",
+        str(info.n_parameters) if headline else "",
+        standing(name, entry, comparison, scoped=_scope(entry) is None),
+    )
+
+
+def _divergence(name: str, entry: Entry, comparison: Comparison) -> str:
+    """When and where a model first diverged in free run; "" where it did not."""
+    diverged = entry.models[name].diverged
+    if not diverged or entry.horizon != FREE_RUN:
+        return ""
+    first = diverged[0]
+    return f"diverged at t = {first.diverged_s:.1f} s, {one_line(comparison.segments[first.segment])}"
 
 
 def _line(row: Sequence[str], widths: Sequence[int]) -> str:
     cells = [
         c.rjust(w) if i in RIGHT else c.ljust(w) for i, (c, w) in enumerate(zip(row, widths, strict=True))
     ]
-    return "  ".join(cells).rstrip()
+    return f"  {'  '.join(cells)}".rstrip()

@@ -59,10 +59,10 @@ def change_words(pair: Pair) -> str:
     return percent(pair.change_pct, 1)
 
 
-def verdict_words(pair: Pair) -> str:
+def verdict_words(pair: Pair, scoped: bool = True) -> str:
     """ "TS better", "TS better on this flight", "same within 5 %", "not enough data"; or who diverged.
 
-    Without more words a verdict is of another flight.
+    Without more words a verdict is of another flight; `scoped` is False where what it is of stands above.
     """
     model = one_line(pair.model).upper()
     base = one_line(pair.baseline).upper()
@@ -70,7 +70,7 @@ def verdict_words(pair: Pair) -> str:
         return "both diverged" if pair.evidence.diverged_model else f"{model} better: {base} diverged"
     if pair.evidence.diverged_model:
         return f"{model} worse: it diverged"
-    where = "" if pair.scope is Scope.ANOTHER else f" on {pair.scope}"
+    where = "" if pair.scope is Scope.ANOTHER or not scoped else f" on {pair.scope}"
     if pair.contested:
         return f"{model} better than {base}{where}, not shown against {named(pair.short_of)}"
     if pair.verdict in (Verdict.BETTER, Verdict.WORSE):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator, Mapping
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,29 +15,20 @@ from flysid.cli.bounds import memory_option, time_option
 from flysid.cli.display import Display, progress_options
 from flysid.cli.kinematics import Motion, motions, write_corrected
 from flysid.cli.ls import clock_text
-from flysid.cli.output import REASONS_SHOWN, aligned, say, say_passed_over
+from flysid.cli.output import NAMES_SHOWN, REASONS_SHOWN, aligned, printable, say, say_passed_over, shortened
 from flysid.cli.source import format_option, time_unit_option
 from flysid.errors import UsageError
 from flysid.progress import tell
-from flysid.showing import counted
+from flysid.showing import WIDTH, counted, first_of, folded
 
 if TYPE_CHECKING:
     from flysid.flight import Damage
     from flysid.ingest.lake.survey import Survey
 
-HEADINGS = (
-    "FILE",
-    "FORMAT",
-    "VEHICLE",
-    "FIRMWARE",
-    "TIME",
-    "ATTITUDE",
-    "COMMAND",
-    "VELOCITY",
-    "MOVED",
-    "LOST",
-    "VERDICT",
-)
+HEADINGS = ("VEHICLE", "FIRMWARE", "TIME", "ATT", "CMD", "VEL", "MOVED", "LOST", "VERDICT")
+ROLES_SHOWN = {"ATT": "attitude", "CMD": "command", "VEL": "velocity"}
+NOTHING = {"-", "?"}
+SHORTEST_NAME = 12
 
 
 @click.command("doctor")
@@ -115,7 +107,7 @@ def command(
         ]
         click.echo(json.dumps({"logs": shown}, indent=1))
     elif surveys:
-        click.echo("\n".join(aligned([HEADINGS, *(row(path, s) for path, s in surveys.items())])))
+        click.echo("\n".join(lines(surveys)))
     if moved and not as_json:
         click.echo("\n".join(line for path, motion in moved.items() for line in motion.lines(path)))
     if correct:
@@ -132,32 +124,62 @@ def command(
     return 3 if unreadable or any(s.damage.lossy for s in surveys.values()) else 0
 
 
-def row(path: Path, found: Survey) -> tuple[str, ...]:
-    """One log as the cells of a table."""
+def lines(surveys: Mapping[Path, Survey]) -> Iterator[str]:
+    """A row for every log, and below them what there is to say of some: each thing once."""
     from flysid.ingest.formats.opening import short_name
+
+    columns = list(zip(HEADINGS, *map(row, surveys.values()), strict=True))
+    columns = [column for column in columns if not NOTHING.issuperset(column[1:])]
+    names = [short_name(path) for path in surveys]
+    room = WIDTH - sum(2 + max(map(len, column)) for column in columns)
+    shown = [shortened(name, max(room, SHORTEST_NAME)) for name in names]
+    yield from aligned(list(zip(("FILE", *shown), *columns, strict=True)))
+    rates = {column[0]: ROLES_SHOWN[column[0]] for column in columns if column[0] in ROLES_SHOWN}
+    if rates:
+        yield f"{', '.join(rates)}: rate of {', '.join(rates.values())} in Hz"
+    about: dict[str, list[str]] = {}
+    for name, found in zip(names, surveys.values(), strict=True):
+        for remark in remarks(found):
+            about.setdefault(remark, []).append(name)
+    for remark, those in about.items():
+        yield folded(printable(f"{first_of(those, NAMES_SHOWN)}: {remark}"))
+
+
+def row(found: Survey) -> tuple[str, ...]:
+    """One log as the cells of a table, without its name."""
     from flysid.ingest.lake.survey import verdict
 
-    words, advice = verdict(found)
     return (
-        short_name(path),
-        found.source.format,
         found.info.get("vehicle") or found.info.get("autopilot") or "-",
         found.info.get("firmware") or "-",
         clock_text(found.duration_s),
-        *(rate_cell(found.role(role)[1]) for role in ("attitude", "command", "velocity")),
+        *(rate_cell(found.role(role)[1]) for role in ROLES_SHOWN.values()),
         found.excited(),
-        lost_text(found.damage),
-        f"{words}: {advice}" if advice else words,
+        "yes" if lost_text(found.damage) else "0",
+        verdict(found)[0].partition(": ")[0],
     )
 
 
+def remarks(found: Survey) -> Iterator[str]:
+    """What was lost, what the verdict rests on, and what to try."""
+    from flysid.ingest.lake.survey import verdict
+
+    lost = lost_text(found.damage)
+    if lost:
+        yield f"lost: {lost}"
+    words, advice = verdict(found)
+    short, _, rest = words.partition(": ")
+    if rest or advice:
+        yield f"{short}: {'; '.join(part for part in (rest, advice) if part)}"
+
+
 def rate_cell(rate_hz: float) -> str:
-    """A rate, or "-" where nothing is logged."""
-    return f"{rate_hz:.0f} Hz" if rate_hz >= 9.5 else f"{rate_hz:.1f} Hz" if rate_hz > 0 else "-"
+    """A rate in Hz, or "-" where nothing is logged."""
+    return f"{rate_hz:.0f}" if rate_hz >= 9.5 else f"{rate_hz:.1f}" if rate_hz > 0 else "-"
 
 
 def lost_text(damage: Damage) -> str:
-    """Losses in a few words: in the file, then before it was written."""
+    """Losses in a few words: in the file, then before it was written; "" where there are none."""
     parts = []
     if damage.bytes_skipped:
         parts.append(f"{counted(damage.bytes_skipped, 'byte')} in {counted(damage.region_count, 'place')}")
@@ -167,7 +189,7 @@ def lost_text(damage: Damage) -> str:
         (damage.bad_checksums, "bad checksums"),
         (sum(damage.undecoded.values()), "undecoded"),
         (sum(damage.time_outliers.values()), "bad times"),
-        (sum(damage.sequence_gaps.values()), "lost on the link"),
+        (sum(damage.sequence_gaps.values()), "on the link"),
     ):
         if count:
             parts.append(f"{count:,} {words}")
@@ -176,7 +198,7 @@ def lost_text(damage: Damage) -> str:
         for kind, count in damage.dropouts.items()
         if count
     ]
-    return ", ".join(parts) or "0"
+    return ", ".join(parts)
 
 
 def as_document(path: Path, found: Survey) -> dict[str, Any]:

@@ -12,7 +12,7 @@ import click
 from flysid.cli import complete
 from flysid.cli.addresses import SOURCE
 from flysid.cli.display import Display, progress_options
-from flysid.cli.output import check_target, cores, say
+from flysid.cli.output import check_target, cores, explain, say
 from flysid.cli.source import (
     READING_OF_A_FIT,
     Words,
@@ -210,19 +210,19 @@ def _say_what_was_fitted(run: Run, quiet: bool) -> None:
 
     for channel in run.channels:
         if channel.on_disk:
-            say(f"{channel.name}{FROM_DISK}", quiet)
+            explain(f"{channel.name}{FROM_DISK}", quiet)
         for label, why in channel.failed.items():
-            say(f"{channel.name}: {label} could not be fitted: {why}")
+            explain(f"{channel.name}: {label} could not be fitted: {why}")
         for line in told(channel.doubts):
-            say(f"{channel.name}: {line}")
+            explain(f"{channel.name}: {line}")
         for said in (*channel.dead_times, *channel.nonlinear):
-            say(f"{channel.name}: {said}", quiet)
+            explain(f"{channel.name}: {said}", quiet)
         for loop in channel.loops:
-            say(f"{channel.name}: caution: {loop}")
+            explain(f"{channel.name}: caution: {loop}")
         for line in transfer_lines(run, channel):
             say(line, quiet)
     for name, why in run.skipped.items():
-        say(f"channel {name} skipped: {why.removeprefix(f'channel {name!r}: ')}")
+        explain(f"channel {name} skipped: {why.removeprefix(f'channel {name!r}: ')}")
 
 
 def _is_dataset(data: Path) -> bool:

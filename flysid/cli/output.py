@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 
 from flysid.errors import UsageError
-from flysid.showing import counted, first_of
+from flysid.showing import counted, first_of, folded
 
 if TYPE_CHECKING:
     from flysid.ingest.lake.finding import PassedOver
@@ -44,10 +44,22 @@ def aligned(rows: Sequence[Sequence[str]]) -> list[str]:
     return ["  ".join(c.ljust(w) for c, w in zip(cells, widths, strict=True)).rstrip() for cells in clean]
 
 
+def shortened(name: str, longest: int = 18) -> str:
+    """A name with its middle left out where it is too long."""
+    half = (longest - 1) // 2
+    return name if len(name) <= longest else f"{name[:half]}…{name[-half:]}"
+
+
 def say(text: str, quiet: bool = False) -> None:
     """A line for people, on stderr."""
     if not quiet:
         click.echo(printable(text), err=True)
+
+
+def explain(text: str, quiet: bool = False) -> None:
+    """A sentence or two for people, on stderr, within the width."""
+    if not quiet:
+        click.echo(folded(printable(text)), err=True)
 
 
 def say_passed_over(files: Sequence[PassedOver], quiet: bool) -> None:
@@ -58,8 +70,8 @@ def say_passed_over(files: Sequence[PassedOver], quiet: bool) -> None:
     for file in files:
         kinds.setdefault(file.kind, []).append(file.path.name)
     told = [f"{kind} ({len(names)}): {first_of(names, NAMES_SHOWN)}" for kind, names in kinds.items()]
-    what = "not a log" if len(files) == 1 else "not logs"
-    say(f"ignored {counted(len(files), 'file')}, {what}: {'; '.join(told)}", quiet)
+    logs = "is not a log" if len(files) == 1 else "are not logs"
+    explain(f"ignored {counted(len(files), 'file')} that {logs}: {'; '.join(told)}", quiet)
 
 
 def duration(seconds: float) -> str:
@@ -109,7 +121,7 @@ def chosen_form(flags: Mapping[str, bool]) -> str:
 def finish(judgement: Judgement, condition: str | None, report: Path | None, quiet: bool) -> int:
     """The words that end a comparison, and the exit code: 4 a check failed, 3 a channel was not judged."""
     for name, why in judgement.skipped.items():
-        say(f"channel {name} not judged: {why.removeprefix(f'channel {name!r}: ')}")
+        explain(f"channel {name} not judged: {why.removeprefix(f'channel {name!r}: ')}")
     if report is not None:
         say(f"report: {report}", quiet)
     failed = judgement.violations(condition) if condition is not None else {}

@@ -14,8 +14,6 @@ from flysid.cli.addresses import SOURCE
 if TYPE_CHECKING:
     from flysid.ingest.align.recipe import Recipe, Source
 
-HEADINGS = ("RECIPE", "CHANNELS", "FOR")
-
 
 @click.command("recipes")
 @click.argument("name", default="", shell_complete=complete.recipes)
@@ -29,9 +27,10 @@ HEADINGS = ("RECIPE", "CHANNELS", "FOR")
 @click.option("--toml", is_flag=True, help="Print the recipe's text, as a start for your own.")
 def command(name: str, source: Path | None, toml: bool) -> None:
     """List the recipes, or explain one: its channels, signals, units and sources."""
-    from flysid.cli.output import aligned, say
+    from flysid.cli.output import say
     from flysid.errors import UsageError
     from flysid.ingest.align.recipe import load_recipe, recipe_text, shipped_recipes
+    from flysid.showing import folded
 
     if name and source is not None:
         raise UsageError("a recipe's name and --for are mutually exclusive", hint="give one of them")
@@ -43,10 +42,10 @@ def command(name: str, source: Path | None, toml: bool) -> None:
         click.echo("\n".join(explained(load_recipe(name))))
     else:
         served = _served(source)
-        rows = [(r, ", ".join(channels), load_recipe(r).description) for r, channels in served.items()]
-        if rows:
-            click.echo("\n".join(aligned([HEADINGS, *rows])))
-        else:
+        for recipe, channels in served.items():
+            click.echo(folded(f"{recipe}: {', '.join(channels)}"))
+            click.echo(folded(f"  {load_recipe(recipe).description}"))
+        if not served:
             say(f"no recipe fits {source}; shipped ones: {', '.join(shipped_recipes())}")
             say("from your own fields: flysid fit LOG --from FIELD --to FIELD -o run")
 

@@ -114,14 +114,13 @@ def mode_times(log: StoredLog) -> list[str]:
 
 
 def _print_parameters(log: StoredLog) -> None:
-    from flysid.ingest.lake.events import settings
+    from flysid.ingest.lake.events import settings, written
 
     last = {setting.name: setting.value for setting in settings(log)}
     if not last:
         say("the log holds no parameters")
     for name in sorted(last):
-        value = last[name]
-        click.echo(printable(f"{name} {value:.9g}" if isinstance(value, float) else f"{name} {value}"))
+        click.echo(printable(f"{name} {written(last[name])}"))
 
 
 def _print_events(log: StoredLog, kinds: Sequence[str]) -> None:

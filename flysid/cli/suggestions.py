@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import shlex
-import textwrap
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import click
 
-from flysid.cli.output import aligned, printable, say
+from flysid.cli.output import aligned, printable, say, shortened
 from flysid.cli.pooled_suggestions import HEADINGS as POOLED_HEADINGS
 from flysid.cli.pooled_suggestions import dead_time, hertz, pooled, pooled_advice
-from flysid.showing import counted
+from flysid.showing import counted, folded
 
 if TYPE_CHECKING:
     from flysid.ingest.lake.suggest import Suggestion
@@ -21,7 +20,6 @@ if TYPE_CHECKING:
 HEADINGS = ("FLIGHT", "CHANNEL", "INPUT", "TIME", "RATE", "COH.", "BAND, Hz", "DEAD TIME, ms")
 ORDER = ("good", "closed loop", "weak", "too slow", "too short", "too quiet", "excluded")
 USABLE = ("good", "closed loop", "weak")
-WIDTH = 100
 COHERENCE = "COH.: coherence, the share of the output's power that a linear model of the input can explain"
 LOOP = "loop: the input reacts to the output (a pilot or controller); see docs/recipes.md on closed loops"
 OPEN = "?: the data do not determine it"
@@ -61,7 +59,7 @@ def print_suggestions(
     lines += pooled_advice(shown, names) if together else advice(shown, names)
     lines += unusable(found, flights, names, told=every)
     lines += _more(len(found) - len(shown), together)
-    click.echo("\n".join(_folded(printable(line)) for line in lines).strip())
+    click.echo("\n".join(folded(printable(line)) for line in lines).strip())
     say(next_command(found, data, vehicles))
 
 
@@ -70,13 +68,6 @@ def _more(hidden: int, together: bool) -> list[str]:
     unused = f"{counted(hidden, 'channel')} that cannot be used" if hidden else ""
     each = "every flight by itself" if together else ""
     return [f"{' and '.join(part for part in (each, unused) if part)}: --all"] if unused or each else []
-
-
-def _folded(line: str) -> str:
-    """Within the width; what is longer goes on below, set in."""
-    if len(line) <= WIDTH:
-        return line
-    return textwrap.fill(line, WIDTH, subsequent_indent="  ", break_long_words=False, break_on_hyphens=False)
 
 
 def unusable(
@@ -91,11 +82,11 @@ def unusable(
         own = [s for s in found if s.flight == flight]
         if not own:
             lines.append(
-                f"{_short(names[flight])}: no shipped recipe fits; name an input and an output yourself"
+                f"{shortened(names[flight])}: no shipped recipe fits; name an input and an output yourself"
             )
         elif not told and not any(s.verdict in USABLE for s in own):
             first = own[0]
-            lines.append(f"{_short(names[flight])}: {first.channel} {first.verdict}: {first.advice}")
+            lines.append(f"{shortened(names[flight])}: {first.channel} {first.verdict}: {first.advice}")
     return lines
 
 
@@ -124,21 +115,15 @@ def row(found: Suggestion, flight: str) -> tuple[str, ...]:
     related = made and found.band_hz is not None
     band = found.band_hz or (0.0, 0.0)
     return (
-        _short(flight),
+        shortened(flight),
         found.channel,
-        {1: "+", -1: "-", 0: ""}[found.sign if related else 0] + _short(found.input, 13),
+        {1: "+", -1: "-", 0: ""}[found.sign if related else 0] + shortened(found.input, 13),
         f"{found.duration_s:.0f} s" if made else "-",
         f"{found.rate_hz:.3g} Hz" if made else "-",
         f"{found.coherence:.2f}" if made else "-",
         f"{hertz(band[0])} to {hertz(band[1])}" if related else "none" if made else "-",
         _delay(found) if related else "-",
     )
-
-
-def _short(name: str, longest: int = 18) -> str:
-    """A name with its middle left out where it is too long."""
-    half = (longest - 1) // 2
-    return name if len(name) <= longest else f"{name[:half]}…{name[-half:]}"
 
 
 def short_names(flights: Sequence[str]) -> dict[str, str]:

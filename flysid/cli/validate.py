@@ -69,13 +69,13 @@ def command(
     a fitted channel could not be judged; 4: --fail-if holds.
     """
     form = chosen_form(forms)
-    target = output if output is not None else run / "report"
     from flysid.validate.condition import check_condition
     from flysid.validate.expected import expected_of_run
-    from flysid.validate.judge import judge_run, write_judgement
+    from flysid.validate.judge import REPORT, judge_run, remember, write_judgement
     from flysid.validate.paperfigures import require_matplotlib
     from flysid.validate.run import models_of, open_run
 
+    target = output if output is not None else run / REPORT
     if figures is not None:
         require_matplotlib()
     opened = open_run(run)
@@ -92,10 +92,14 @@ def command(
             judgement = judge_run(opened, data, only=given(selection), beside=beside)
         with part(0.5, 1.0):
             page = write_judgement(judgement, target, figures)
+    if target != run / REPORT and not beside and given(selection) is None:
+        remember(judgement)
     click.echo(judgement.text(form))
     return finish(judgement, condition, page, quiet)
 
 
 def is_own_report(target: Path, run: Path) -> bool:
     """Whether `target` is the report inside the run, which follows from the run and may be made anew."""
-    return target == run / "report" and (target / "report.json").is_file()
+    from flysid.validate.judge import DOCUMENT, REPORT
+
+    return target == run / REPORT and (target / DOCUMENT).is_file()

@@ -8,8 +8,8 @@ from typing import Any
 
 from flysid.errors import FlysidError, StoreError
 from flysid.studio.folders import NotThere, Workspace
-from flysid.validate.history import REPORT, RunChannel, run_channels
-from flysid.validate.judge import DOCUMENT, PAGE
+from flysid.validate.history import RunChannel, run_channels
+from flysid.validate.judge import DOCUMENT, PAGE, REPORT
 from flysid.validate.run import RUN_FILE
 from flysid.validate.trials import FREE_RUN
 

@@ -106,7 +106,7 @@ def parameter_changes(stated: Sequence[Setting]) -> list[Event]:
         key = (setting.boot, setting.name)
         before = latest.get(key, setting.value)
         if before != setting.value:
-            text = f"{setting.name} = {_written(setting.value)} (was {_written(before)})"
+            text = f"{setting.name} = {written(setting.value)} (was {written(before)})"
             changes.append(Event(setting.boot, setting.time_ns, "parameter", text))
         latest[key] = setting.value
     return changes
@@ -119,5 +119,10 @@ def _rows(log: Log, message: str, columns: Sequence[str]) -> Iterator[tuple[Any,
             yield from zip(*(table[c].to_pylist() for c in (BOOT, TIME, *columns)), strict=True)
 
 
-def _written(value: float | str) -> str:
-    return f"{value:.6g}" if isinstance(value, float) else str(value)
+def written(value: float | str) -> str:
+    """A parameter's value in the fewest digits that give it back: 0.46 is often kept in single precision."""
+    if not isinstance(value, float):
+        return str(value)
+    with np.errstate(over="ignore"):
+        single = np.float32(value)
+    return f"{float(str(single)) if float(single) == value else value:.15g}"

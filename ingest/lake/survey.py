@@ -220,7 +220,7 @@ def _unit_of(column: pa.Field) -> str:
 
 
 def verdict(found: Survey) -> tuple[str, str]:
-    """(verdict, advice) in a few words each, the worst first."""
+    """(verdict, advice), the worst first: a verdict is two or three words, then what it rests on."""
     advice = ADVICE.get(found.source.format, "log attitude, its setpoint and velocity at 20 Hz or more")
     share = found.damage.bytes_skipped / max(1, found.source.size_bytes)
     attitude, rate = found.role("attitude")
@@ -228,25 +228,25 @@ def verdict(found: Survey) -> tuple[str, str]:
     rates, rates_hz = found.role("rates")
     if share > 0.05:
         return f"damaged: {100.0 * share:.0f} % of the bytes lost", "copy it from the vehicle again"
-    if found.source.format == "csv":
+    if found.source.format in ("csv", "parquet"):
         return (
             "a table: --from and --to name its columns",
             "flysid fit FILE --from FIELD --to FIELD -o RUN",
         )
     if not attitude and not velocity and not rates:
-        return "holds no attitude and no velocity", advice
+        return "unusable: no attitude and no velocity", advice
     if found.duration_s < MIN_DURATION_S:
         return f"too short: {found.duration_s:.0f} s", FLY_MORE
     if found.never:
-        return f"excluded: {found.never[0]}", "fly; or remove the condition from a recipe of your own"
+        return f"excluded: {found.never[0]}", "fly, or remove the condition from a recipe of your own"
     if found.usable_s < MIN_DURATION_S:
         return f"too short: flown for {found.usable_s:.0f} s", FLY_MORE
     kind = found.source.format
     if not attitude and not velocity and rates_hz < least_hz("rates", kind):
-        return "too slow for body rates", advice
+        return f"too slow: body rates at {rates_hz:.3g} Hz", advice
     usable_s = found.usable_of(attitude or velocity or rates)
-    name = "attitude" if attitude else "velocity" if velocity else "body rates"
-    logged = f"{name} logged for {usable_s:.0f} of {found.usable_s:.0f} s flown"
+    name = "attitude " if attitude else "velocity " if velocity else ""
+    logged = f"{name}logged for {usable_s:.0f} of {found.usable_s:.0f} s flown"
     if usable_s < MIN_DURATION_S:
         return f"too short: {logged}", FLY_MORE
     short = too_short_alone(usable_s)
@@ -256,7 +256,8 @@ def verdict(found: Survey) -> tuple[str, str]:
         return "ok: body rates only", short
     if attitude and rate < least_hz("attitude", kind):
         usable = velocity_rate >= least_hz("velocity", kind)
-        return "too slow for attitude, usable for velocity" if usable else "too slow", advice
+        said = "velocity only" if usable else "too slow"
+        return f"{said}: attitude at {rate:.2g} Hz", advice
     if found.excited() == "-":
         return "nothing moved", "fly manoeuvres: doublets or sweeps on the axis of interest"
     return "ok", short

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import pytest
@@ -130,10 +131,13 @@ def test_from_synth_to_verdict_on_one_channel(tmp_path: Path) -> None:
     assert call("validate", "run", "-o", "data", cwd=tmp_path).returncode == 2
     failed = call("validate", "run", "--fail-if", "free_run.models.arx.fit_pct > 50", cwd=tmp_path)
     assert failed.returncode == 4  # its own report is made anew
+    shutil.rmtree(tmp_path / "run/report")
     markdown = call(*("validate", "run", "-o", "r3", "--markdown", "--figures", "svg", "-q"), cwd=tmp_path)
     assert markdown.returncode == 0, markdown.stderr
     assert markdown.stdout.startswith("- **v\\_y**: ")
     assert {p.name for p in (tmp_path / "r3").iterdir()} == {"report.html", "report.json", "channel-1-1.svg"}
+    [listed] = json.loads(call("runs", "run", "--json", cwd=tmp_path).stdout)["runs"]
+    assert listed["rank"] == 1  # the verdict is found, although its page lies elsewhere
     both = call("validate", "run", "-o", "r4", "--csv", "--json", cwd=tmp_path)
     assert (both.returncode, both.stdout) == (2, "")
     assert "json and csv" in both.stderr

@@ -112,20 +112,36 @@ def test_control_characters_in_names_do_not_reach_the_terminal(tmp_path: Path) -
     assert "\x1b" not in result.output + listed.output + doctor.output
 
 
-def test_doctor_gives_one_line_per_log(logs: Path) -> None:
+def test_doctor_gives_a_row_per_log_and_below_what_there_is_to_say_of_it(logs: Path) -> None:
     (logs / "cut.bin").write_bytes(dataflash.build()[:-4])
     (logs / "no.tlog").write_text("hello\n" * 50)
     result = flysid("doctor", logs)
     assert code(result) == 3
     lines = result.stdout.splitlines()
-    assert [line.split()[0] for line in lines] == ["FILE", "cut.bin", "one.tlog", "two.bin"]
-    assert "end cut off" in lines[1]
-    assert "50 Hz" in lines[2]
+    assert [line.split()[0] for line in lines[:4]] == ["FILE", "cut.bin", "one.tlog", "two.bin"]
+    assert lines[1].split()[-3:-1] == ["yes", "too"]
+    assert " 50 " in lines[2]
     assert "4.3.1" in lines[3]
+    [lost] = [line for line in lines[4:] if line.startswith("cut.bin: lost")]
+    assert "end cut off" in lost
+    assert max(map(len, lines)) <= 100
     assert "skipped" in result.stderr
     document = json.loads(flysid("doctor", logs / "one.tlog", "--json").stdout)["logs"][0]
     assert document["rates_hz"]["attitude"] == {"1.1/ATTITUDE": pytest.approx(50.0)}
     assert document["moved"] == "r"
+
+
+def test_doctor_stays_within_the_width_with_long_names_and_leaves_out_empty_columns(tmp_path: Path) -> None:
+    for i in range(2):
+        log = dataflash.build()
+        (tmp_path / f"{'a-long-name-of-a-flight-' * 4}{i}.bin").write_bytes(log)
+    lines = flysid("doctor", tmp_path).stdout.splitlines()
+    assert max(map(len, lines[:3])) <= 100
+    assert "…" in lines[1]
+    (tmp_path / "t.csv").write_text("t,a\n0,1\n0.1,2\n0.2,3\n")
+    table = flysid("doctor", tmp_path / "t.csv").stdout.splitlines()
+    assert table[0].split() == ["FILE", "TIME", "LOST", "VERDICT"]
+    assert "--from and --to" in table[2]
 
 
 def test_a_failed_ingest_leaves_no_folder(tmp_path: Path, logs: Path) -> None:

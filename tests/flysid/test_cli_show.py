@@ -13,6 +13,7 @@ from flysid.cli import root
 from flysid.errors import UsageError
 from flysid.flight import ClockMap, Source, field_metadata
 from flysid.ingest.formats.base import Parts, StreamPart, Summary
+from flysid.ingest.lake.events import written
 from flysid.store import create_data_folder, write_flight
 from tests.samplelogs import dataflash
 
@@ -73,6 +74,21 @@ def test_parameters_events_and_track(data: Path) -> None:
     assert events[2][3:] == ["P", "=", "0.5", "(was", "0.25)"]
     assert [line.split() for line in show(data, "--messages").splitlines()] == [events[1]]
     assert show(data, "--track").splitlines()[1:] == ["0.1,0,52.1234567,5.1234567,8.5"]
+
+
+@pytest.mark.parametrize(
+    ("value", "shown"),
+    [
+        (0.46000000834465027, "0.46"),
+        (20.0, "20"),
+        (16777217.0, "16777217"),
+        (1e300, "1e+300"),
+        (1e-7, "1e-07"),
+        ("on", "on"),
+    ],
+)
+def test_a_parameter_in_single_precision_is_written_in_its_own_digits(value: float | str, shown: str) -> None:
+    assert written(value) == shown
 
 
 def test_a_log_is_shown_like_a_folder(tmp_path: Path) -> None:

@@ -329,7 +329,11 @@ def test_doctor_names_the_packed_file(tmp_path: Path) -> None:
     put(tmp_path / "b.zip", zipped({"one.tlog": LOG}))
     seen = cli("doctor", tmp_path)
     assert seen.return_value == 0
-    assert [line.split()[0] for line in seen.stdout.splitlines()] == ["FILE", "a.tlog.gz", "b.zip/one.tlog"]
+    assert [line.split()[0] for line in seen.stdout.splitlines()[:3]] == [
+        "FILE",
+        "a.tlog.gz",
+        "b.zip/one.tlog",
+    ]
     document = json.loads(cli("doctor", tmp_path / "a.tlog.gz", "--json").stdout)
     assert document["logs"][0]["file"] == "a.tlog.gz"
 
