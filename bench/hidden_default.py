@@ -29,8 +29,8 @@ def main(names: list[str]) -> int:
             found = contest(BestTS(), train)
             both = time.process_time() - begin
             taken = "hidden state" if found.taken is found.states else "lags"
-            tried = "not tried" if found.states is None else f"{error(found.states.model, test, truth):.4f}"
-            lags = error(found.lags.model, test, truth)
+            tried = "not tried" if found.states is None else f"{error(found.states.bare, test, truth):.4f}"
+            lags = error(found.lags.bare, test, truth)
             print(
                 f"{name}, {samples} samples, noise {noise:.0%}: lags {lags:.4f},"
                 f" hidden {tried}, taken: {taken}; {both:.1f} s CPU in all",

@@ -17,12 +17,12 @@ from bench.hidden_plants import PLANTS
 from bench.ts_intervals import steps
 from flysid.dataset import Dataset, FloatArray
 from flysid.model.rules.fitted import FittedTS
-from flysid.model.rules.free_run_error import Body, Stage
+from flysid.model.rules.free_run_error import Body
 from flysid.model.rules.likely_start import initial_states
 from flysid.model.rules.regressor_layout import runs_of
 from flysid.model.rules.rule_uncertainty import uncertainty
 from flysid.model.rules.run_start import LikelyStart
-from flysid.model.rules.stages import refine
+from flysid.model.rules.stages import Stage
 from flysid.model.rules.state_systems import unmoved
 from flysid.model.ts_state_space import TSStateSpace
 
@@ -54,7 +54,7 @@ def refitted(truth: FittedTS, data: Dataset) -> FittedTS:
     body = Body(p.theta.copy(), p.centre.copy(), p.width.copy())
     assert isinstance(truth.start, LikelyStart)
     stage = Stage(problem, body, initial_states(layout, runs, p, truth.start.prior, 400), np.inf)
-    stage = refine(stage, 40, 1e-10)
+    stage = stage.refined(40, 1e-10)
     return replace(truth, parameters=stage.problem.parameters(stage.body))
 
 

@@ -18,7 +18,6 @@ from flysid.model.rules.growth import best_started
 from flysid.model.rules.refit import as_problem
 from flysid.model.rules.regressor_layout import runs_of
 from flysid.model.rules.rule_uncertainty import uncertainty
-from flysid.model.rules.stages import refine
 from flysid.model.ts import TS
 
 DT_S = 0.05
@@ -55,7 +54,7 @@ def refitted(truth: FittedTS, data: Dataset) -> FittedTS:
     """The truth's numbers refined on one record."""
     runs = runs_of(truth.layout, data.segments, truth.n_init + 2)
     problem, body = as_problem(truth.layout, truth.parameters, runs)
-    stage = refine(best_started(problem, body), 30, 1e-10)
+    stage = best_started(problem, body).refined(30, 1e-10)
     return replace(truth, parameters=stage.problem.parameters(stage.body))
 
 

@@ -84,7 +84,7 @@ class ANFIS:
             f"ahead (ANFIS), epoch {best_epoch} of {self.epochs} was the best.",
             "The free run was not used for the choice: validate it before you rely on a simulation.",
         )
-        found = finished(ordered(best_started(learner.problem, best)), train, notes, intervals=False)
+        found = finished(ordered(best_started(learner.problem, best)), train, notes)
         return described(found, train)
 
     def _check(self) -> None:

@@ -49,7 +49,7 @@ class OneRule(RuleSettings):
         FitError : no stable model was found.
         """
         learn = learning.over_lags if self.states == 0 else learning.over_states
-        return learn(self, train, validation).model(train)
+        return learn(self, train, validation).model
 
 
 def linear_rivals(

@@ -73,10 +73,10 @@ class TS(RuleSettings):
             if self.states != "auto":
                 return over_states(self, train, validation)
             with sharing():
-                return contest(self, train, validation, linear_choice).described(train)
-        learned = learning.over_lags(self, train, validation, linear_choice)
-        model = learned.model(train, intervals=self.refine)
-        if not self.stable or learned.stage.problem.integrates:
+                return contest(self, train, validation, linear_choice).described
+        found = learning.over_lags(self, train, validation, linear_choice)
+        model = found.model if self.refine else found.bare
+        if not self.stable or found.stage.problem.integrates:
             return model
         return with_stable_rules(model, train)
 
@@ -92,4 +92,4 @@ def over_states(settings: TS, train: Dataset, validation: Dataset | None) -> Fit
     """Rules over hidden states, whose number may be chosen; raises as `TS.fit`."""
     if settings.states == 0:
         raise UsageError("states=0", hint='give "auto" or a whole number from 1 on')
-    return learning.over_states(settings, train, validation).model(train)
+    return learning.over_states(settings, train, validation).model

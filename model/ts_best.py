@@ -68,7 +68,7 @@ class BestTS:
         DataError : no or too few samples, a signal that never moves.
         FitError : no stable model was found.
         """
-        return contest(self, train, validation).winner(train)
+        return contest(self, train, validation).winner
 
 
 @on_one_thread
@@ -111,7 +111,7 @@ def _linear_enough(
             parts = [(train, validation)]
             models: tuple[Refit, Refit] = (lambda _: model, lambda _: rules)
         else:
-            parts = [hold_out(train, found.taken.known.least, fold) for fold in range(QUARTERS)]
+            parts = [hold_out(train, found.taken.least, fold) for fold in range(QUARTERS)]
             again = same_orders(model, settings.search)
             models = (
                 linear_rivals(*delays, settings.search)[label].fit if again is None else again.fit,

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from bench.ts_intervals import experiment
 from flysid.model.rules.fitted import FittedTS
-from flysid.model.rules.free_run_error import Stage
 from flysid.model.rules.growth import unrefined
 from flysid.model.rules.refit import as_problem
 from flysid.model.rules.regressor_layout import runs_of
 from flysid.model.rules.search_context import SearchContext
+from flysid.model.rules.stages import Stage
 from flysid.model.ts import TS
 
 

@@ -10,12 +10,11 @@ import numpy as np
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError
 from flysid.model.noise import noise_models
-from flysid.model.rules.free_run_error import Stage
 from flysid.model.rules.growth import rule_support
 from flysid.model.rules.likely_start import start_spread
 from flysid.model.rules.rule_model import RuleModel
 from flysid.model.rules.run_start import LikelyStart
-from flysid.model.rules.stages import prior_of
+from flysid.model.rules.stages import Stage, prior_of
 from flysid.model.start import MAX_SHARE, most_start_rows, settled_start_rows, start_window
 
 M = TypeVar("M", bound=RuleModel)

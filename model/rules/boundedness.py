@@ -15,8 +15,9 @@ import numpy as np
 import numpy.typing as npt
 
 from flysid.dataset import FloatArray
-from flysid.model.rules.free_run_error import Stage, widened
+from flysid.model.rules.free_run_error import widened
 from flysid.model.rules.kernel import Lags, Parameters, free_run
+from flysid.model.rules.stages import Stage
 
 FAR = 10.0
 """Ranges: in a closed loop an output that integrates is never seen to move as it can."""

@@ -12,10 +12,11 @@ from dataclasses import replace
 import numpy as np
 
 from flysid.model.rules.clustering import cluster, project
-from flysid.model.rules.free_run_error import Body, Stage
+from flysid.model.rules.free_run_error import Body
 from flysid.model.rules.growth import unrefined
 from flysid.model.rules.memberships import Partition
 from flysid.model.rules.regressor_layout import Antecedent
+from flysid.model.rules.stages import Stage
 
 
 def clustered_stage(linear: Stage, antecedents: tuple[Antecedent, ...], rules: int) -> Stage:

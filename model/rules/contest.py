@@ -24,7 +24,7 @@ from flysid.model.rules.fitted import FittedTS
 from flysid.model.rules.judging import hold_out
 from flysid.model.rules.operating_points import described
 from flysid.model.rules.regressor_layout import scaling
-from flysid.model.rules.search_record import Learned, LinearSide
+from flysid.model.rules.search_record import LinearSide, Search
 from flysid.model.rules.search_settings import QUARTERS, RuleSettings
 from flysid.model.rules.structure_choice import CLEARLY, Advantage, advantage, block_errors, compared
 
@@ -32,19 +32,6 @@ _FORETOLD = 0.5  # share of the free run's error that its own past must explain
 _RESOLUTION = 1e-3  # of the outputs' spread: a free-run error below leaves nothing to explain
 _MOST_OUTPUTS = 2
 _MOST_SAMPLES = 100_000
-_STEPS = 6  # of both models' refinement on the rest
-
-
-@dataclass(frozen=True, eq=False)
-class Searched:
-    """What a search found, and its model."""
-
-    known: Learned
-    model: FittedTS
-
-    def again(self, data: Dataset) -> FittedTS:
-        """Refined from where it is on a part of the data."""
-        return self.known.again(data, _STEPS)
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,31 +46,33 @@ class Contest:
     linear : the linear side's choice, where rules do not pay.
     """
 
-    lags: Searched
-    states: Searched | None = None
+    lags: Search
+    states: Search | None = None
     advantage: Advantage = field(default_factory=Advantage)
     fits: bool = False
     linear: Fitted | None = None
 
     @property
-    def taken(self) -> Searched:
+    def taken(self) -> Search:
         """The search whose rules are the better ones."""
         wins = self.advantage.clear and self.fits
         return self.states if self.states is not None and wins else self.lags
 
-    def winner(self, train: Dataset) -> Fitted:
+    @property
+    def winner(self) -> Fitted:
         """The model to take, with a note on why."""
-        return self.described(train) if self.linear is None else self.linear
+        return self.described if self.linear is None else self.linear
 
-    def described(self, train: Dataset) -> FittedTS:
+    @property
+    def described(self) -> FittedTS:
         """The better of the two kinds, and what it does at operating points unless one rule is linear."""
-        known = self.taken.known
-        return self.of_rules if known.linear else described(self.of_rules, train, known.neighbour)
+        taken = self.taken
+        return self.of_rules if taken.linear else described(self.of_rules, taken.train, taken.neighbour)
 
     @property
     def of_rules(self) -> FittedTS:
         """The better of the two kinds, with a note on why."""
-        model = self.taken.model
+        model = self.taken.bare
         if self.states is None:
             return model
         times = np.exp(0.5 * self.advantage.gain)
@@ -100,16 +89,14 @@ def contest(
     settings: RuleSettings, train: Dataset, validation: Dataset | None, linear_side: LinearSide
 ) -> Contest:
     """Both kinds, the second where the first hints at it."""
-    known = learning.over_lags(settings, train, validation, linear_side)
-    lags = Searched(known, known.model(train, intervals=False))
-    straight = known.stage.rules == 1 and known.fit > -CLEARLY
-    if straight or not (settings.search.hidden_states and hints_at_hidden_state(lags.model, train)):
+    lags = learning.over_lags(settings, train, validation, linear_side)
+    straight = lags.stage.rules == 1 and lags.fit > -CLEARLY
+    if straight or not (settings.search.hidden_states and hints_at_hidden_state(lags.bare, train)):
         return Contest(lags)
     try:
-        learned = learning.over_states(settings, train, validation)
-        if learned.stage.rules == 1 == known.stage.rules:
+        states = learning.over_states(settings, train, validation)
+        if states.stage.rules == 1 == lags.stage.rules:
             return Contest(lags)
-        states = Searched(learned, learned.model(train, intervals=False))
         judgement = _judge(lags, states, train, validation)
     except (DataError, FitError, UsageError, np.linalg.LinAlgError):  # e.g. antecedents that it does not have
         return Contest(lags)
@@ -117,13 +104,13 @@ def contest(
 
 
 def _judge(
-    lags: Searched, states: Searched, train: Dataset, validation: Dataset | None
+    lags: Search, states: Search, train: Dataset, validation: Dataset | None
 ) -> tuple[Advantage, bool]:
     """The advantage of hidden states on held-out parts, and whether they fit the training data better."""
-    fits = advantage([block_errors((lags.model, states.model), train)]).gain < 0.0
+    fits = advantage([block_errors((lags.bare, states.bare), train)]).gain < 0.0
     if validation is not None:
-        return compared(lambda _: lags.model, lambda _: states.model, [(train, validation)]), fits
-    least = max(lags.known.least, states.known.least)
+        return compared(lambda _: lags.bare, lambda _: states.bare, [(train, validation)]), fits
+    least = max(lags.least, states.least)
     parts = [hold_out(train, least, fold) for fold in range(QUARTERS)]
     return compared(lags.again, states.again, parts), fits
 

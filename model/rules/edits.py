@@ -14,14 +14,14 @@ from itertools import combinations
 import numpy as np
 
 from flysid.dataset import FloatArray
-from flysid.model.rules.free_run_error import Body, Stage
+from flysid.model.rules.free_run_error import Body
 from flysid.model.rules.growth import Training, best_started, one_rule_more, rule_support
 from flysid.model.rules.judging import Candidate
 from flysid.model.rules.kernel import Parameters
 from flysid.model.rules.refit import as_problem
 from flysid.model.rules.regressor_layout import Layout
 from flysid.model.rules.search_context import SearchContext
-from flysid.model.rules.stages import ordered, refine, with_ridge
+from flysid.model.rules.stages import Stage, ordered, with_ridge
 from flysid.model.selection import clearly_better
 
 TRIED = 3
@@ -95,7 +95,7 @@ def _refined_mergers(context: SearchContext, stage: Stage) -> Iterator[Stage]:
         for s in staged(layout, p, problem.runs)
     ]
     for s in sorted(tried, key=lambda s: s.cost)[:TRIED]:
-        yield refine(with_ridge(s, Training().ridge * s.cost), context.settings.iterations // 2, 1e-5)
+        yield with_ridge(s, Training().ridge * s.cost).refined(context.settings.iterations // 2, 1e-5)
 
 
 def merge_and_split(context: SearchContext, models: Sequence[Candidate], at: int) -> Candidate:

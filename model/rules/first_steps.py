@@ -78,7 +78,6 @@ def _context(
         scale,
         least,
         folds=folds,
-        gain=s.rule_gain,
         promise=s.rule_gain,
         ridges=ridges,
     )

@@ -12,20 +12,19 @@ from flysid.model.documents import array_or_none, points_from, signals_of
 from flysid.model.rules import control_system, explanation, local_models, rule_uncertainty, simplify
 from flysid.model.rules.assembly import start_of, with_noise_model
 from flysid.model.rules.explanation import Explanation
-from flysid.model.rules.free_run_error import Stage
 from flysid.model.rules.growth import rule_support
 from flysid.model.rules.integrity import check, refuse
 from flysid.model.rules.kernel import Parameters
 from flysid.model.rules.likely_start import Prior
 from flysid.model.rules.local_models import LocalStateSpace
 from flysid.model.rules.lyapunov import StabilityCertificate, certificate_of
-from flysid.model.rules.operating_points import described
 from flysid.model.rules.recursion import companion
 from flysid.model.rules.regressor_layout import REACH, Antecedent, Layout, Orders
 from flysid.model.rules.rule_model import RuleModel
 from flysid.model.rules.rule_uncertainty import Uncertainty
 from flysid.model.rules.run_start import LikelyStart, MeasuredStart, RunStart
 from flysid.model.rules.simplify import PricedEdit
+from flysid.model.rules.stages import Stage
 
 
 class FittedTS(RuleModel):
@@ -69,26 +68,12 @@ class FittedTS(RuleModel):
         return control_system.to_nonlinear_system(self)
 
 
-def finished(
-    stage: Stage,
-    train: Dataset,
-    notes: tuple[str, ...],
-    *,
-    intervals: bool = True,
-    neighbour: Stage | None = None,
-) -> FittedTS:
-    """The stage as a fitted model, with its start, support, noise model and, on request, what it does.
-
-    Parameters
-    ----------
-    intervals : say what the model does at operating points, and how surely.
-    neighbour : the model with one rule more, or one fewer where growth ended, see `operating_points`.
-    """
+def finished(stage: Stage, train: Dataset, notes: tuple[str, ...]) -> FittedTS:
+    """The stage as a fitted model, with its start, support and noise model."""
     parameters = stage.problem.parameters(stage.body)
     start = start_of(stage, train.dt_s)
     bare = FittedTS(train.dt_s, stage.layout, parameters, start, rule_support(stage), notes)
-    model = with_noise_model(bare, train)
-    return described(model, train, neighbour) if intervals else model
+    return with_noise_model(bare, train)
 
 
 def from_dict(document: Mapping[str, Any]) -> FittedTS:

@@ -22,12 +22,11 @@ from functools import cached_property
 import numpy as np
 
 from flysid.dataset import FloatArray
-from flysid.model.bordered import Bordered
-from flysid.model.rules.descent import SETS, Cost, Fixed, Sizes, descended
 from flysid.model.rules.kernel import IntArray, Parameters, free_run, sweep
 from flysid.model.rules.regressor_layout import Layout
 
-_DRIFT = 1e-5  # on the hidden states' scale and origin, which no output shows
+SETS = (0.02, 3.0)
+"""Widths in ranges of the antecedent: sets that words can name."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,34 +122,6 @@ class Problem:
         edges = np.cumsum([0, *(len(W) for W in self.runs)])
         return np.ascontiguousarray(np.vstack(self.runs)), edges.astype(np.int64)
 
-    @property
-    def sizes(self) -> Sizes:
-        """The problem's numbers as the compiled descent takes them."""
-        layout = self.layout
-        return Sizes(layout.depth, layout.moving, layout.n_y, float(self.samples), float(self.ridge))
-
-    def fixed(self, body: Body, chosen: IntArray) -> Fixed:
-        """What a descent from a body does not move, as the compiled code takes it."""
-        W, edges = self.stacked
-        layout = self.layout
-        m = self.layout.n * len(self.basis)
-        hidden = np.arange(layout.n) >= layout.n_y
-        drift = np.where(hidden, _DRIFT / max(1, len(self.runs) * int(hidden.sum())), 0.0)
-        return Fixed(
-            np.ascontiguousarray(self.basis),
-            np.ascontiguousarray(self.offset),
-            np.eye(m) if self.metric is None else np.ascontiguousarray(self.metric),
-            np.ascontiguousarray(body.centre),
-            np.ascontiguousarray(body.width),
-            np.ascontiguousarray(self.z_range),
-            np.ascontiguousarray(chosen, dtype=np.int64),
-            W,
-            edges,
-            np.zeros((0, W.shape[1])) if self.stress is None else np.ascontiguousarray(self.stress),
-            np.zeros(layout.moving * layout.n),
-            np.diag(np.tile(drift, layout.moving)),
-        )
-
     def parameters(self, body: Body) -> Parameters:
         """Kernel parameters of a body."""
         return Parameters(
@@ -197,77 +168,6 @@ class Problem:
         return replace(self, layout=layout, z_range=antecedent_range(layout, self.runs))
 
 
-@dataclass(frozen=True, eq=False)
-class Stage:
-    """A model on its way: problem, numbers, starts of runs (S, moving, n), the cost reached in training."""
-
-    problem: Problem
-    body: Body
-    initial: FloatArray
-    cost: float = np.inf
-
-    @property
-    def rules(self) -> int:
-        """Number of rules."""
-        return len(self.body.a)
-
-    @property
-    def layout(self) -> Layout:
-        """Lags or states, antecedents, scaling."""
-        return self.problem.layout
-
-    @property
-    def unknowns(self) -> FloatArray:
-        """[a | centre | log width | starts] as one vector."""
-        return np.concatenate([self.body.vector(), self.initial.ravel()])
-
-    def at(self, p: FloatArray, cost: float) -> Stage:
-        """The stage at another vector of unknowns."""
-        body = self.body.moved(p[: self.body.size]).within(self.problem.z_range)
-        return replace(self, body=body, initial=p[self.body.size :].reshape(self.initial.shape), cost=cost)
-
-    def simulated(self) -> list[FloatArray]:
-        """W of every run, simulated."""
-        return self.problem.simulate(self.body, self.initial)
-
-    def mean_square(self) -> float:
-        """Mean squared simulation error, without the ridge."""
-        first = self.layout.uncompared
-        n_y = self.layout.n_y
-        total = 0.0
-        for run, W in zip(self.simulated(), self.problem.runs, strict=True):
-            gap = run[first:, :n_y] - W[first:, :n_y]
-            total += float((gap * gap).sum())
-        return total / self.problem.samples
-
-    def cost_of(self, chosen: IntArray | None = None) -> Cost:
-        """The cost by the unknowns; the ridge holds memberships where they are in this stage.
-
-        Parameters
-        ----------
-        chosen : indices of the numbers of the body that move beside the starts; all free ones where None.
-        """
-        problem = self.problem
-        fixed = problem.fixed(self.body, self.body.free if chosen is None else chosen)
-        return Cost(problem.layout.lags, problem.parameters(self.body), fixed, problem.sizes)
-
-    def priced(self) -> Stage:
-        """The same stage with the cost of where it is: mean squared error in variances, ridge, stress."""
-        return replace(self, cost=self.cost_of().at(self.unknowns))
-
-    def normal(self) -> tuple[float, Bordered, FloatArray]:
-        """Cost, its Gauss-Newton matrix H and half its gradient g, so that a full step is -H^-1 g."""
-        return self.cost_of().normal(self.unknowns)
-
-    def descended(self, iterations: int, tolerance: float, chosen: IntArray | None = None) -> Stage:
-        """The stage after Levenberg-Marquardt on the simulation error.
-
-        Itself, its cost infinite, where it diverges from the start. `chosen` as in `cost_of`.
-        """
-        cost, p = descended(self.cost_of(chosen), self.unknowns, iterations, tolerance)
-        return self.at(p, cost) if np.isfinite(cost) else replace(self, cost=np.inf)
-
-
 def widened(limits: FloatArray, times: float) -> FloatArray:
     """(2, n) ranges, wider by so many times themselves on each side."""
     margin = times * (limits[1] - limits[0])
@@ -299,56 +199,56 @@ def swept(
     run : W, whose first `depth` rows are the start, which hangs on nothing; the others are computed in place.
     chunk : rows of sensitivities that are handed out at a time.
     """
-    ring = _ring(problem.layout, body.size)
-    for begin in range(problem.layout.depth, len(run), chunk):
+    layout = problem.layout
+    ring = np.zeros((max(layout.moving, 1), layout.n, body.size))
+    par = problem.parameters(body)
+    for begin in range(layout.depth, len(run), chunk):
         rows = slice(begin, min(begin + chunk, len(run)))
-        yield rows, _sensitivities(problem, body, run, rows, ring)
+        J = np.empty((rows.stop - begin, layout.n_y, body.size))
+        _sweep_into(J, layout, par, run, begin, ring, problem.basis, 0)
+        yield rows, J
 
 
 def run_sensitivities(
-    problem: Problem, body: Body, W: FloatArray, initial: FloatArray
+    layout: Layout, par: Parameters, W: FloatArray, start: FloatArray, basis: FloatArray | None = None
 ) -> tuple[FloatArray, FloatArray]:
-    """(N, n_y, P + moving n) sensitivities of a free run, those to its start last, and (N, n_y) errors.
+    """W of a free run, and the sensitivities (N - uncompared, n_y, P) of its outputs.
 
-    Errors are measured less simulated.
+    To the numbers of the body, where a basis is given, then to those of the start.
 
     Parameters
     ----------
     W : (N, n + n_u) measured run, normalised.
-    initial : (moving, n) its start.
+    start : (moving n,) its start.
     """
-    layout = problem.layout
-    d = layout.depth
     n = layout.n
-    n_y = layout.n_y
-    first = layout.depth - layout.moving
+    moving = layout.moving
+    d = layout.depth
+    common = 0 if basis is None else len(par.theta) * n * len(basis) + 2 * par.centre.size
     run = W.copy()
-    run[first:d, :n] = initial
-    ring = _ring(layout, body.size + initial.size)
-    J = np.zeros((len(W), n_y, body.size + initial.size))
-    for k in range(layout.moving):
-        own = body.size + k * n + np.arange(n)
-        ring[(first + k) % len(ring), np.arange(n), own] = 1.0
-        J[first + k, np.arange(n_y), own[:n_y]] = 1.0
-    J[d:] = _sensitivities(problem, body, run, slice(d, len(W)), ring)
-    return J, W[:, :n_y] - run[:, :n_y]
+    run[layout.uncompared : d, :n] = start.reshape(moving, n)
+    ring = np.zeros((max(moving, 1), n, common + start.size))
+    J = np.zeros((len(W) - layout.uncompared, layout.n_y, common + start.size))
+    for k in range(moving):
+        own = common + k * n + np.arange(n)
+        ring[(layout.uncompared + k) % len(ring), np.arange(n), own] = 1.0
+        J[k, np.arange(layout.n_y), own[: layout.n_y]] = 1.0
+    none = np.zeros((0, par.theta.shape[2]))
+    _sweep_into(J[moving:], layout, par, run, d, ring, none if basis is None else basis, start.size)
+    return run, J
 
 
-def _ring(layout: Layout, columns: int) -> FloatArray:
-    lags = layout.lags
-    past = [lag for c, lag in zip(lags.column, lags.lag, strict=True) if 0 <= c < layout.n]
-    past += [max(a.lag, a.minus) for a in layout.antecedents if a.column < layout.n]
-    return np.zeros((max(past, default=1), layout.n, columns))
-
-
-def _sensitivities(
-    problem: Problem, body: Body, run: FloatArray, rows: slice, ring: FloatArray
-) -> FloatArray:
-    J = np.empty((rows.stop - rows.start, problem.layout.n_y, ring.shape[2]))
-    basis = np.ascontiguousarray(problem.basis)
-    par = problem.parameters(body)
-    within = (rows.start, rows.stop)
-    lags = problem.layout.lags
-    own = ring.shape[2] - body.size
-    sweep(run, run, within, lags, par, basis, own, ring, J, np.zeros((0, 0)), np.zeros(0))
-    return J
+def _sweep_into(
+    J: FloatArray,
+    layout: Layout,
+    par: Parameters,
+    run: FloatArray,
+    begin: int,
+    ring: FloatArray,
+    basis: FloatArray,
+    own: int,
+) -> None:
+    """Rows of a run from `begin` on with their sensitivities, as many as J (rows, n_y, P) has."""
+    within = (begin, begin + len(J))
+    basis = np.ascontiguousarray(basis)
+    sweep(run, run, within, layout.lags, par, basis, own, ring, J, np.zeros((0, 0)), np.zeros(0))

@@ -16,10 +16,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from flysid.dataset import FloatArray
-from flysid.model.rules.free_run_error import Body, Problem, Stage, antecedent_range
+from flysid.model.rules.free_run_error import Body, Problem, antecedent_range
 from flysid.model.rules.kernel import firing
 from flysid.model.rules.regressor_layout import Antecedent, Layout, windows
-from flysid.model.rules.stages import expected_cost, inserted, on_runs_of, refine, with_ridge
+from flysid.model.rules.stages import Stage, expected_cost, inserted, on_runs_of, with_ridge
 
 _PLACES = (0.15, 0.5, 0.85)
 _FIRST_PLACES = (0.1, 0.3, 0.7, 0.9)  # not the middle, from where there is no other side
@@ -66,8 +66,8 @@ def linear_stage(problem: Problem, iterations: int, more: tuple[Stage, ...] = ()
     """The refined linear model: one rule, from the best of the linear starts and `more`."""
     estimated = min((unrefined(problem, body) for body in _linear_starts(problem)), key=lambda s: s.cost)
     short = max(8, iterations // 3)
-    trials = [refine(rebased(start), short, 1e-4) for start in (*more, estimated)]
-    return refine(rebased(min(trials, key=lambda s: s.cost)), iterations, 1e-6)
+    trials = [rebased(start).refined(short, 1e-4) for start in (*more, estimated)]
+    return rebased(min(trials, key=lambda s: s.cost)).refined(iterations, 1e-6)
 
 
 def unrefined(problem: Problem, body: Body | None = None, initial: FloatArray | None = None) -> Stage:
@@ -85,7 +85,7 @@ def best_started(problem: Problem, body: Body) -> Stage:
     starts = problem.measured_initial(), problem.smooth_initial()
     plain = replace(problem, ridge=0.0, stress=None)
     stage = min((unrefined(plain, body, initial) for initial in starts), key=lambda s: s.cost)
-    found = stage.descended(_START_STEPS, 1e-3, NOTHING)
+    found = stage.refined(_START_STEPS, 1e-3, NOTHING)
     return unrefined(problem, body, found.initial)
 
 
@@ -293,7 +293,7 @@ def one_rule_more(stage: Stage, antecedents: Sequence[Antecedent], how: Training
     options = insertions(few, antecedents)
     promised = [expected_cost(grown) for _, grown in options]
     order = [i for i in np.argsort(promised, kind="stable") if np.isfinite(promised[i])][: how.tries]
-    trials = [(options[i][0], refine(options[i][1], max(6, how.iterations // 3), 1e-5)) for i in order]
+    trials = [(options[i][0], options[i][1].refined(max(6, how.iterations // 3), 1e-5)) for i in order]
     if not trials:
         return None
     where, trial = min(trials, key=lambda each: each[1].cost)
@@ -305,7 +305,7 @@ def one_rule_more(stage: Stage, antecedents: Sequence[Antecedent], how: Training
 
 def settled(stage: Stage, how: Training) -> Stage:
     """Refined fully, under the ridge that its present error asks for."""
-    return refine(with_ridge(stage, how.ridge * stage.mean_square()), how.iterations, how.tolerance)
+    return with_ridge(stage, how.ridge * stage.mean_square()).refined(how.iterations, how.tolerance)
 
 
 def same_insertion(stage: Stage, insertion: Insertion, how: Training) -> Stage | None:

@@ -15,8 +15,9 @@ import numpy as np
 import numpy.typing as npt
 
 from flysid.dataset import FloatArray
-from flysid.model.rules.free_run_error import Body, Problem, Stage
+from flysid.model.rules.free_run_error import Body, Problem
 from flysid.model.rules.growth import embedded_start, first_basis, linear_stage, unrefined
+from flysid.model.rules.stages import Stage
 
 _ROUNDING = 1e-12
 _REAL = 1e-9  # imaginary part of a pole that is real

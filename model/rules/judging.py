@@ -15,13 +15,13 @@ import numpy as np
 
 from flysid.dataset import Dataset, FloatArray, Segment
 from flysid.model.rules.boundedness import is_bounded
-from flysid.model.rules.free_run_error import Stage, started_run
+from flysid.model.rules.free_run_error import started_run
 from flysid.model.rules.likely_start import initial_states
 from flysid.model.rules.linear_starts import LinearStart
 from flysid.model.rules.recursion import unheld
 from flysid.model.rules.regressor_layout import windows
 from flysid.model.rules.search_settings import QUARTERS
-from flysid.model.rules.stages import prior_of
+from flysid.model.rules.stages import Stage, prior_of
 from flysid.model.selection import block_means
 from flysid.model.start import MAX_SHARE
 

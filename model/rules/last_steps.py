@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 
 from flysid.model.rules.boundedness import is_bounded
-from flysid.model.rules.free_run_error import Stage
 from flysid.model.rules.judging import INTEGRATES
 from flysid.model.rules.linear_starts import as_linear, as_stage
 from flysid.model.rules.refit import refit
@@ -15,7 +14,7 @@ from flysid.model.rules.regressor_layout import runs_of
 from flysid.model.rules.saturation import saturation_limits
 from flysid.model.rules.search_context import SPARE_ROWS
 from flysid.model.rules.search_record import LinearSide, Search
-from flysid.model.rules.stages import on_runs_of, ordered, refine, with_ridge
+from flysid.model.rules.stages import Stage, on_runs_of, ordered, with_ridge
 from flysid.model.rules.state_systems import in_coordinates, system_stage
 
 _READABLE = 4  # states up to which rates of change and modes say more than uncorrelated numbers
@@ -107,8 +106,8 @@ def _on_everything(found: Search, start: Stage, ridge: float, *, drifts: bool) -
     """
     for model in found.models[found.at : 0 : -1]:
         stage = on_runs_of(model.stage, start)
-        stage = refine(
-            with_ridge(stage, ridge * stage.mean_square()), found.context.settings.iterations, 1e-6
+        stage = with_ridge(stage, ridge * stage.mean_square()).refined(
+            found.context.settings.iterations, 1e-6
         )
         if np.isfinite(stage.cost) and (drifts or is_bounded(stage)):
             return stage

@@ -2,7 +2,7 @@
 
 Over lags: split and linear starts, grow, select, merge and split, the linear side's choice where one
 rule is enough, refit. Over hidden states: linear systems and split, grow, select, refit. Every step returns
-a new record with its reason in words; intervals come with the model (`flysid.model.rules.fitted.finished`).
+a new record with its reason in words; intervals come with its model.
 """
 
 from __future__ import annotations
@@ -16,12 +16,11 @@ from flysid.model.rules import edits
 from flysid.model.rules.clustered_start import clustered_stage
 from flysid.model.rules.families import Family, fewest_rules, sweep_in_words
 from flysid.model.rules.first_steps import lag_starts, state_starts
-from flysid.model.rules.free_run_error import Stage
 from flysid.model.rules.last_steps import refit_lags, refit_states, take_linear_side
 from flysid.model.rules.search import search
-from flysid.model.rules.search_record import Learned, LinearSide, Search
+from flysid.model.rules.search_record import LinearSide, Search
 from flysid.model.rules.search_settings import RuleSettings
-from flysid.model.rules.stages import ordered
+from flysid.model.rules.stages import Stage, ordered
 
 SWEEP = "Validation free-run error by number of rules"
 """How the note begins that says what was tried."""
@@ -29,7 +28,7 @@ SWEEP = "Validation free-run error by number of rules"
 
 def over_lags(
     settings: RuleSettings, train: Dataset, validation: Dataset | None, linear_side: LinearSide | None = None
-) -> Learned:
+) -> Search:
     """Rules over lags: choose orders, then rules, by the validation free run.
 
     Parameters
@@ -46,15 +45,15 @@ def over_lags(
     steps = (grow, select, merge_and_split, partial(take_linear_side, linear_side), refit_lags)
     for step in steps:
         found = step(found)
-    return found.learned
+    return found
 
 
-def over_states(settings: RuleSettings, train: Dataset, validation: Dataset | None) -> Learned:
+def over_states(settings: RuleSettings, train: Dataset, validation: Dataset | None) -> Search:
     """Rules over hidden states: choose states and coordinates, then rules; raises as `over_lags`."""
     found = state_starts(settings, train, validation)
     for step in (grow, select, refit_states):
         found = step(found)
-    return found.learned
+    return found
 
 
 def grow(found: Search) -> Search:
@@ -87,7 +86,7 @@ def select(found: Search) -> Search:
     context = found.context
     models = found.models
     at = (
-        fewest_rules(found.best, found.plain, context.gain)
+        fewest_rules(found.best, found.plain, context.settings.search.rule_gain)
         if context.settings.rules == "auto"
         else context.settings.rules - 1
     )

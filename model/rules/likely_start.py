@@ -18,7 +18,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from flysid.dataset import FloatArray
-from flysid.model.rules.kernel import IntArray, Parameters, sweep
+from flysid.model.rules.free_run_error import run_sensitivities, started_run
+from flysid.model.rules.kernel import Parameters
 from flysid.model.rules.regressor_layout import Layout
 
 _STEPS = 12
@@ -111,62 +112,32 @@ class _StartSearch:
 
     def as_measured(self) -> FloatArray:
         """z of the start that suits the outputs measured in its own rows best."""
-        root = np.sqrt(self.prior.weight)
-        A = np.vstack([root * self.prior.root[self.seen], np.eye(len(self.prior.mean))])
-        right = np.concatenate([-root * self.gap(self.prior.mean), np.zeros(len(self.prior.mean))])
-        return np.asarray(np.linalg.lstsq(A, right, rcond=None)[0])
-
-    @property
-    def seen(self) -> IntArray:
-        """Which of a start's numbers are outputs."""
         layout = self.layout
-        return np.flatnonzero(np.tile(np.arange(layout.n) < layout.n_y, layout.moving))
-
-    def gap(self, x: FloatArray) -> FloatArray:
-        """By how much a start's outputs exceed what was measured."""
-        d = self.layout.depth
-        measured = self.W[d - self.layout.moving : d, : self.layout.n]
-        return np.asarray((x - measured.ravel())[self.seen])
+        mean = self.prior.mean
+        seen = np.flatnonzero(np.tile(np.arange(layout.n) < layout.n_y, layout.moving))
+        gap = self.W[layout.uncompared : layout.depth, : layout.n].ravel() - mean
+        root = np.sqrt(self.prior.weight)
+        A = np.vstack([root * self.prior.root[seen], np.eye(len(mean))])
+        right = np.concatenate([root * gap[seen], np.zeros(len(mean))])
+        return np.asarray(np.linalg.lstsq(A, right, rcond=None)[0])
 
     def misses(self, z: FloatArray) -> FloatArray:
         """Simulated less measured outputs, in standard deviations of the simulation error."""
-        d = self.layout.depth
-        n_y = self.layout.n_y
-        run, _ = _swept(self.layout, self.W, self.par, self.at(z), derive=False)
-        rest = (run[d:, :n_y] - self.W[d:, :n_y]).ravel()
-        return np.asarray(np.sqrt(self.prior.weight) * np.concatenate([self.gap(self.at(z)), rest]))
+        layout = self.layout
+        start = self.at(z).reshape(layout.moving, layout.n)
+        gap = (started_run(layout, self.W, start, self.par) - self.W)[layout.uncompared :, : layout.n_y]
+        return np.asarray(np.sqrt(self.prior.weight) * gap.ravel())
 
     def slopes(self, z: FloatArray) -> FloatArray:
         """(., q) derivatives of `misses`."""
-        _, J = _swept(self.layout, self.W, self.par, self.at(z), derive=True)
-        both = np.vstack([np.eye(len(z))[self.seen], J.reshape(-1, len(z))])
-        return np.asarray(np.sqrt(self.prior.weight) * both @ self.prior.root)
+        _, J = run_sensitivities(self.layout, self.par, self.W, self.at(z))
+        return np.asarray(np.sqrt(self.prior.weight) * J.reshape(-1, len(z)) @ self.prior.root)
 
 
 def _cost(misses: FloatArray, z: FloatArray) -> float:
     """What a search lowers; infinite where the run is none."""
     cost = float(misses @ misses + z @ z)
     return cost if np.isfinite(cost) else np.inf
-
-
-def _swept(
-    layout: Layout, W: FloatArray, par: Parameters, x: FloatArray, *, derive: bool
-) -> tuple[FloatArray, FloatArray]:
-    """The run from a start, and the derivatives (N - depth, n_y, q) of its outputs to it."""
-    d = layout.depth
-    n = layout.n
-    moving = layout.moving
-    run = W.copy()
-    run[d - moving : d, :n] = x.reshape(moving, n)
-    q = len(x) if derive else 0
-    ring = np.zeros((max(moving, 1), n, q))
-    for place in range(q):
-        k, i = divmod(place, n)
-        ring[(d - moving + k) % len(ring), i, place] = 1.0
-    J = np.zeros((len(W) - d if derive else 0, layout.n_y, q))
-    basis = np.zeros((0, par.theta.shape[2]))
-    sweep(run, run, (d, len(W)), layout.lags, par, basis, q, ring, J, np.zeros((0, 0)), np.zeros(0))
-    return run, J
 
 
 def start_spread(
@@ -208,14 +179,11 @@ def _responses(
     layout: Layout, runs: Sequence[FloatArray], par: Parameters, prior: Prior, horizon: int
 ) -> Iterator[FloatArray]:
     d = layout.depth
-    moving = layout.moving
-    n = layout.n
     long = [run for run in runs if len(run) > d + 1]
     for run in long[:: max(len(long) // _PLACES, 1)][:_PLACES]:
         count = max(1, _PLACES // len(long))
         for begin in np.linspace(0, max(len(run) - d - horizon, 0), count).astype(int):
             W = run[begin : begin + d + horizon].copy()
-            x = W[d - moving : d, :n].ravel()
-            _, J = _swept(layout, W, par, x, derive=True)
-            seen = np.eye(len(x)).reshape(moving, n, -1)[:, : layout.n_y]
-            yield np.sqrt(prior.weight) * np.concatenate([seen, J]) @ prior.root
+            start = W[layout.uncompared : d, : layout.n].ravel()
+            _, J = run_sensitivities(layout, par, W, start)
+            yield np.sqrt(prior.weight) * J @ prior.root

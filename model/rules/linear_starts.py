@@ -21,10 +21,11 @@ from flysid.model.bj import BJ
 from flysid.model.freerun import Difference
 from flysid.model.linear.difference_equation import FittedLinear
 from flysid.model.oe import OE
-from flysid.model.rules.free_run_error import Body, Problem, Stage
+from flysid.model.rules.free_run_error import Body, Problem
 from flysid.model.rules.growth import unrefined
 from flysid.model.rules.regressor_layout import Layout, Orders
 from flysid.model.rules.rule_model import RuleModel
+from flysid.model.rules.stages import Stage
 from flysid.model.statespace import StateSpace
 from flysid.model.subspace.fitted_model import FittedStateSpace
 

@@ -28,10 +28,10 @@ from flysid.errors import DataError
 from flysid.model.base import OperatingPoint
 from flysid.model.covariance import root_of
 from flysid.model.polynomials import Z95
-from flysid.model.rules.free_run_error import Stage
 from flysid.model.rules.lack_of_fit import scale_factor
 from flysid.model.rules.rule_model import RuleModel
 from flysid.model.rules.rule_uncertainty import Uncertainty, uncertainty
+from flysid.model.rules.stages import Stage
 from flysid.model.rules.steady_map import Place, SteadyMap
 from flysid.model.rules.vocabulary import Axis
 

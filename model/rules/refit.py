@@ -9,14 +9,14 @@ import numpy as np
 
 from flysid.dataset import Dataset, FloatArray
 from flysid.model.rules.boundedness import is_bounded
-from flysid.model.rules.free_run_error import Body, Problem, Stage, antecedent_range, widened
+from flysid.model.rules.free_run_error import Body, Problem, antecedent_range, widened
 from flysid.model.rules.growth import best_started, first_basis
 from flysid.model.rules.integrator import holds_integrator, rings_on
 from flysid.model.rules.judging import Candidate
 from flysid.model.rules.kernel import Parameters
 from flysid.model.rules.linear_starts import as_stage
 from flysid.model.rules.regressor_layout import Layout
-from flysid.model.rules.stages import on_other_runs, refine
+from flysid.model.rules.stages import Stage, on_other_runs
 
 
 def refit(chosen: Candidate, data: Dataset, runs: Sequence[FloatArray], iterations: int) -> Stage:
@@ -33,14 +33,14 @@ def refit(chosen: Candidate, data: Dataset, runs: Sequence[FloatArray], iteratio
 def on_all_runs(stage: Stage, runs: Sequence[FloatArray], iterations: int) -> Stage:
     """The stage with its numbers refined on `runs`; unchanged where that would make it unstable."""
     if stage.layout.hidden:
-        return refine(on_other_runs(stage, tuple(runs)), iterations, 1e-4)
+        return on_other_runs(stage, tuple(runs)).refined(iterations, 1e-4)
     whole = antecedent_range(stage.problem.layout, runs)
     known = stage.problem.z_range
     wider = np.stack([np.minimum(whole[0], known[0]), np.maximum(whole[1], known[1])])
     # differences of measured outputs are mostly noise: their range is that of the simulation
     change = np.array([a.minus >= 0 for a in stage.problem.layout.antecedents], dtype=bool)
     problem = replace(stage.problem, runs=tuple(runs), z_range=np.where(change, known, wider))
-    found = refine(best_started(problem, stage.body), iterations, 1e-5)
+    found = best_started(problem, stage.body).refined(iterations, 1e-5)
     return found if is_bounded(found) and not _rings_newly(found, stage) else stage
 
 

@@ -155,10 +155,11 @@ def uncertainty(model: RuleModel, train: Dataset) -> Uncertainty:
         raise DataError("fewer samples than parameters: the model's uncertainty cannot be estimated")
     problem, body = as_problem(layout, model.parameters, runs)
     starts = best_started(problem, body).initial
-    found = [_sensitivities(problem, body, W, x) for W, x in zip(runs, starts, strict=True)]
+    found = [run_slopes(problem, body, W, x) for W, x in zip(runs, starts, strict=True)]
+    slopes = [without_start(J.reshape(-1, J.shape[2]), body.size).reshape(*e.shape, -1) for J, e in found]
     chosen = body.free
     covariance = np.zeros((body.size, body.size))
-    known = _covariance([J[:, :, chosen] for J, _ in found], [e for _, e in found])
+    known = _covariance([J[:, :, chosen] for J in slopes], [e for _, e in found])
     covariance[np.ix_(chosen, chosen)] = known
     return Uncertainty(model, body, problem, covariance)
 
@@ -174,16 +175,20 @@ def _shortened(runs: Sequence[FloatArray]) -> tuple[FloatArray, ...]:
     return tuple(kept)
 
 
-def _sensitivities(
-    problem: Problem, body: Body, W: FloatArray, initial: FloatArray
+def run_slopes(
+    problem: Problem, body: Body, W: FloatArray, start: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """(N, n_y, P) sensitivities of a free run, what it started from projected out, and (N, n_y) errors."""
-    J, error = (part[problem.layout.uncompared :] for part in run_sensitivities(problem, body, W, initial))
-    flat = J.reshape(-1, J.shape[2])
-    own = np.linalg.qr(flat[:, body.size :])[0]
-    rest = flat[:, : body.size]
-    rest = rest - own @ (own.T @ rest)
-    return rest.reshape(*error.shape, -1), error
+    """(rows, n_y, P + moving n) sensitivities of a free run, its start's last, and (rows, n_y) errors."""
+    layout = problem.layout
+    run, J = run_sensitivities(layout, problem.parameters(body), W, start.ravel(), problem.basis)
+    return J, (W - run)[layout.uncompared :, : layout.n_y]
+
+
+def without_start(slopes: FloatArray, size: int) -> FloatArray:
+    """The first `size` columns of sensitivities (rows, P), the others, those to the start, projected out."""
+    own = np.linalg.qr(slopes[:, size:])[0]
+    rest = slopes[:, :size]
+    return np.asarray(rest - own @ (own.T @ rest))
 
 
 def _covariance(jacobians: Sequence[FloatArray], errors: Sequence[FloatArray]) -> FloatArray:

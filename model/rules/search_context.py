@@ -10,7 +10,7 @@ import numpy as np
 from flysid.dataset import Dataset, FloatArray
 from flysid.model.rules.boundedness import FAR, probe_run
 from flysid.model.rules.families import Family
-from flysid.model.rules.free_run_error import Problem, Stage
+from flysid.model.rules.free_run_error import Problem
 from flysid.model.rules.growth import embedded_start, first_basis, linear_stage, rebased, unrefined
 from flysid.model.rules.integrator import looks_integrating, with_integrator
 from flysid.model.rules.judging import EXACT, Candidate, judged
@@ -18,7 +18,7 @@ from flysid.model.rules.linear_starts import LinearStart, arx_start, as_stage, l
 from flysid.model.rules.refit import refit
 from flysid.model.rules.regressor_layout import Antecedent, Layout, Orders, parse_antecedent, runs_of
 from flysid.model.rules.search_settings import NORMAL, RuleSettings
-from flysid.model.rules.stages import refine
+from flysid.model.rules.stages import Stage
 from flysid.model.selection import simplest
 from flysid.model.shared import digest, once
 
@@ -38,7 +38,6 @@ class SearchContext:
     Attributes
     ----------
     folds : further parts of little data, held out in turn.
-    gain : share of the mean square that a rule must win.
     promise : in logarithms of the mean square, what two rules must lower fit and validation by on average.
     ridges : weights on the difference of rules, see `Training`; the first for every start.
     """
@@ -51,7 +50,6 @@ class SearchContext:
     least: int
     must_be_bounded: bool = True
     folds: tuple[tuple[Dataset, Dataset], ...] = ()
-    gain: float = 0.0
     promise: float = 0.0
     ridges: tuple[float, ...] = NORMAL.ridges
 
@@ -239,7 +237,7 @@ class SearchContext:
 
     def _both(self, model: LinearStart) -> list[Candidate]:
         plain = as_stage(model, self.problem(model.orders))
-        settled = self._settled(refine(rebased(plain), self.settings.iterations, 1e-6))
+        settled = self._settled(rebased(plain).refined(self.settings.iterations, 1e-6))
         kept = [] if any(s.problem.integrates for s in settled) else [self.judge(self.ready(rebased(plain)))]
         return [
             *(replace(c, linear=model, moved=False) for c in kept if np.isfinite(c.stage.cost)),

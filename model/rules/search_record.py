@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -11,44 +12,17 @@ from flysid.dataset import Dataset
 from flysid.model.base import Fitted
 from flysid.model.rules.families import Family
 from flysid.model.rules.fitted import FittedTS, finished
-from flysid.model.rules.free_run_error import Stage
 from flysid.model.rules.judging import Candidate
+from flysid.model.rules.operating_points import described
 from flysid.model.rules.refit import on_all_runs
 from flysid.model.rules.regressor_layout import runs_of
 from flysid.model.rules.search_context import SPARE_ROWS, SearchContext
 from flysid.model.rules.search_settings import RuleSettings
+from flysid.model.rules.stages import Stage
 
 LinearSide = Callable[[RuleSettings, Dataset, Dataset | None], tuple[str, Fitted] | None]
 """What the linear side chooses for settings and data, and its name; None where it has nothing."""
-
-
-@dataclass(frozen=True, eq=False)
-class Learned:
-    """A chosen stage and how it was chosen, in words.
-
-    Attributes
-    ----------
-    least : rows that a segment of a part must have.
-    neighbour : one with a rule more, or fewer where growth ended.
-    linear : the linear model that one rule is, where it is one.
-    fit : change of the training mean square by a second rule, in logarithms.
-    """
-
-    stage: Stage
-    notes: tuple[str, ...]
-    least: int
-    neighbour: Stage | None = None
-    linear: Fitted | None = None
-    fit: float = -np.inf
-
-    def model(self, train: Dataset, *, intervals: bool = True) -> FittedTS:
-        """The fitted model; with `intervals` it says what it does at operating points, and how surely."""
-        return finished(self.stage, train, self.notes, intervals=intervals, neighbour=self.neighbour)
-
-    def again(self, data: Dataset, iterations: int) -> FittedTS:
-        """The model refined from where it is on a part of the data."""
-        runs = runs_of(self.stage.layout, data.segments, self.least)
-        return finished(on_all_runs(self.stage, runs, iterations), data, (), intervals=False)
+_STEPS = 6  # of a refinement on a part of the data
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,6 +38,7 @@ class Search:
     chosen : the model that is to be offered, as grown on the first part; `at` + 1 is its number of rules.
     stage : the same on all the data.
     notes, verdict : reasons, in words; those on the number of rules.
+    linear : the linear model that one rule is, where it is one.
     fit : change of the training mean square by a second rule, in logarithms.
     """
 
@@ -106,10 +81,27 @@ class Search:
         return replace(self, notes=(*self.notes, *notes))
 
     @property
-    def learned(self) -> Learned:
-        """What comes of it."""
+    def neighbour(self) -> Stage | None:
+        """The model with a rule more, or one fewer where growth ended."""
         near = [*self.models[self.at + 1 :], *self.models[max(self.at - 1, 0) : self.at]]
-        neighbour = next((m.stage for m in near if m.stable), None)
-        least = self.context.least if self.stage.layout.hidden else self.stage.layout.depth + SPARE_ROWS
-        said = (*self.notes, *self.verdict)
-        return Learned(self.stage, said, least, neighbour, self.linear, self.fit)
+        return next((m.stage for m in near if m.stable), None)
+
+    @property
+    def least(self) -> int:
+        """Rows that a segment of a part must have."""
+        return self.context.least if self.stage.layout.hidden else self.stage.layout.depth + SPARE_ROWS
+
+    @cached_property
+    def bare(self) -> FittedTS:
+        """The fitted model, without what it does at operating points."""
+        return finished(self.stage, self.train, (*self.notes, *self.verdict))
+
+    @property
+    def model(self) -> FittedTS:
+        """The fitted model; it says what it does at operating points, and how surely."""
+        return described(self.bare, self.train, self.neighbour)
+
+    def again(self, data: Dataset) -> FittedTS:
+        """The model refined from where it is on a part of the data."""
+        runs = runs_of(self.stage.layout, data.segments, self.least)
+        return finished(on_all_runs(self.stage, runs, _STEPS), data, ())

@@ -20,7 +20,7 @@ from flysid.model.rules.operating_points import described
 from flysid.model.rules.phrases import from_to
 from flysid.model.rules.regressor_layout import runs_of
 from flysid.model.rules.rule_model import RuleModel
-from flysid.model.rules.stages import ordered, refine, with_ridge
+from flysid.model.rules.stages import ordered, with_ridge
 from flysid.model.threads import on_one_thread
 
 
@@ -88,7 +88,7 @@ def simplifications(
     tried.sort(key=lambda edit: edit[1].cost)
     found = []
     for what, stage in tried[:TRIED]:
-        refined = refine(with_ridge(stage, ridge * stage.cost), iterations, 1e-5)
+        refined = with_ridge(stage, ridge * stage.cost).refined(iterations, 1e-5)
         if np.isfinite(refined.cost) and is_bounded(refined):
             told = replace(model, notes=(*model.notes, f"Simplified by hand: {what}."))
             edited = described(at_stage(told, ordered(refined), train), train)

@@ -20,7 +20,7 @@ from flysid.model.rules.assembly import at_stage, free_run_rmse
 from flysid.model.rules.boundedness import is_bounded
 from flysid.model.rules.consequents import refuse_few, refuse_other_data
 from flysid.model.rules.fitted import FittedTS
-from flysid.model.rules.free_run_error import Body, Problem, Stage, widened
+from flysid.model.rules.free_run_error import Body, Problem, widened
 from flysid.model.rules.growth import best_started
 from flysid.model.rules.integrator import holds_integrator
 from flysid.model.rules.kernel import IntArray
@@ -29,7 +29,7 @@ from flysid.model.rules.operating_points import described
 from flysid.model.rules.phrases import from_to
 from flysid.model.rules.recursion import NEARLY_ONE, Recursion, companion, rule_radius
 from flysid.model.rules.regressor_layout import Layout, runs_of
-from flysid.model.rules.stages import ordered
+from flysid.model.rules.stages import Stage, ordered
 from flysid.model.threads import on_one_thread
 
 _HALVINGS = 12  # of how far a rule is drawn
@@ -158,7 +158,7 @@ def _refine(model: FittedTS, theta: FloatArray, runs: tuple[FloatArray, ...]) ->
     free[: a.size] = np.tile(~past, a.size // len(past))
     if start.rules == 1:
         free[a.size :] = 0.0
-    found = start.descended(_ITERATIONS, 1e-6, np.flatnonzero(free))
+    found = start.refined(_ITERATIONS, 1e-6, np.flatnonzero(free))
     return found if found.cost < start.cost and is_bounded(found) else start
 
 

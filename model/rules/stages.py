@@ -1,22 +1,90 @@
-"""What is done to a model on its way, over lags and hidden states alike: refined, ranked, a rule inserted."""
+"""A model on its way, over lags and hidden states alike: refined, ranked, a rule inserted."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from flysid.dataset import FloatArray
-from flysid.model.rules.free_run_error import Body, Stage
+from flysid.model.bordered import Bordered
+from flysid.model.rules.descent import Cost, descended
+from flysid.model.rules.free_run_error import Body, Problem
+from flysid.model.rules.kernel import IntArray
 from flysid.model.rules.likely_start import Prior, initial_states, rows_before
+from flysid.model.rules.regressor_layout import Layout
 
 _FLAT = 1e-9  # of the largest diagonal entry: unknowns that the cost does not feel
 _PROMISE_DAMPING = 1e-3
 
 
-def refine(stage: Stage, iterations: int, tolerance: float) -> Stage:
-    """Levenberg-Marquardt on the simulation error from where the stage is."""
-    return stage.descended(iterations, tolerance)
+@dataclass(frozen=True, eq=False)
+class Stage:
+    """A model on its way: problem, numbers, starts of runs (S, moving, n), the cost reached in training."""
+
+    problem: Problem
+    body: Body
+    initial: FloatArray
+    cost: float = np.inf
+
+    @property
+    def rules(self) -> int:
+        """Number of rules."""
+        return len(self.body.a)
+
+    @property
+    def layout(self) -> Layout:
+        """Lags or states, antecedents, scaling."""
+        return self.problem.layout
+
+    @property
+    def unknowns(self) -> FloatArray:
+        """[a | centre | log width | starts] as one vector."""
+        return np.concatenate([self.body.vector(), self.initial.ravel()])
+
+    def at(self, p: FloatArray, cost: float) -> Stage:
+        """The stage at another vector of unknowns."""
+        body = self.body.moved(p[: self.body.size]).within(self.problem.z_range)
+        return replace(self, body=body, initial=p[self.body.size :].reshape(self.initial.shape), cost=cost)
+
+    def simulated(self) -> list[FloatArray]:
+        """W of every run, simulated."""
+        return self.problem.simulate(self.body, self.initial)
+
+    def mean_square(self) -> float:
+        """Mean squared simulation error, without the ridge."""
+        first = self.layout.uncompared
+        n_y = self.layout.n_y
+        total = 0.0
+        for run, W in zip(self.simulated(), self.problem.runs, strict=True):
+            gap = run[first:, :n_y] - W[first:, :n_y]
+            total += float((gap * gap).sum())
+        return total / self.problem.samples
+
+    def cost_of(self, chosen: IntArray | None = None) -> Cost:
+        """The cost by the unknowns; the ridge holds memberships where they are in this stage.
+
+        Parameters
+        ----------
+        chosen : indices of the numbers of the body that move beside the starts; all free ones where None.
+        """
+        return Cost(self.problem, self.body, self.body.free if chosen is None else chosen)
+
+    def priced(self) -> Stage:
+        """The same stage with the cost of where it is: mean squared error in variances, ridge, stress."""
+        return replace(self, cost=self.cost_of().at(self.unknowns))
+
+    def normal(self) -> tuple[float, Bordered, FloatArray]:
+        """Cost, its Gauss-Newton matrix H and half its gradient g, so that a full step is -H^-1 g."""
+        return self.cost_of().normal(self.unknowns)
+
+    def refined(self, iterations: int, tolerance: float, chosen: IntArray | None = None) -> Stage:
+        """The stage after Levenberg-Marquardt on the simulation error.
+
+        Itself, its cost infinite, where it diverges from the start. `chosen` as in `cost_of`.
+        """
+        cost, p = descended(self.cost_of(chosen), self.unknowns, iterations, tolerance)
+        return self.at(p, cost) if np.isfinite(cost) else replace(self, cost=np.inf)
 
 
 def with_ridge(stage: Stage, ridge: float) -> Stage:

@@ -13,7 +13,7 @@ from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, FitError
 from flysid.model.linear.difference_equation import FittedLinear
 from flysid.model.oe import OE
-from flysid.model.rules.free_run_error import Body, Problem, Stage
+from flysid.model.rules.free_run_error import Body, Problem
 from flysid.model.rules.likely_start import Prior, initial_states
 from flysid.model.rules.realisation import (
     PLAIN,
@@ -25,7 +25,7 @@ from flysid.model.rules.realisation import (
 )
 from flysid.model.rules.regressor_layout import Layout, Orders, runs_of
 from flysid.model.rules.search_settings import RuleSettings
-from flysid.model.rules.stages import refine
+from flysid.model.rules.stages import Stage
 from flysid.model.statespace import StateSpace
 from flysid.model.subspace.fitted_model import FittedStateSpace
 
@@ -271,7 +271,7 @@ def linear_stage(
     limits[0, :n_y] = np.maximum(limits[0, :n_y], ends[0])
     limits[1, :n_y] = np.minimum(limits[1, :n_y], ends[1])
     stage = _linear(problem, real, nowhere)
-    stage = refine(stage, iterations, 1e-6) if iterations else stage
+    stage = stage.refined(iterations, 1e-6) if iterations else stage
     H = stage.normal()[1].corner
     diagonal = np.diag(H)
     metric = H + np.diag(_FLOOR * diagonal + 1e-9 * diagonal.max())

@@ -23,14 +23,14 @@ from flysid.model.rules.assembly import free_run_rmse, with_noise_model
 from flysid.model.rules.boundedness import is_bounded
 from flysid.model.rules.consequents import refuse_other_data, weighted
 from flysid.model.rules.fitted import FittedTS
-from flysid.model.rules.free_run_error import Stage, run_sensitivities
 from flysid.model.rules.growth import best_started
 from flysid.model.rules.kernel import Parameters, firing
 from flysid.model.rules.phrases import from_to
 from flysid.model.rules.recursion import ROUNDING, rule_radius
 from flysid.model.rules.refit import as_problem
 from flysid.model.rules.regressor_layout import Layout, runs_of
-from flysid.model.rules.rule_uncertainty import steep
+from flysid.model.rules.rule_uncertainty import run_slopes, steep, without_start
+from flysid.model.rules.stages import Stage
 from flysid.model.threads import on_one_thread
 
 Error = Literal["free run", "one step"]
@@ -187,7 +187,7 @@ class _Known:
     ----------
     a : (P,) consequent coordinates.
     information : (P, P) of them, forgotten by the new samples.
-    weights : per run (N,) weight of every row.
+    weights : per run (rows,) weight of every compared row.
     """
 
     a: FloatArray
@@ -203,11 +203,12 @@ class _Known:
         lengths = [len(W) for W in stage.problem.runs]
         total = sum(lengths)
         ages = np.split(np.arange(total)[::-1], np.cumsum(lengths)[:-1])
-        gram, _ = _normal(_random_steps(stage), [np.ones(_USUAL)])
+        uncompared = stage.layout.uncompared
+        gram, _ = _normal(_random_steps(stage), [np.ones(_USUAL - uncompared)])
         basis = stage.problem.basis
         floor = np.kron(np.eye(stage.body.a.size // len(basis)), _FLOOR * trust * basis @ basis.T)
         information = trust * (forgetting**total / _USUAL * gram) + floor
-        weights = tuple(np.asarray(forgetting**age, dtype=np.float64) for age in ages)
+        weights = tuple(np.asarray(forgetting ** age[uncompared:], dtype=np.float64) for age in ages)
         return cls(stage.body.a.ravel(), information, weights)
 
     def cost(self, stage: Stage) -> float:
@@ -268,17 +269,15 @@ def _normal(stage: Stage, weights: Sequence[FloatArray]) -> tuple[FloatArray, Fl
         J, error = _run(stage, i)
         root = np.sqrt(weight)[:, None]
         flat = (J * root[:, :, None]).reshape(-1, J.shape[2])
-        own = np.linalg.qr(flat[:, stage.body.size :])[0]
-        rest = flat[:, :size]
-        rest = rest - own @ (own.T @ rest)
+        rest = without_start(np.delete(flat, slice(size, stage.body.size), axis=1), size)
         H += rest.T @ rest
         g += rest.T @ (error * root).ravel()
     return H, g
 
 
 def _run(stage: Stage, i: int) -> tuple[FloatArray, FloatArray]:
-    """Sensitivities (N, n_y, P + Q) and errors (N, n_y) of one run."""
-    return run_sensitivities(stage.problem, stage.body, stage.problem.runs[i], stage.initial[i])
+    """Sensitivities (rows, n_y, P + Q) and errors (rows, n_y) of one run."""
+    return run_slopes(stage.problem, stage.body, stage.problem.runs[i], stage.initial[i])
 
 
 # ------------------------------------------------------------------------------------------ one step ahead

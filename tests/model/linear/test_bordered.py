@@ -10,9 +10,10 @@ import pytest
 from flysid.dataset import Dataset
 from flysid.model.bordered import Bordered
 from flysid.model.rules.boundedness import probe_run
-from flysid.model.rules.free_run_error import Body, Problem, Stage
+from flysid.model.rules.free_run_error import Body, Problem
 from flysid.model.rules.growth import first_basis, insertions, linear_stage
 from flysid.model.rules.regressor_layout import Antecedent, Layout, Orders, runs_of, scaling
+from flysid.model.rules.stages import Stage
 
 P = 4
 SEGMENTS = 3

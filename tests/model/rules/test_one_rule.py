@@ -17,10 +17,10 @@ from flysid.model.linear_choice import best_linear, choose_baseline, free_run_er
 from flysid.model.one_rule import OneRule, linear_choice, linear_rivals, same_orders
 from flysid.model.rules import search_context
 from flysid.model.rules.fitted import FittedTS
-from flysid.model.rules.free_run_error import Stage
 from flysid.model.rules.growth import linear_stage
 from flysid.model.rules.linear_starts import as_linear, orders_of
 from flysid.model.rules.search_settings import EFFORTS, NORMAL
+from flysid.model.rules.stages import Stage
 from flysid.model.selection import parts_to_choose_on
 from flysid.model.shared import sharing
 from flysid.model.statespace import StateSpace

@@ -20,15 +20,16 @@ from flysid.model.rules import learning
 from flysid.model.rules.contest import hints_at_hidden_state
 from flysid.model.rules.control_system import next_step, to_nonlinear_system
 from flysid.model.rules.fitted import FittedTS, from_dict
-from flysid.model.rules.free_run_error import Body, Stage
+from flysid.model.rules.free_run_error import Body
 from flysid.model.rules.growth import Training, one_rule_more
 from flysid.model.rules.realisation import coordinates, realised
 from flysid.model.rules.regressor_layout import scaling
 from flysid.model.rules.rule_uncertainty import Uncertainty, uncertainty
 from flysid.model.rules.saturation import saturation_limits
 from flysid.model.rules.search_context import SearchContext
-from flysid.model.rules.search_record import Learned
+from flysid.model.rules.search_record import Search
 from flysid.model.rules.search_settings import RuleSettings
+from flysid.model.rules.stages import Stage
 from flysid.model.rules.state_systems import linear_systems, realised_states, system_stage
 from flysid.model.rules.steady_map import SteadyMap
 from flysid.model.rules.structure_choice import Advantage, advantage
@@ -429,13 +430,13 @@ def test_the_contest_takes_the_hidden_state_of_two_tanks() -> None:
     found = contest(BestTS(most_rules=2), tanks)
     assert found.taken is found.states
     assert found.advantage.share == 1.0
-    winner = found.winner(tanks)
+    winner = found.winner
     assert isinstance(winner, FittedTS)
     assert "A hidden state explains" in winner.notes[0]
     assert winner.operating_points
     assert found.states is not None
-    assert free_run_gap(found.states.model, test, truth) < 0.1
-    assert replace(found, fits=False).winner(tanks).notes[-1].endswith("but more in training.")
+    assert free_run_gap(found.states.bare, test, truth) < 0.1
+    assert replace(found, fits=False).winner.notes[-1].endswith("but more in training.")
 
 
 @pytest.mark.usefixtures("arx_alone")
@@ -452,13 +453,13 @@ def test_where_nothing_bends_no_hidden_state_is_tried(monkeypatch: pytest.Monkey
     tried: list[RuleSettings] = []
     search = learning.over_states
 
-    def over_states(settings: RuleSettings, *data: Any) -> Learned:
+    def over_states(settings: RuleSettings, *data: Any) -> Search:
         tried.append(settings)
         return search(settings, *data)
 
     monkeypatch.setattr(learning, "over_states", over_states)
     found = contest(BestTS(), train)
-    assert hints_at_hidden_state(found.lags.model, train)
+    assert hints_at_hidden_state(found.lags.bare, train)
     assert not tried
 
 
