@@ -19,7 +19,7 @@ import numpy as np
 
 from bench import starts, ts_inputs
 from bench.accuracy_data import CASES
-from flysid.model.rules import edits, first_steps, growth, refit, search, search_context
+from flysid.model.rules import edits, first_steps, growth, search, search_context
 from flysid.model.ts_best import BestTS
 
 Step = Callable[[], AbstractContextManager[object]]
@@ -40,7 +40,6 @@ STEPS: Mapping[str, Step] = {
     "fewer orders": lambda: patch.object(search_context, "_ORDER_LOSS", np.inf),
     "short records": lambda: patch.object(first_steps, "_HIGHEST_LINEAR", first_steps._DEEPEST_DELAY),
     "merge and split": lambda: patch.object(edits, "merge_and_split", lambda _, models, at: models[at]),
-    "ringing": lambda: patch.object(refit, "_rings_newly", lambda *_: False),
 }
 MOST_ROWS = 16_000
 """Of a public set."""

@@ -11,7 +11,8 @@ from numba import njit
 from flysid.dataset import FloatArray
 from flysid.filters import own
 
-_GONE = 4e-18  # of a response's largest value: below the rounding of any sum it is part of
+GONE = 4e-18
+"""Of the largest of several: below the rounding of any sum that it is part of."""
 
 compiled = njit(cache=True, error_model="numpy")
 
@@ -69,7 +70,7 @@ def _impulse_response(a: FloatArray, rows: int) -> FloatArray:
             value -= a[i] * h[length - i]
         h[length] = value
         peak = max(peak, abs(value))
-        quiet = quiet + 1 if abs(value) < _GONE * peak else 0
+        quiet = quiet + 1 if abs(value) < GONE * peak else 0
         length += 1
     return h[:length]
 

@@ -78,6 +78,10 @@ def stabilised(a: FloatArray, radius: float = 1.0) -> FloatArray:
     return padded
 
 
+ROUNDING = float(np.sqrt(np.finfo(float).eps))
+"""What stands for nothing beside one: a pole so near to the unit circle is on it."""
+NEARLY_ONE = 0.999
+"""A pole beyond it nearly integrates: the last digits of the coefficients decide gain and time constant."""
 Z95 = NormalDist().inv_cdf(0.975)
 DB = 20.0 / np.log(10.0)
 """Of a magnitude's natural logarithm."""

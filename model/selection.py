@@ -14,7 +14,10 @@ LEVEL = 0.01
 HELD_OUT = 0.25
 """Of training data, where no part was given to choose on."""
 STRONG = 10.0
-"""A difference in BIC that is very strong evidence (Kass & Raftery, 1995, J. Am. Stat. Assoc. 90)."""
+"""A difference in BIC, or a squared gain over its variance: very strong evidence.
+
+Kass & Raftery, 1995, J. Am. Stat. Assoc. 90.
+"""
 
 
 def parts_to_choose_on(train: Dataset) -> tuple[Dataset, Dataset]:

@@ -11,11 +11,11 @@ import numpy as np
 from flysid.dataset import Dataset, FloatArray, Segment
 from flysid.errors import DataError
 from flysid.model.freerun import Difference
+from flysid.model.selection import HELD_OUT
 from flysid.model.simulation_error import Record
 from flysid.model.start import MAX_SHARE
 from flysid.model.stream import Block, OnDisk, Source, blocks_of
 
-HELD_OUT = 0.25
 LEAST_GUARD = 10
 FOLDS = 3
 FOLDED_ROWS = 5_000

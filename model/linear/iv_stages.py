@@ -21,14 +21,13 @@ from flysid.model.linear.difference_equation import FittedLinear
 from flysid.model.linear.free_runner import free_runner
 from flysid.model.linear.initial_state import start_gains
 from flysid.model.noise import noise_models
-from flysid.model.polynomials import stabilised
+from flysid.model.polynomials import NEARLY_ONE, stabilised
 from flysid.model.stream import Block, Blocks, windows
 
 LONG_ORDER = 20
 """Order of the regression that tells what a reference drives."""
 WHITENING = 12
 """Order of the autoregression that whitens what the second stage leaves over."""
-STABLE_RADIUS = 0.999
 SMOOTH = 1e-10
 """Share of the power of a reference's lags below which a direction of them is rounding."""
 SINGULAR = 1e-13
@@ -237,7 +236,7 @@ def _driven(blocks: Blocks, target: int, references: Sequence[int]) -> Path:
 def _path(orders: IVOrders, theta: FloatArray, rows: Sequence[int]) -> Path:
     a, b, _ = orders.polynomials(theta)
     return Path(
-        stabilised(a, STABLE_RADIUS), {row: taps for row, taps in zip(rows, b, strict=True) if len(taps)}
+        stabilised(a, NEARLY_ONE), {row: taps for row, taps in zip(rows, b, strict=True) if len(taps)}
     )
 
 

@@ -29,7 +29,7 @@ from flysid.model.linear.free_runner import free_runner
 from flysid.model.linear.initial_state import start_gains
 from flysid.model.noise import coloured_covariance, noise_model
 from flysid.model.polynomials import free_basis, monic_basis, nearly_cancelled, poles
-from flysid.model.selection import LEVEL, block_errors, simplest, standard_error
+from flysid.model.selection import LEVEL, STRONG, block_errors, simplest, standard_error
 from flysid.model.shared import digest, once
 from flysid.model.simulation_error import (
     OutputError,
@@ -48,8 +48,6 @@ ORDER_LOSS = 0.02
 PATIENCE = 2
 WORSE_FIT = 1.5
 """Mean square of the free run over the fitting part, relative to a simpler candidate's, that is too much."""
-STRONG = 10.0
-"""Squared gain over its variance: very strong evidence (Kass & Raftery, 1995, J. Am. Stat. Assoc. 90)."""
 CANCELLING = np.array([1.0, -0.5])
 """A pole and a zero that leave a transfer as it is."""
 

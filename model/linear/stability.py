@@ -17,10 +17,7 @@ from flysid.errors import FitError
 from flysid.model.freerun import Difference
 from flysid.model.linear.difference_equation import FittedLinear
 from flysid.model.noise import coloured_covariance, noise_model
-from flysid.model.polynomials import stabilised
-
-LARGEST = 0.999
-"""Radius that no pole exceeds once a model is made stable."""
+from flysid.model.polynomials import NEARLY_ONE, stabilised
 
 
 def settled(model: FittedLinear, data: Dataset, *, stable: bool) -> FittedLinear:
@@ -91,13 +88,13 @@ def _inside(system: Difference) -> Difference:
     a = system.a.copy()
     if system.is_diagonal:
         for i in range(a.shape[1]):
-            a[:, i, i] = stabilised(a[:, i, i], LARGEST)
+            a[:, i, i] = stabilised(a[:, i, i], NEARLY_ONE)
         return replace(system, a=a)
     n = len(a) - 1
     n_y = a.shape[1]
     companion = np.eye(n_y * n, k=-n_y)
     companion[:n_y] = -np.hstack(list(a[1:]))
-    shrink = LARGEST / float(np.abs(np.linalg.eigvals(companion)).max())
+    shrink = NEARLY_ONE / float(np.abs(np.linalg.eigvals(companion)).max())
     return replace(system, a=a * (shrink ** np.arange(n + 1))[:, None, None])
 
 

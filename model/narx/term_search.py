@@ -28,7 +28,7 @@ from flysid.model.narx.fitted_polynomial import FittedPolyNARX, Units
 from flysid.model.narx.free_run_kernel import free_run
 from flysid.model.narx.polynomial_terms import Factor, Term, candidates, depth_of, table_of, term_name
 from flysid.model.narx.simulation_fit import TermFit
-from flysid.model.rules.boundedness import probe_run
+from flysid.model.rules.boundedness import PUSHES, probe_run
 from flysid.model.selection import block_means, clearly_better
 from flysid.model.start import MAX_SHARE, estimate_start, run_from_window, start_window
 from flysid.progress import tell
@@ -44,8 +44,6 @@ CHANCE = 0.05
 """That any term is kept where none bends."""
 _ITERATIONS = 5
 _LAST_ITERATIONS = 50
-_PUSHES = 3000
-"""Random inputs, then as many shuffled ones."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,7 +112,7 @@ class TermSearch:
     def probe(self) -> FloatArray:
         """W of random inputs in the training range, then of shuffled training inputs."""
         whole = [self.units.joined(s.u, s.y) for s in self.parts.train.segments]
-        return probe_run(whole, self.units.n_y, _PUSHES, seed=0)
+        return probe_run(whole, self.units.n_y, PUSHES, seed=0)
 
     @cached_property
     def base(self) -> tuple[Factor, ...]:
@@ -198,8 +196,8 @@ class TermSearch:
     def held(self, terms: Sequence[Term], theta: FloatArray) -> int:
         """Samples of the shuffled half of the probe that are held at a limit."""
         W = self.probe.copy()
-        free_run(W[:_PUSHES], self.depth, table_of(terms), theta, self.limits)
-        return free_run(W, _PUSHES, table_of(terms), theta, self.limits)
+        free_run(W[:PUSHES], self.depth, table_of(terms), theta, self.limits)
+        return free_run(W, PUSHES, table_of(terms), theta, self.limits)
 
     @cached_property
     def held_at_first(self) -> int:

@@ -22,12 +22,12 @@ from flysid.model.rules.stages import Stage
 FAR = 10.0
 """Ranges: in a closed loop an output that integrates is never seen to move as it can."""
 _NEAR = 0.5  # of what was seen: hidden states, and outputs beside them, that are farther out have left it
-_PUSHES = 3000  # random inputs
-_LONG_SEED = 2
+PUSHES = 3000
+"""Random inputs, then as many shuffled ones."""
 _LONG_HOLD = 100  # samples that random inputs are held, at most
 _RARELY = 0.02  # of the samples
 _MOST_AWAY = 0.2  # of the samples: models that were any good on fresh data stayed below a tenth
-_ROUNDING = 1e-5  # of a pole at one that stands twice
+_ROUNDING = float(np.cbrt(np.finfo(float).eps))  # of a pole at one that stands up to three times
 _RUN_STEPS = (3000, 30_000)  # at least, and at most; between them as long as the training runs together
 
 
@@ -46,7 +46,7 @@ def is_bounded(stage: Stage) -> bool:
     """
     problem = stage.problem
     layout = stage.layout
-    x = _push(stage, seed=0)[_PUSHES + _PUSHES // 4 :]
+    x = _push(stage, seed=0)[PUSHES + PUSHES // 4 :]
     limits = problem.limits
     seen = [run[layout.uncompared :, : layout.n] for run in stage.simulated()]
     if layout.hidden:
@@ -78,15 +78,15 @@ def _returns(stage: Stage) -> bool:
     """
     if stage.rules == 1 or stage.layout.hidden:
         return True
-    y = _push(stage, _LONG_SEED, _LONG_HOLD)[:_PUSHES]
+    y = _push(stage, seed=2, longest=_LONG_HOLD)[:PUSHES]
     return _share_at(y, stage.problem.limits) < _MOST_AWAY
 
 
 def _push(stage: Stage, seed: int, longest: int | None = None) -> FloatArray:
-    """(2 _PUSHES, n) what is simulated under the inputs of `probe_run`, held at the limits."""
+    """(2 PUSHES, n) what is simulated under the inputs of `probe_run`, held at the limits."""
     problem = stage.problem
     layout = stage.layout
-    W = probe_run(problem.runs, layout.n, _PUSHES, seed, longest)
+    W = probe_run(problem.runs, layout.n, PUSHES, seed, longest)
     free_run(W, layout.depth, layout.lags, problem.parameters(stage.body))
     return W[:, : layout.n]
 

@@ -11,8 +11,8 @@ import numpy.typing as npt
 from flysid.dataset import FloatArray
 from flysid.errors import UsageError
 from flysid.model.base import Rule
+from flysid.model.polynomials import ROUNDING
 from flysid.model.rules.kernel import firing
-from flysid.model.rules.recursion import ROUNDING
 from flysid.model.rules.rule_model import RuleModel
 from flysid.model.rules.vocabulary import number
 

@@ -19,11 +19,11 @@ from flysid.model.rules.search_settings import RuleSettings
 from flysid.model.rules.state_systems import System, linear_systems, system_stage
 from flysid.model.rules.structure_choice import CLEARLY
 from flysid.model.selection import parts_to_choose_on
+from flysid.model.start import START_SHARE
 from flysid.split import MIN_FLIGHTS
 
 _HIGHEST_LINEAR = 12  # samples of lags that the linear side may choose on short records,
 _DEEPEST_DELAY = 40  # and on long ones, delay included
-_SHARE = 20  # a segment must be so many times longer than what the linear side looks back
 
 
 def lag_starts(settings: RuleSettings, train: Dataset, validation: Dataset | None) -> Search:
@@ -94,7 +94,9 @@ def _without_stress(family: Family) -> Family:
 def _deepest(settings: RuleSettings, train: Dataset) -> int:
     """Samples that the linear side's models may look back."""
     longest = max((len(s) for s in train.segments), default=0)
-    return min(_DEEPEST_DELAY if len(train) > settings.search.short else _HIGHEST_LINEAR, longest // _SHARE)
+    return min(
+        _DEEPEST_DELAY if len(train) > settings.search.short else _HIGHEST_LINEAR, int(START_SHARE * longest)
+    )
 
 
 def _parts(

@@ -12,43 +12,28 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
 from flysid.dataset import FloatArray
+from flysid.model.polynomials import ROUNDING
 from flysid.model.rules.free_run_error import Body, Problem
 from flysid.model.rules.growth import embedded_start, first_basis, linear_stage, unrefined
 from flysid.model.rules.stages import Stage
-
-_ROUNDING = 1e-12
-_REAL = 1e-9  # imaginary part of a pole that is real
 
 
 def holds_integrator(theta: FloatArray, lags: int) -> bool:
     """Whether consequents (R, 1, n_x) sum to one over the output's lags, their first terms, in every rule."""
     sums = theta[:, 0, :lags].sum(axis=1)
-    return theta.shape[1] == 1 and lags > 0 and bool((np.abs(sums - 1.0) < _ROUNDING).all())
-
-
-def _poles(stage: Stage) -> npt.NDArray[np.complex128]:
-    """Poles of a linear stage of one output; none where it has several outputs or rules."""
-    layout = stage.problem.layout
-    if layout.n_y != 1 or layout.orders.na == 0 or stage.rules > 1:
-        return np.zeros(0, dtype=np.complex128)
-    theta = stage.problem.parameters(stage.body).theta[0, 0, : layout.orders.na]
-    return np.asarray(np.roots(np.concatenate([[1.0], -theta])), dtype=np.complex128)
+    return theta.shape[1] == 1 and lags > 0 and bool((np.abs(sums - 1.0) < ROUNDING).all())
 
 
 def slowest_pole(stage: Stage) -> float:
-    """The largest real pole of a linear stage of one output; 0 where there is none."""
-    poles = _poles(stage)
-    return float(poles[np.abs(poles.imag) < _REAL].real.max(initial=0.0))
-
-
-def rings_on(stage: Stage) -> bool:
-    """An oscillation of a linear stage that does not decay within its longest run: nothing bounds it."""
-    poles = _poles(stage)
-    longest = max(len(W) for W in stage.problem.runs)
-    return bool((np.abs(poles[np.abs(poles.imag) >= _REAL]) > 1.0 - 1.0 / longest).any())
+    """The largest real pole of a linear stage of one output; 0 of other stages, and where there is none."""
+    layout = stage.problem.layout
+    if layout.n_y != 1 or layout.orders.na == 0 or stage.rules > 1:
+        return 0.0
+    theta = stage.problem.parameters(stage.body).theta[0, 0, : layout.orders.na]
+    poles = np.roots(np.concatenate([[1.0], -theta]))
+    return float(poles[np.abs(poles.imag) < ROUNDING].real.max(initial=0.0))
 
 
 def looks_integrating(stage: Stage) -> bool:

@@ -12,12 +12,12 @@ import numpy as np
 
 from flysid.dataset import FloatArray
 from flysid.errors import StoreError
+from flysid.model.base import MAX_SIGNALS
 from flysid.model.documents import monic
 from flysid.model.rules.kernel import Parameters
 from flysid.model.rules.regressor_layout import Antecedent, Layout
 
 MAX_LAG = 10_000
-MAX_STATES = 1000
 
 
 def check(layout: Layout, parameters: Parameters, noise: FloatArray | None) -> None:
@@ -32,7 +32,7 @@ def check(layout: Layout, parameters: Parameters, noise: FloatArray | None) -> N
     n_u = len(layout.inputs)
     n_y = layout.n_y
     n = layout.n
-    _require(n_y >= 1 and 0 <= layout.hidden <= MAX_STATES, "states out of range")
+    _require(n_y >= 1 and 0 <= layout.hidden <= MAX_SIGNALS, "states out of range")
     _require(not layout.hidden or orders.na == 1, "hidden states with lags")
     _require(len(orders.nb) == len(orders.nk) == n_u, "orders that do not fit the signals")
     _require(all(_is_lag(value, 0) for value in (orders.na, *orders.nb, *orders.nk)), "orders out of range")

@@ -32,8 +32,7 @@ INTEGRATES = (
 """What users are told of a model that does not come back."""
 EXACT = 1e-10
 """Mean squares, in variances of the output, that count as none."""
-_WINDOWS = 4  # that a judging part is cut into,
-_LONGER = 3  # each at least this many times as long as what starts it,
+_LONGER = 3  # times what starts it, that a window of a judging part is at least long,
 _SCORED = 5  # with so many rows at least to score
 AWAY = 1e12
 """Mean square of what ran away, or may not be offered."""
@@ -131,7 +130,7 @@ def judged(stage: Stage, runs: Sequence[FloatArray], skip: int, *, must_be_bound
 
 def _window_errors(stage: Stage, runs: Sequence[FloatArray], skip: int) -> FloatArray:
     """Mean squares of free runs over windows, cut alike for every depth, so that any two can be compared."""
-    rows = max(sum(len(W) for W in runs) // _WINDOWS, _LONGER * skip)
+    rows = max(sum(len(W) for W in runs) // QUARTERS, _LONGER * skip)
     pieces = [W for W in windows(runs, skip, rows) if len(W) > skip + _SCORED]
     return np.array([float((e * e).mean()) for e in free_run_errors(stage, pieces, skip)])
 

@@ -26,9 +26,9 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from flysid.dataset import FloatArray
+from flysid.model.compiled_filters import GONE, compiled
 
 IntArray = npt.NDArray[np.int64]
 
@@ -68,8 +68,7 @@ class Parameters(NamedTuple):
     limits: FloatArray
 
 
-_SILENT = -40.0  # logarithm of 4e-18: below the rounding of the sum
-compiled = njit(cache=True, error_model="numpy")
+_SILENT = math.log(GONE)
 
 
 @compiled

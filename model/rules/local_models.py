@@ -13,7 +13,8 @@ import numpy as np
 
 from flysid.dataset import FloatArray
 from flysid.errors import UsageError
-from flysid.model.rules.recursion import ROUNDING, Recursion
+from flysid.model.polynomials import ROUNDING
+from flysid.model.rules.recursion import Recursion
 from flysid.model.rules.rule_model import RuleModel
 from flysid.model.rules.steady_map import SteadyMap
 

@@ -8,10 +8,10 @@ import numpy as np
 
 from flysid.dataset import FloatArray, Signal
 from flysid.model.base import Rule
+from flysid.model.polynomials import NEARLY_ONE, ROUNDING
 from flysid.model.rules.linguistics import Piece, words_of_one, words_of_several
 from flysid.model.rules.memberships import Partition
 from flysid.model.rules.operating_words import WORTH, Signals, answers_like, near
-from flysid.model.rules.recursion import NEARLY_ONE, ROUNDING
 from flysid.model.rules.vocabulary import Axis, number
 
 ELSEWHERE = "always, strongest where no other rule applies"

@@ -14,10 +14,10 @@ import numpy as np
 
 from flysid.dataset import FloatArray
 from flysid.model.linear.difference_equation import FittedLinear
+from flysid.model.polynomials import ROUNDING
 from flysid.model.rules.regressor_layout import Layout
 
 _MOST_CHOICES = 3  # of coordinates, each of which is grown from
-_SINGULAR = 1e-6  # coordinates closer to dependent than this are not offered
 PLAIN = "plain"
 """The coordinates that a realisation comes in; hidden states are then made uncorrelated."""
 PLAIN_WORDS = "uncorrelated with the outputs and with each other"
@@ -134,7 +134,7 @@ def coordinates(plain: StateRealisation, n_y: int) -> dict[str, StateRealisation
     for name, rows, words in choices:
         size = np.linalg.norm(rows, axis=1, keepdims=True)
         T = np.vstack([C, rows / np.where(size > 0, size, 1.0)])
-        if np.linalg.cond(T) < 1.0 / _SINGULAR and len(found) < _MOST_CHOICES:
+        if np.linalg.cond(T) < 1.0 / ROUNDING and len(found) < _MOST_CHOICES:
             found[name] = plain.transformed(T, np.zeros(n), words)
     return found or {PLAIN: plain}
 

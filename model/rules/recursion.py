@@ -14,14 +14,11 @@ import numpy.typing as npt
 
 from flysid.dataset import FloatArray
 from flysid.model.freerun import far
+from flysid.model.polynomials import ROUNDING
 from flysid.model.rules.kernel import Lags, Parameters, free_run
 
 ComplexArray = npt.NDArray[np.complex128]
 
-ROUNDING = float(np.sqrt(np.finfo(float).eps))
-"""What stands for nothing beside one: a pole so near to the unit circle is on it."""
-NEARLY_ONE = 0.999
-"""A pole beyond it nearly integrates: the last digits of the coefficients decide gain and time constant."""
 REACHED = 1.0 - np.exp(-1.0)
 """Of a change, when its time is told: what one slow mode has reached after its time constant."""
 _SETTLED = 0.002  # of a change that the slowest mode may still lack at the end of an answer

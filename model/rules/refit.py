@@ -11,7 +11,7 @@ from flysid.dataset import Dataset, FloatArray
 from flysid.model.rules.boundedness import is_bounded
 from flysid.model.rules.free_run_error import Body, Problem, antecedent_range, widened
 from flysid.model.rules.growth import best_started, first_basis
-from flysid.model.rules.integrator import holds_integrator, rings_on
+from flysid.model.rules.integrator import holds_integrator
 from flysid.model.rules.judging import Candidate
 from flysid.model.rules.kernel import Parameters
 from flysid.model.rules.linear_starts import as_stage
@@ -27,7 +27,7 @@ def refit(chosen: Candidate, data: Dataset, runs: Sequence[FloatArray], iteratio
     if again is None or again.orders != problem.layout.orders:
         return on_all_runs(chosen.stage, runs, iterations)
     stage = as_stage(again, replace(problem, runs=tuple(runs)))
-    return stage if is_bounded(stage) and not _rings_newly(stage, chosen.stage) else chosen.stage
+    return stage if is_bounded(stage) else chosen.stage
 
 
 def on_all_runs(stage: Stage, runs: Sequence[FloatArray], iterations: int) -> Stage:
@@ -41,11 +41,7 @@ def on_all_runs(stage: Stage, runs: Sequence[FloatArray], iterations: int) -> St
     change = np.array([a.minus >= 0 for a in stage.problem.layout.antecedents], dtype=bool)
     problem = replace(stage.problem, runs=tuple(runs), z_range=np.where(change, known, wider))
     found = best_started(problem, stage.body).refined(iterations, 1e-5)
-    return found if is_bounded(found) and not _rings_newly(found, stage) else stage
-
-
-def _rings_newly(found: Stage, known: Stage) -> bool:
-    return rings_on(found) and not rings_on(known)
+    return found if is_bounded(found) else stage
 
 
 def as_problem(layout: Layout, parameters: Parameters, runs: tuple[FloatArray, ...]) -> tuple[Problem, Body]:

@@ -21,12 +21,12 @@ import numpy as np
 
 from flysid.dataset import Dataset, FloatArray, Segment, Signal
 from flysid.errors import DataError, UsageError
+from flysid.model.polynomials import ROUNDING
 from flysid.model.regressors import lagged_name
 from flysid.model.rules.kernel import Lags
 
 HIDDEN = "hidden"
 REACH = 0.25  # of the range of an antecedent: so far beyond the training data its rules go on as they are
-_STILL = 1e-9  # of the signal: what a sum of rounding errors may move an antecedent by
 
 
 @dataclass(frozen=True)
@@ -294,7 +294,7 @@ def check_they_move(antecedents: Sequence[Antecedent], train: Dataset) -> None:
         columns = [np.hstack([s.y, s.u])[:, antecedent.column] for s in train.segments]
         values = np.concatenate([_lag(antecedent, w) for w in columns])
         size = max(float(np.abs(w).max(initial=0.0)) for w in columns)
-        if len(values) and np.ptp(values) <= _STILL * size:
+        if len(values) and np.ptp(values) <= ROUNDING * size:
             raise DataError(
                 f"the antecedent {antecedent.name(signals)} stays at {values[0]:g} in the training data",
                 hint="no rule can be told from another by it: leave it out, or name a variable that moves",

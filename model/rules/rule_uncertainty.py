@@ -39,7 +39,7 @@ from flysid.model.start import estimate_start
 from flysid.model.threads import on_one_thread
 
 MOST_ROWS = 20_000  # sensitivities kept at a time; longer records are cut, which widens the intervals
-_NUDGE = 1e-6  # of a coordinate, for derivatives
+_NUDGE = float(np.cbrt(np.finfo(float).eps))  # of a coordinate, for central differences
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from flysid.model.linear.data import SEARCH_ROWS
 from flysid.model.rules.families import Family, tolerant
 from flysid.model.rules.growth import Insertion, Training, one_rule_more, same_insertion, thinned
 from flysid.model.rules.judging import EXACT
@@ -24,7 +25,6 @@ from flysid.model.rules.state_systems import coordinate_names, in_coordinates
 from flysid.progress import tell
 
 _SCREEN_ROWS = 3000  # of the first fitting part
-_SEARCH_ROWS = 12_000  # of a fitting part while searching; the chosen model is refined on all
 _SCREEN = Training(ridge=0.1, tries=2, iterations=12, tolerance=1e-3)
 _AS_MUCH = 0.7  # of the first part's gain in logarithms, that another part must see from the same place
 
@@ -104,7 +104,7 @@ def grown(context: SearchContext, start: Family, ridge: float, done: float = 0.0
     folds = tuple((f[0],) for f in start.folds)
     if start.system is not None:
         folds = tuple((context.judge(s, c),) for s, c in zip(stages, checks, strict=True))
-    stages = [thinned(s, _SEARCH_ROWS) for s in stages]
+    stages = [thinned(s, SEARCH_ROWS) for s in stages]
     family = replace(start, folds=folds, ridge=ridge)
     drifts = not all(f[0].stable for f in family.folds)  # the process integrates: linear models of it drift
     family = tolerant(family) if drifts else family

@@ -27,7 +27,6 @@ _ORDER_LOSS = 0.05  # of the mean square: at most worth an order
 _STEPS = 8  # of a linear model's refinement on other parts of the data
 _LOOSE = 100.0  # ranges within which the search for a linear model may move
 _STRESS = 1000  # steps of each kind of stress
-_STRESS_SEED = 1  # not the one that models are asked with in the end
 _ROWS_PER_NUMBER = 4
 
 
@@ -119,7 +118,7 @@ class SearchContext:
         limits = np.stack([y.min(axis=0) - margin, y.max(axis=0) + margin])
         steps = min(_STRESS, max(200, len(y) // 2))
         stress = (
-            probe_run(problem.runs, n_y, steps, _STRESS_SEED)
+            probe_run(problem.runs, n_y, steps, seed=1)  # models are asked with others in the end
             if self.must_be_bounded and not problem.integrates
             else None
         )

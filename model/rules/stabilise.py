@@ -16,6 +16,7 @@ import numpy as np
 
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, FitError, UsageError
+from flysid.model.polynomials import NEARLY_ONE
 from flysid.model.rules.assembly import at_stage, free_run_rmse
 from flysid.model.rules.boundedness import is_bounded
 from flysid.model.rules.consequents import refuse_few, refuse_other_data
@@ -27,13 +28,13 @@ from flysid.model.rules.kernel import IntArray
 from flysid.model.rules.lyapunov import certificate_of
 from flysid.model.rules.operating_points import described
 from flysid.model.rules.phrases import from_to
-from flysid.model.rules.recursion import NEARLY_ONE, Recursion, companion, rule_radius
+from flysid.model.rules.recursion import Recursion, companion, rule_radius
 from flysid.model.rules.regressor_layout import Layout, runs_of
+from flysid.model.rules.search_settings import RuleSettings
 from flysid.model.rules.stages import Stage, ordered
 from flysid.model.threads import on_one_thread
 
 _HALVINGS = 12  # of how far a rule is drawn
-_ITERATIONS = 30
 
 
 @on_one_thread
@@ -158,7 +159,7 @@ def _refine(model: FittedTS, theta: FloatArray, runs: tuple[FloatArray, ...]) ->
     free[: a.size] = np.tile(~past, a.size // len(past))
     if start.rules == 1:
         free[a.size :] = 0.0
-    found = start.refined(_ITERATIONS, 1e-6, np.flatnonzero(free))
+    found = start.refined(RuleSettings.iterations, 1e-6, np.flatnonzero(free))
     return found if found.cost < start.cost and is_bounded(found) else start
 
 

@@ -8,13 +8,13 @@ import numpy as np
 
 from flysid.dataset import FloatArray
 from flysid.model.bordered import Bordered
+from flysid.model.polynomials import ROUNDING
 from flysid.model.rules.descent import Cost, descended
 from flysid.model.rules.free_run_error import Body, Problem
 from flysid.model.rules.kernel import IntArray
 from flysid.model.rules.likely_start import Prior, initial_states, rows_before
 from flysid.model.rules.regressor_layout import Layout
 
-_FLAT = 1e-9  # of the largest diagonal entry: unknowns that the cost does not feel
 _PROMISE_DAMPING = 1e-3
 
 
@@ -123,7 +123,7 @@ def expected_cost(stage: Stage) -> float:
     if not (H.is_finite() and np.isfinite(g).all()):
         return float("inf")
     diagonal = H.diagonal()
-    scale = np.sqrt(np.maximum(diagonal, _FLAT * diagonal.max()))
+    scale = np.sqrt(np.maximum(diagonal, ROUNDING * diagonal.max()))
     step = H.damped_step(scale, _PROMISE_DAMPING, g)
     return float("inf") if step is None else cost + float(step @ g)
 

@@ -13,6 +13,7 @@ from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, FitError
 from flysid.model.linear.difference_equation import FittedLinear
 from flysid.model.oe import OE
+from flysid.model.polynomials import ROUNDING
 from flysid.model.rules.free_run_error import Body, Problem
 from flysid.model.rules.likely_start import Prior, initial_states
 from flysid.model.rules.realisation import (
@@ -29,13 +30,11 @@ from flysid.model.rules.stages import Stage
 from flysid.model.statespace import StateSpace
 from flysid.model.subspace.fitted_model import FittedStateSpace
 
-_SHOWN = 1e-6  # directions of the outputs weaker than this, relative to the strongest, count as none
 _OE_STATES = (2, 3)  # orders of output-error models: rules may use a state that a linear model does not
 _MOST_OE = 4  # and the order of the best state space, up to this
 _HIDDEN_LIMIT = 12.0  # spreads that a hidden state may reach
 _FLOOR = 1e-3  # of the metric's diagonal, added to it: directions that the linear model does not feel
 _START_ROWS = 400  # of a run from which a linear start takes its initial state
-_OVERFLOW = 1e9  # spreads: a state beyond has run away
 
 
 @dataclass(frozen=True, eq=False)
@@ -261,7 +260,7 @@ def linear_stage(
     spread[:n_y] = 1.0
     middle[:n_y] = 0.0
     spread = np.where((spread > 1e-12) & np.isfinite(spread), spread, 1.0)
-    if whiten and np.abs(states).max() < _OVERFLOW:
+    if whiten and np.abs(states).max() < 1.0 / ROUNDING:
         T = uncorrelated(np.cov(states, rowvar=False).reshape(n, n), n_y)
         shift = T @ states.mean(axis=0)
         real = real.transformed(T, np.where(np.arange(n) < n_y, 0.0, shift))
@@ -307,5 +306,5 @@ def _spread(covariance: FloatArray, a: FloatArray) -> FloatArray:
 def _unseen(C: FloatArray) -> FloatArray:
     """(n - rank, n) orthonormal rows, orthogonal to those of C."""
     _, values, rows = np.linalg.svd(C)
-    rank = int((values > _SHOWN * values.max(initial=1e-300)).sum())
+    rank = int((values > ROUNDING * values.max(initial=1e-300)).sum())
     return np.asarray(rows[rank:])

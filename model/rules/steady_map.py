@@ -17,8 +17,9 @@ from functools import cached_property
 import numpy as np
 
 from flysid.dataset import FloatArray
+from flysid.model.polynomials import ROUNDING
 from flysid.model.rules.kernel import Lags, Parameters
-from flysid.model.rules.recursion import ROUNDING, Recursion
+from flysid.model.rules.recursion import Recursion
 from flysid.model.rules.regressor_layout import Layout
 
 _NEWTON = 30  # steps to a place at rest

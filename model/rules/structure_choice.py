@@ -22,7 +22,6 @@ from flysid.model.start import run_from_window, start_window
 CLEARLY = 0.3
 """In logarithms of the mean square, about 14 % of the error: what another kind of rules must win."""
 _SURE = 1.645  # standard errors
-_SHARE = 0.7  # of the parts, or of a single part's blocks, that must see the advantage
 _PERSISTENT = 0.8  # the most correlation from block to block that is reckoned with
 
 
@@ -50,17 +49,15 @@ class Advantage:
     ----------
     gain : mean over parts of the logarithm of the ratio of mean squares; below 0 the second is better.
     error : its standard error.
-    share : of the parts, or of a single part's blocks, on which the second is better.
     """
 
     gain: float = 0.0
     error: float = 0.0
-    share: float = 0.0
 
     @property
     def clear(self) -> bool:
-        """It exceeds its spread and `CLEARLY`, and is seen nearly everywhere."""
-        return self.gain < -max(_SURE * self.error, CLEARLY) and self.share >= _SHARE
+        """It exceeds its spread and `CLEARLY`."""
+        return self.gain < -max(_SURE * self.error, CLEARLY)
 
 
 def refitted(
@@ -141,8 +138,7 @@ def advantage(pairs: Iterable[tuple[FloatArray, FloatArray]]) -> Advantage:
     error = float(np.sqrt((within**2).sum()) / len(within))
     if len(gaps) > 1:
         error = max(error, float(gaps.std(ddof=1) / np.sqrt(len(gaps))))
-    share = np.mean(gaps < 0.0) if len(gaps) > 2 else np.mean(np.concatenate([b < a for a, b in known]))
-    return Advantage(float(gaps.mean()), error, float(share))
+    return Advantage(float(gaps.mean()), error)
 
 
 def _error(gaps: FloatArray) -> float:

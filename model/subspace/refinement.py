@@ -18,12 +18,11 @@ import numpy as np
 from flysid.dataset import FloatArray, Segment
 from flysid.filters import filtered
 from flysid.model.noise import noise_model, noise_models
+from flysid.model.polynomials import NEARLY_ONE
 from flysid.model.refine import NormalEquations, Refinement, levenberg_marquardt
 from flysid.model.regressors import CHUNK_ROWS
 from flysid.model.subspace.triangle import Realisation
 
-LARGEST = 0.999
-"""Radius that no pole exceeds once a system is made stable."""
 CONFIDENCE_ROWS = 20_000
 """Samples, the first, whose sensitivities the covariance is computed from; it is scaled to all of them."""
 
@@ -191,8 +190,8 @@ def mirrored(system: Realisation) -> Realisation:
     values, vectors = np.linalg.eig(system.a)
     size = np.abs(values)
     if np.linalg.cond(vectors) > 1e10:
-        return replace(system, a=system.a * LARGEST / float(size.max()))
-    inside = np.where(size > LARGEST, np.minimum(LARGEST, 1.0 / size) * values / size, values)
+        return replace(system, a=system.a * NEARLY_ONE / float(size.max()))
+    inside = np.where(size > NEARLY_ONE, np.minimum(NEARLY_ONE, 1.0 / size) * values / size, values)
     return replace(system, a=np.real(vectors @ np.diag(inside) @ np.linalg.inv(vectors)))
 
 

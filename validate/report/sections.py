@@ -13,8 +13,8 @@ from markupsafe import Markup
 from flysid.dataset import Dataset, FloatArray
 from flysid.model.base import OperatingPoint, Rule
 from flysid.model.capabilities import HasMemberships, HasOperatingPoints, HasRuleOutputs
+from flysid.model.polynomials import ROUNDING
 from flysid.model.rules.operating_words import sentences
-from flysid.model.rules.recursion import ROUNDING
 from flysid.validate.comparison import Comparison
 from flysid.validate.report import figures, overlay, rulefigures
 from flysid.validate.report.channel_data import Source
