@@ -75,7 +75,7 @@ def _compare(name: str, noise: float, seed: int) -> None:
     print(f"{name}, noise {noise:.0%}, recording {seed}: ARX {gap(ARX().fit(train), test, truth):.4f}")
     system = linear_systems(settings, train, None, scaled)[0]
     linear = system_stage(system, train, 40, scaled, saturation_limits(train))
-    for name in coordinates(system.real, 1):
+    for name in coordinates(system, 1):
         start, words = in_coordinates(linear, name)
         for title, how in STRATEGIES.items():
             begin = time.process_time()

@@ -49,7 +49,7 @@ def free_run_errors(model: RuleModel, data: Dataset) -> list[FloatArray]:
     for s in data.segments:
         if len(s) > model.n_init + 1:
             window = start_window(model.n_init, len(s), model.dt_s)
-            found.append(s.y[window:] - model.start.followed(model, s.u, s.y[:window])[window:])
+            found.append(s.y[window:] - model.run_from_measured(s.u, s.y[:window])[window:])
     return found
 
 

@@ -13,9 +13,10 @@ import numpy as np
 from flysid.dataset import FloatArray
 from flysid.errors import FitError
 from flysid.model.bordered import Bordered
+from flysid.model.compiled_filters import compiled
 from flysid.model.refine import levenberg_marquardt
 from flysid.model.rules.free_run_error import SETS, Body, Problem
-from flysid.model.rules.kernel import IntArray, compiled, sweep
+from flysid.model.rules.kernel import IntArray, sweep
 
 HOLD = 3.0  # weight on memberships, relative to the ridge on consequents
 _DRIFT = 1e-5  # on the hidden states' scale and origin, which no output shows

@@ -14,14 +14,13 @@ from itertools import combinations
 import numpy as np
 
 from flysid.dataset import FloatArray
-from flysid.model.rules.free_run_error import Body
 from flysid.model.rules.growth import Training, best_started, one_rule_more, rule_support
 from flysid.model.rules.judging import Candidate
 from flysid.model.rules.kernel import Parameters
 from flysid.model.rules.refit import as_problem
 from flysid.model.rules.regressor_layout import Layout
 from flysid.model.rules.search_context import SearchContext
-from flysid.model.rules.stages import Stage, ordered, with_ridge
+from flysid.model.rules.stages import Stage, ordered
 from flysid.model.selection import clearly_better
 
 TRIED = 3
@@ -70,18 +69,15 @@ def _kept(p: Parameters, rules: np.ndarray[tuple[int], np.dtype[np.int64]]) -> P
     return p._replace(theta=p.theta[rules].copy(), centre=p.centre[rules].copy(), width=p.width[rules].copy())
 
 
-def staged(layout: Layout, p: Parameters, runs: tuple[FloatArray, ...]) -> Iterator[Stage]:
-    """The edited model as a stage of refinement; nothing where there are no runs."""
-    if runs:
-        problem, body = as_problem(layout, p, runs)
-        yield best_started(problem, _apart(body))
+def staged(layout: Layout, p: Parameters, runs: tuple[FloatArray, ...]) -> Stage:
+    """The edited model as a stage of refinement.
 
-
-def _apart(body: Body) -> Body:
-    """A single rule says the same everywhere: its set is written as one that covers everything."""
-    if len(body.a) > 1:
-        return body
-    return replace(body, centre=np.zeros_like(body.centre), width=np.ones_like(body.width))
+    A single rule says the same everywhere: its set is written as one that covers everything.
+    """
+    problem, body = as_problem(layout, p, runs)
+    if len(body.a) == 1:
+        body = replace(body, centre=np.zeros_like(body.centre), width=np.ones_like(body.width))
+    return best_started(problem, body)
 
 
 def _refined_mergers(context: SearchContext, stage: Stage) -> Iterator[Stage]:
@@ -89,13 +85,12 @@ def _refined_mergers(context: SearchContext, stage: Stage) -> Iterator[Stage]:
     stage = ordered(stage)
     problem = stage.problem
     tried = [
-        replace(s, problem=replace(s.problem, stress=problem.stress))
+        staged(layout, p, problem.runs).under(stress=problem.stress)
         for _, layout, p in edits(problem.layout, problem.parameters(stage.body), rule_support(stage))
         if len(p.theta) < stage.rules
-        for s in staged(layout, p, problem.runs)
     ]
     for s in sorted(tried, key=lambda s: s.cost)[:TRIED]:
-        yield with_ridge(s, Training().ridge * s.cost).refined(context.settings.iterations // 2, 1e-5)
+        yield s.under(ridge=Training().ridge * s.cost).refined(context.settings.iterations // 2, 1e-5)
 
 
 def merge_and_split(context: SearchContext, models: Sequence[Candidate], at: int) -> Candidate:

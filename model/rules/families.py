@@ -9,8 +9,7 @@ import numpy as np
 
 from flysid.dataset import FloatArray
 from flysid.model.rules.judging import AWAY, EXACT, Candidate
-from flysid.model.rules.realisation import PLAIN, PLAIN_WORDS
-from flysid.model.rules.state_systems import System
+from flysid.model.rules.realisation import PLAIN, PLAIN_WORDS, StateRealisation
 from flysid.model.selection import standard_error
 
 _CLEAR = 1.5  # standard errors over windows of several folds; those of one fold share a model
@@ -30,7 +29,7 @@ class Family:
 
     folds: tuple[tuple[Candidate, ...], ...]
     ridge: float = 0.0
-    system: System | None = None
+    system: StateRealisation | None = None
     coordinates: str = PLAIN
     words: str = PLAIN_WORDS
 

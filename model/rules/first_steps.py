@@ -11,12 +11,13 @@ from flysid.model.linear.settings import check_hint
 from flysid.model.rules.families import Family, tolerant
 from flysid.model.rules.judging import INTEGRATES, Candidate, hold_out
 from flysid.model.rules.lag_orders import check, named_antecedents, order_choices
+from flysid.model.rules.realisation import StateRealisation
 from flysid.model.rules.regressor_layout import scaling
 from flysid.model.rules.saturation import in_words, saturation_limits
 from flysid.model.rules.search_context import SPARE_ROWS, SearchContext
 from flysid.model.rules.search_record import Search
 from flysid.model.rules.search_settings import RuleSettings
-from flysid.model.rules.state_systems import System, linear_systems, system_stage
+from flysid.model.rules.state_systems import linear_systems, system_stage
 from flysid.model.rules.structure_choice import CLEARLY
 from flysid.model.selection import parts_to_choose_on
 from flysid.model.start import START_SHARE
@@ -86,7 +87,7 @@ def _context(
 
 def _without_stress(family: Family) -> Family:
     def freed(c: Candidate) -> Candidate:
-        return replace(c, stage=replace(c.stage, problem=replace(c.stage.problem, stress=None)))
+        return replace(c, stage=c.stage.under(stress=None))
 
     return replace(family, folds=tuple(tuple(map(freed, fold)) for fold in family.folds))
 
@@ -129,14 +130,13 @@ def state_starts(settings: RuleSettings, train: Dataset, validation: Dataset | N
     check(settings)
     scaled = scaling(train)
     systems = linear_systems(settings, train, validation, scaled)
-    depth = max(lag for s in systems for own in s.real.input_lags for lag in own)
-    least = depth + 2 * max(len(s.real.A) for s in systems) + SPARE_ROWS
+    least = max(s.orders.depth for s in systems) + 2 * max(map(len, systems)) + SPARE_ROWS
     ends = saturation_limits(train)
     context, own = _context(settings, (train, validation), least, scaled)
     ridges = context.ridges[1:] or context.ridges
     context = replace(context, promise=CLEARLY, ridges=ridges)
 
-    def judged(system: System) -> Family:
+    def judged(system: StateRealisation) -> Family:
         stages = [system_stage(system, fit, least, scaled, ends) for fit, _ in context.parts]
         checks = [check for _, check in context.parts]
         return Family(

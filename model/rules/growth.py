@@ -19,7 +19,7 @@ from flysid.dataset import FloatArray
 from flysid.model.rules.free_run_error import Body, Problem, antecedent_range
 from flysid.model.rules.kernel import firing
 from flysid.model.rules.regressor_layout import Antecedent, Layout, windows
-from flysid.model.rules.stages import Stage, expected_cost, inserted, on_runs_of, with_ridge
+from flysid.model.rules.stages import Stage, expected_cost, inserted, on_runs_of
 
 _PLACES = (0.15, 0.5, 0.85)
 _FIRST_PLACES = (0.1, 0.3, 0.7, 0.9)  # not the middle, from where there is no other side
@@ -279,7 +279,7 @@ def thinned(stage: Stage, samples: int) -> Stage:
     every = max(1, round(total / samples))
     runs = windows(stage.problem.runs, d, rows)[::every]
     initial = stage.problem.starts(windows(stage.simulated(), d, rows)[::every])
-    return replace(stage, problem=replace(stage.problem, runs=runs), initial=initial)
+    return replace(stage.under(runs=runs), initial=initial)
 
 
 def one_rule_more(stage: Stage, antecedents: Sequence[Antecedent], how: Training) -> Grown | None:
@@ -288,7 +288,7 @@ def one_rule_more(stage: Stage, antecedents: Sequence[Antecedent], how: Training
     What a Gauss-Newton step promises ranks insertions well, but for the first few: these are tried out on few
     rows, by a few steps of refinement.
     """
-    stage = with_ridge(stage, how.ridge * stage.mean_square())
+    stage = stage.under(ridge=how.ridge * stage.mean_square())
     few = thinned(stage, _FEW)
     options = insertions(few, antecedents)
     promised = [expected_cost(grown) for _, grown in options]
@@ -305,12 +305,12 @@ def one_rule_more(stage: Stage, antecedents: Sequence[Antecedent], how: Training
 
 def settled(stage: Stage, how: Training) -> Stage:
     """Refined fully, under the ridge that its present error asks for."""
-    return with_ridge(stage, how.ridge * stage.mean_square()).refined(how.iterations, how.tolerance)
+    return stage.under(ridge=how.ridge * stage.mean_square()).refined(how.iterations, how.tolerance)
 
 
 def same_insertion(stage: Stage, insertion: Insertion, how: Training) -> Stage | None:
     """A rule more where another part of the data wanted it, refined fully; None where it cannot be."""
-    grown = insertion.into(with_ridge(stage, how.ridge * stage.mean_square()))
+    grown = insertion.into(stage.under(ridge=how.ridge * stage.mean_square()))
     return None if grown is None else settled(grown, how)
 
 

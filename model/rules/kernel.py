@@ -117,7 +117,7 @@ def predict(W: FloatArray, first: int, steps: int, lags: Lags, par: Parameters) 
         z = np.empty((len(begin), len(lags.z_lag)))
         for j, (column, lag, minus) in enumerate(zip(lags.z_column, lags.z_lag, lags.z_minus, strict=True)):
             z[:, j] = past(column, lag) - (past(column, minus) if minus >= 0 else 0.0)
-        value = np.einsum("kr,rim,km->ki", _strengths(z, par), par.theta, x, optimize=True)
+        value = np.einsum("kr,rim,km->ki", strengths(z, par), par.theta, x, optimize=True)
         found.append(np.clip(np.where(np.isnan(value), par.limits[0], value), *par.limits))
     if found:
         ahead[first + steps - 1 :] = found[-1]
@@ -131,11 +131,11 @@ def firing(W: FloatArray, first: int, lags: Lags, par: Parameters) -> FloatArray
         return np.full((len(W), rules), 1.0 / rules)
     rows = np.arange(first, len(W))[:, None]
     minus = np.where(lags.z_minus < 0, 0.0, W[rows - lags.z_minus * (lags.z_minus > 0), lags.z_column])
-    strength = _strengths(W[rows - lags.z_lag, lags.z_column] - minus, par)
+    strength = strengths(W[rows - lags.z_lag, lags.z_column] - minus, par)
     return np.concatenate([np.repeat(strength[:1], first, axis=0), strength])
 
 
-def _strengths(z: FloatArray, par: Parameters) -> FloatArray:
+def strengths(z: FloatArray, par: Parameters) -> FloatArray:
     """(N, R) normalised firing strengths at antecedents z (N, n_z); `_fire` for many rows."""
     lean = (np.clip(z, *par.z_range)[:, None, :] - par.centre) / par.width
     loud = -0.5 * (lean * lean).sum(axis=2)

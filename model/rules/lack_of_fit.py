@@ -56,7 +56,7 @@ def _follow(model: RuleModel, data: Dataset) -> Iterator[tuple[FloatArray, Float
         window = start_window(model.n_init, len(s), model.dt_s)
         if len(s) <= 2 * window or rows > MOST_ROWS:
             continue
-        run = model.start.followed(model, s.u, s.y[:window])[window:]
+        run = model.run_from_measured(s.u, s.y[:window])[window:]
         rows += len(run)
         yield (
             (s.u[window:] - mean[n_y:]) / scale[n_y:],

@@ -14,7 +14,7 @@ from flysid.model.rules.regressor_layout import runs_of
 from flysid.model.rules.saturation import saturation_limits
 from flysid.model.rules.search_context import SPARE_ROWS
 from flysid.model.rules.search_record import LinearSide, Search
-from flysid.model.rules.stages import Stage, on_runs_of, ordered, with_ridge
+from flysid.model.rules.stages import Stage, on_runs_of, ordered
 from flysid.model.rules.state_systems import in_coordinates, system_stage
 
 _READABLE = 4  # states up to which rates of change and modes say more than uncorrelated numbers
@@ -81,7 +81,7 @@ def refit_states(found: Search) -> Search:
 
     start = system_stage(system, found.train, context.least, (context.shift, context.scale), ends)
     if found.at == 0:
-        stage, words = in_coordinates(start, "" if len(system.real.A) <= _READABLE else "plain")
+        stage, words = in_coordinates(start, "" if len(system) <= _READABLE else "plain")
         drifts = not is_bounded(stage)
     else:
         words = family.words
@@ -106,7 +106,7 @@ def _on_everything(found: Search, start: Stage, ridge: float, *, drifts: bool) -
     """
     for model in found.models[found.at : 0 : -1]:
         stage = on_runs_of(model.stage, start)
-        stage = with_ridge(stage, ridge * stage.mean_square()).refined(
+        stage = stage.under(ridge=ridge * stage.mean_square()).refined(
             found.context.settings.iterations, 1e-6
         )
         if np.isfinite(stage.cost) and (drifts or is_bounded(stage)):

@@ -15,7 +15,8 @@ import numpy as np
 from flysid.dataset import FloatArray
 from flysid.model.linear.difference_equation import FittedLinear
 from flysid.model.polynomials import ROUNDING
-from flysid.model.rules.regressor_layout import Layout
+from flysid.model.rules.recursion import Recursion
+from flysid.model.rules.regressor_layout import Layout, Orders
 
 _MOST_CHOICES = 3  # of coordinates, each of which is grown from
 PLAIN = "plain"
@@ -27,55 +28,43 @@ PLAIN_WORDS = "uncorrelated with the outputs and with each other"
 class StateRealisation:
     """x(k) = A x(k-1) + sum_lag B[lag] u(k-lag) + c, y = the first n_y states; in normalised units.
 
-    `words` says what the hidden states are.
+    Attributes
+    ----------
+    law : A, one of them, B and c.
+    orders : at which lags the inputs enter.
+    words : what the hidden states are.
+    title : what the system is.
     """
 
-    A: FloatArray
-    B: dict[int, FloatArray]
-    c: FloatArray
-    input_lags: tuple[tuple[int, ...], ...]
+    law: Recursion
+    orders: Orders
     words: str = "as the difference equation has them"
+    title: str = ""
+
+    def __len__(self) -> int:
+        """States."""
+        return len(self.law.c)
 
     def transformed(self, T: FloatArray, shift: FloatArray, words: str = "") -> StateRealisation:
         """The same system in the states T x - shift; T and shift must keep the outputs."""
-        back = np.linalg.inv(T)
-        A = T @ self.A @ back
-        return replace(
-            self,
-            A=A,
-            B={k: T @ b for k, b in self.B.items()},
-            c=T @ self.c + A @ shift - shift,
-            words=words or self.words,
-        )
+        (A,), B, c = self.law
+        A = T @ A @ np.linalg.inv(T)
+        law = Recursion(A[None], T @ B, T @ c + A @ shift - shift)
+        return replace(self, law=law, words=words or self.words)
 
     @classmethod
     def of(cls, layout: Layout, theta: FloatArray) -> StateRealisation:
         """The system that a consequent (n, n_x), in the order of `layout.regressors`, stands for."""
-        n = layout.n
-        n_u = len(layout.inputs)
-        A = np.zeros((n, n))
-        c = np.zeros(n)
-        B = {lag: np.zeros((n, n_u)) for own in layout.orders.input_lags for lag in own}
-        for m, (column, lag) in enumerate(layout.regressors):
-            if column < 0:
-                c = theta[:, m].copy()
-            elif column < n:
-                A[:, column] = theta[:, m]
-            else:
-                B[lag][:, column - n] = theta[:, m]
-        return cls(A, B, c, layout.orders.input_lags)
+        return cls(Recursion.of(layout.lags, theta, len(layout.scale)), layout.orders)
 
     def consequent(self, layout: Layout) -> FloatArray:
         """(n, n_x) A, B and c in the order of `layout.regressors`."""
-        n = layout.n
-        columns = []
-        for column, lag in layout.regressors:
-            if column < 0:
-                columns.append(self.c)
-            elif column < n:
-                columns.append(self.A[:, column])
-            else:
-                columns.append(self.B[lag][:, column - n])
+        (A,), B, c = self.law
+        n = len(A)
+        columns = [
+            c if column < 0 else A[:, column] if column < n else B[lag][:, column - n]
+            for column, lag in layout.regressors
+        ]
         return np.stack(columns, axis=1)
 
 
@@ -97,15 +86,15 @@ def realised(fitted: FittedLinear, shift: FloatArray, scale: FloatArray) -> Stat
     for lag in range(1, len(a)):
         A[(lag - 1) * n_y : lag * n_y, :n_y] -= a[lag] * scale[None, :n_y] / scale[:n_y, None]
     delays = [_first_lag(b[:, :, j]) for j in range(b.shape[2])]
-    lags = tuple((0, 1) if delay == 0 else (delay,) for delay in delays)
-    B: dict[int, FloatArray] = {lag: np.zeros((n, len(delays))) for own in lags for lag in own}
+    orders = Orders.of_states([(0, 1) if delay == 0 else (delay,) for delay in delays])
+    B = np.zeros((orders.depth + 1, n, len(delays)))
     for j, delay in enumerate(delays):
         taps = b[max(delay - 1, 0) :, :, j] * scale[n_y + j] / scale[:n_y]  # taps[1] is the delay's gain
         for lag in range(1, min(order + 1, len(taps))):
             B[max(delay, 1)][(lag - 1) * n_y : lag * n_y, j] = taps[lag]
         if delay == 0:
             B[0][:n_y, j] = taps[0]
-    return StateRealisation(A, B, c, lags)
+    return StateRealisation(Recursion(A[None], B, c), orders)
 
 
 def _first_lag(taps: FloatArray) -> int:
@@ -115,16 +104,16 @@ def _first_lag(taps: FloatArray) -> int:
 
 def coordinates(plain: StateRealisation, n_y: int) -> dict[str, StateRealisation]:
     """The same system with its hidden states chosen in different ways, most readable first, by name."""
-    n = len(plain.A)
+    n = len(plain)
     if n == n_y:
         return {PLAIN: plain}
     C = np.eye(n_y, n)
     rates = [C]
     while len(rates) * n_y < n:
-        rates.append(rates[-1] @ (plain.A - np.eye(n)))
+        rates.append(rates[-1] @ (plain.law.A[0] - np.eye(n)))
     rate_rows = np.vstack(rates)[n_y:n]
     choices = [("rates", rate_rows, "rates of change of the outputs to come")]
-    modes = driving_modes(plain.A, n_y)
+    modes = driving_modes(plain.law.A[0], n_y)
     for i, mode in enumerate(modes):
         rows = np.vstack([mode[None], rate_rows])[: n - n_y]
         choices.append((f"mode {i + 1}", rows, "a mode of its own that drives the outputs"))

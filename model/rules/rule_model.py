@@ -29,8 +29,8 @@ from flysid.model.rules.operating_words import sentences
 from flysid.model.rules.phrases import condition_in_words, equation, in_words, push_in_words
 from flysid.model.rules.recursion import ComplexArray, Recursion, time_constant, unheld
 from flysid.model.rules.regressor_layout import Layout
-from flysid.model.rules.run_start import RunStart
-from flysid.model.start import FreeRuns, start_window
+from flysid.model.rules.run_start import LikelyStart, RunStart
+from flysid.model.start import FreeRuns, searched_start, start_window
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -133,7 +133,7 @@ class RuleModel(FreeRuns):
         window = self.start.settled(self.dt_s)
         later = window + k - 1
         if (hidden or self.noise is not None) and len(y) > later:
-            free = self.start.followed(self, u, y[:window])
+            free = self.run_from_measured(u, y[:window])
             foreseen = free if self.noise is None else output_error_ahead(free, y, self.noise, k)
             ahead[later:] = foreseen[later:]
         return ahead
@@ -175,7 +175,7 @@ class RuleModel(FreeRuns):
             given = as_columns(y0, n_y, "y0")[: len(u)]
             W = self.layout.stack(u, given)
             known = len(given)
-        self.start.write(self, W, known)
+        self.start.write(self.layout, self.free, W, known)
         return W
 
     def run(self, u: FloatArray, y0: FloatArray | None = None) -> FloatArray:
@@ -191,7 +191,9 @@ class RuleModel(FreeRuns):
 
     def run_from_measured(self, u: FloatArray, y: FloatArray) -> FloatArray:
         """(N, n_y) free run from the start that suits the measured first rows y (M, n_y) best."""
-        return self.start.followed(self, as_columns(u, len(self.inputs), "u"), y)
+        if isinstance(self.start, LikelyStart):
+            return self.outputs_of(self.run(u, y))
+        return self.simulate(u, searched_start(self, as_columns(u, len(self.inputs), "u")[: len(y)], y))
 
     def states(self, u: FloatArray, y: FloatArray) -> FloatArray:
         """(N, n) outputs and hidden states (in spreads) of the free run along measured data."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -11,23 +11,9 @@ from flysid.dataset import FloatArray
 from flysid.model.rules.kernel import Parameters
 from flysid.model.rules.likely_start import Prior, initial_states
 from flysid.model.rules.regressor_layout import Layout
-from flysid.model.start import full_window, searched_start
+from flysid.model.start import full_window
 
 _REST = 20  # rows of zeros that put hidden states to rest
-
-
-class Running(Protocol):
-    """What a start asks of the model that it is of."""
-
-    @property
-    def layout(self) -> Layout: ...
-    @property
-    def free(self) -> Parameters: ...
-    @property
-    def n_init(self) -> int: ...
-    def simulate(self, u: FloatArray, y0: FloatArray) -> FloatArray: ...
-    def run(self, u: FloatArray, y0: FloatArray) -> FloatArray: ...
-    def outputs_of(self, W: FloatArray) -> FloatArray: ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,21 +37,16 @@ class LikelyStart:
         """Rows of zeros before a run from rest; as many as put hidden states to rest."""
         return _REST + self.samples if layout.hidden else layout.depth
 
-    def write(self, model: Running, W: FloatArray, known: int) -> None:
+    def write(self, layout: Layout, par: Parameters, W: FloatArray, known: int) -> None:
         """Put the start into W (N, n + n_u), of which the outputs of `known` rows are measured.
 
         At rest (`known` 0) hidden states are searched for, and lags are known: zeros.
         """
-        layout = model.layout
         d = layout.depth
         if len(W) < d or not (known or layout.hidden):
             return
         rows = max(min(known or self.rest(layout), len(W)) - layout.uncompared, 1)
-        W[layout.uncompared : d, : layout.n] = initial_states(layout, [W], model.free, self.prior, rows)[0]
-
-    def followed(self, model: Running, u: FloatArray, y: FloatArray) -> FloatArray:
-        """(N, n_y) free run from the start that suits the first outputs y (M, n_y) best."""
-        return model.outputs_of(model.run(u, y))
+        W[layout.uncompared : d, : layout.n] = initial_states(layout, [W], par, self.prior, rows)[0]
 
     def to_dict(self) -> dict[str, Any]:
         """JSON types only."""
@@ -97,20 +78,16 @@ class MeasuredStart:
         """Rows of zeros before a run from rest."""
         return self.samples
 
-    def write(self, model: Running, W: FloatArray, known: int) -> None:
+    def write(self, layout: Layout, par: Parameters, W: FloatArray, known: int) -> None:  # noqa: ARG002
         """Put the start into W (N, n + n_u), of which the outputs of `known` rows are measured: corrected.
 
         At rest (`known` 0) and in a record that ends with them they stand.
         """
         d = self.samples
         if d <= known and d < len(W):
-            n_y = model.layout.n_y
+            n_y = layout.n_y
             window = np.append(W[:d].ravel(), 1.0)
             W[:d, :n_y] += (self.gain @ window).reshape(d, n_y)
-
-    def followed(self, model: Running, u: FloatArray, y: FloatArray) -> FloatArray:
-        """(N, n_y) free run from the start that suits the first outputs y (M, n_y) best."""
-        return model.simulate(u, searched_start(model, u[: len(y)], y))
 
     def to_dict(self) -> dict[str, Any]:
         """JSON types only."""

@@ -122,7 +122,7 @@ class SearchContext:
             if self.must_be_bounded and not problem.integrates
             else None
         )
-        return replace(stage, problem=replace(problem, limits=limits, stress=stress))
+        return stage.under(limits=limits, stress=stress)
 
     def judge(self, stage: Stage, check: Dataset | None = None) -> Candidate:
         """The stage on a judging part, the first one where none is given."""

@@ -20,7 +20,7 @@ from flysid.model.rules.operating_points import described
 from flysid.model.rules.phrases import from_to
 from flysid.model.rules.regressor_layout import runs_of
 from flysid.model.rules.rule_model import RuleModel
-from flysid.model.rules.stages import ordered, with_ridge
+from flysid.model.rules.stages import ordered
 from flysid.model.threads import on_one_thread
 
 
@@ -81,14 +81,13 @@ def simplifications(
     runs = runs_of(model.layout, train.segments, model.n_init + 2)
     refuse_few(sum(len(W) - model.n_init for W in runs), model.parameters.theta[:, 0].size)
     tried = [
-        (what, stage)
+        (what, staged(layout, p, runs))
         for what, layout, p in edits(model.layout, model.parameters, model.support)
-        for stage in staged(layout, p, runs)
     ]
     tried.sort(key=lambda edit: edit[1].cost)
     found = []
     for what, stage in tried[:TRIED]:
-        refined = with_ridge(stage, ridge * stage.cost).refined(iterations, 1e-5)
+        refined = stage.under(ridge=ridge * stage.cost).refined(iterations, 1e-5)
         if np.isfinite(refined.cost) and is_bounded(refined):
             told = replace(model, notes=(*model.notes, f"Simplified by hand: {what}."))
             edited = described(at_stage(told, ordered(refined), train), train)

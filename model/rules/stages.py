@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -47,6 +48,10 @@ class Stage:
         body = self.body.moved(p[: self.body.size]).within(self.problem.z_range)
         return replace(self, body=body, initial=p[self.body.size :].reshape(self.initial.shape), cost=cost)
 
+    def under(self, **changes: Any) -> Stage:
+        """The same stage under a problem that is changed so, its runs started as they were."""
+        return replace(self, problem=replace(self.problem, **changes))
+
     def simulated(self) -> list[FloatArray]:
         """W of every run, simulated."""
         return self.problem.simulate(self.body, self.initial)
@@ -87,15 +92,10 @@ class Stage:
         return self.at(p, cost) if np.isfinite(cost) else replace(self, cost=np.inf)
 
 
-def with_ridge(stage: Stage, ridge: float) -> Stage:
-    """The same stage under another ridge on the spread of its rules."""
-    return replace(stage, problem=replace(stage.problem, ridge=ridge))
-
-
 def on_runs_of(stage: Stage, other: Stage) -> Stage:
     """A stage's model on the runs of another, started where that one is; hidden states where is likely."""
     runs = other.problem.runs
-    kept = replace(stage, problem=replace(stage.problem, runs=runs), initial=other.initial)
+    kept = replace(stage.under(runs=runs), initial=other.initial)
     if not stage.layout.hidden:
         return kept
     return min((on_other_runs(stage, runs), kept), key=lambda s: s.mean_square())

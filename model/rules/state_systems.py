@@ -5,7 +5,7 @@ A system is a realisation whose first states are the outputs.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -24,6 +24,7 @@ from flysid.model.rules.realisation import (
     realised,
     uncorrelated,
 )
+from flysid.model.rules.recursion import Recursion
 from flysid.model.rules.regressor_layout import Layout, Orders, runs_of
 from flysid.model.rules.search_settings import RuleSettings
 from flysid.model.rules.stages import Stage
@@ -37,26 +38,12 @@ _FLOOR = 1e-3  # of the metric's diagonal, added to it: directions that the line
 _START_ROWS = 400  # of a run from which a linear start takes its initial state
 
 
-@dataclass(frozen=True, eq=False)
-class System:
-    """A linear system to start from.
-
-    Attributes
-    ----------
-    real : fitted to all training data, outputs first, normalised.
-    title : what it is.
-    """
-
-    real: StateRealisation
-    title: str
-
-
 def linear_systems(
     settings: RuleSettings,
     train: Dataset,
     validation: Dataset | None,
     scaled: tuple[FloatArray, FloatArray],
-) -> list[System]:
+) -> list[StateRealisation]:
     """The best linear state space, and output-error models of few states.
 
     A linear model imitates a hidden state, or a bend, by a longer delay: a delay of one sample, that of any
@@ -80,7 +67,7 @@ def linear_systems(
             if fitted:
                 late = ", ".join(map(str, sorted(set(nk))))
                 real = realised(fitted, *scaled)
-                found.append(System(real, f"{len(real.A)} states, delay {late}"))
+                found.append(replace(real, title=f"{len(real)} states, delay {late}"))
     if not found:
         raise FitError("no stable linear model was found to start from", hint="check the data for gaps")
     return found
@@ -91,7 +78,7 @@ def best_state_space(
     train: Dataset,
     validation: Dataset | None,
     scaled: tuple[FloatArray, FloatArray],
-) -> System | None:
+) -> StateRealisation | None:
     """What `StateSpace()` makes of the data; None where it finds nothing stable."""
     asked = StateSpace(nk=settings.nk, nk_hint=tuple(settings.nk_hint))
     try:
@@ -101,7 +88,8 @@ def best_state_space(
         return None
     if not _stands(model):
         return None
-    return System(realised_states(model, *scaled), f"the best linear state space ({model.order} states)")
+    title = f"the best linear state space ({model.order} states)"
+    return replace(realised_states(model, *scaled), title=title)
 
 
 def _stands(model: FittedStateSpace) -> bool:
@@ -109,19 +97,19 @@ def _stands(model: FittedStateSpace) -> bool:
     return bool(np.abs(model.poles).max(initial=0.0) <= 1.0 + 1e-9)
 
 
-def _orders(settings: RuleSettings, best: System | None, n_y: int) -> list[int]:
+def _orders(settings: RuleSettings, best: StateRealisation | None, n_y: int) -> list[int]:
     if settings.states != "auto":
         return [max(1, -(-settings.states // n_y))]
-    known = min(_MOST_OE, -(-len(best.real.A) // n_y)) if best else 2
+    known = min(_MOST_OE, -(-len(best) // n_y)) if best else 2
     return sorted({*_OE_STATES, max(known, 2)} if n_y == 1 else {2, max(known, 1)})
 
 
-def _delays_to_try(settings: RuleSettings, best: System | None, n_u: int) -> list[tuple[int, ...]]:
+def _delays_to_try(settings: RuleSettings, best: StateRealisation | None, n_u: int) -> list[tuple[int, ...]]:
     if settings.nk != "auto":
         return [(settings.nk,) * n_u if isinstance(settings.nk, int) else tuple(settings.nk)]
     delays = {(1,) * n_u}
     if best:
-        delays.add(tuple(min(lags) for lags in best.real.input_lags))
+        delays.add(best.orders.nk)
     if settings.nk_hint:
         delays.add(tuple(settings.nk_hint))
     return sorted(delays)
@@ -164,17 +152,16 @@ def realised_states(model: FittedStateSpace, shift: FloatArray, scale: FloatArra
     c = T @ (inverse @ (system.drift + system.b @ offset)) - A @ s + s
     late = model.delays or (0,) * len(u_scale)
     through = [bool(column.any()) for column in D.T]
-    lags = tuple((k, k + 1) if direct else (k + 1,) for k, direct in zip(late, through, strict=True))
-    taps = {lag: np.zeros_like(B) for own in lags for lag in own}
-    for j, (k, direct) in enumerate(zip(late, through, strict=True)):
-        taps[k + 1][:, j] = B[:, j]
-        if direct:
-            taps[k][:, j] += E[:, j]
-    return StateRealisation(A, taps, c, lags, PLAIN_WORDS)
+    orders = Orders.of_states([(k, k + 1) if d else (k + 1,) for k, d in zip(late, through, strict=True)])
+    taps = np.zeros((orders.depth + 1, *B.shape))
+    for j, k in enumerate(late):
+        taps[k + 1, :, j] = B[:, j]
+        taps[k, :, j] += E[:, j]
+    return StateRealisation(Recursion(A[None], taps, c), orders, PLAIN_WORDS)
 
 
 def system_stage(
-    system: System,
+    real: StateRealisation,
     data: Dataset,
     least: int,
     scaled: tuple[FloatArray, FloatArray],
@@ -191,14 +178,13 @@ def system_stage(
     ends : (2, n_y) outputs at which the plant itself saturates, physical.
     linear_steps : of a linear system's refinement.
     """
-    real = system.real
     shift, scale = scaled
     n_y = len(data.outputs)
-    hidden = len(real.A) - n_y
+    hidden = len(real) - n_y
     layout = Layout(
         data.outputs,
         data.inputs,
-        Orders.of_states(real.input_lags),
+        real.orders,
         (),
         np.concatenate([shift[:n_y], np.zeros(hidden), shift[n_y:]]),
         np.concatenate([scale[:n_y], np.ones(hidden), scale[n_y:]]),
@@ -274,7 +260,7 @@ def linear_stage(
     H = stage.normal()[1].corner
     diagonal = np.diag(H)
     metric = H + np.diag(_FLOOR * diagonal + 1e-9 * diagonal.max())
-    return replace(stage, problem=replace(stage.problem, metric=metric))
+    return stage.under(metric=metric)
 
 
 def _linear(problem: Problem, real: StateRealisation, prior: Prior) -> Stage:

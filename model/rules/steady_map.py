@@ -18,7 +18,7 @@ import numpy as np
 
 from flysid.dataset import FloatArray
 from flysid.model.polynomials import ROUNDING
-from flysid.model.rules.kernel import Lags, Parameters
+from flysid.model.rules.kernel import Lags, Parameters, strengths
 from flysid.model.rules.recursion import Recursion
 from flysid.model.rules.regressor_layout import Layout
 
@@ -78,9 +78,7 @@ class SteadyMap:
         z = np.where(minus, 0.0, w[lags.z_column]) if len(minus) else np.zeros(0)
         moves = (z > par.z_range[0]) & (z < par.z_range[1])
         lean = (np.clip(z, *par.z_range) - par.centre) / par.width
-        loud = -0.5 * (lean * lean).sum(axis=1)
-        shares = np.exp(loud - loud.max())
-        shares /= shares.sum()
+        shares = strengths(z[None], par)[0]
         part = par.theta @ x
         value = shares @ part
         blend = np.tensordot(shares, par.theta, axes=1)

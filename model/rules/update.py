@@ -229,7 +229,7 @@ def _random_steps(stage: Stage) -> Stage:
         lengths = np.exp(rng.uniform(0.0, np.log(0.1 * _USUAL), _USUAL)).astype(int) + 1
         W[:, column] = np.repeat(rng.uniform(-np.sqrt(3.0), np.sqrt(3.0), _USUAL), lengths)[:_USUAL]
     initial = np.zeros((1, layout.moving, layout.n_y))
-    return replace(stage, problem=replace(stage.problem, runs=(W,)), initial=initial)
+    return replace(stage.under(runs=(W,)), initial=initial)
 
 
 def _step(stage: Stage, known: _Known, *, bounded: bool) -> Stage | None:

@@ -91,10 +91,10 @@ def test_every_coordinate_is_the_same_linear_model() -> None:
     expected = fitted.simulate(u) - fitted.simulate(np.zeros_like(u))
     assert len({c.words for c in choices}) > 1
     for choice in choices:
-        x = np.zeros(len(choice.A))
+        x = np.zeros(len(choice))
         rows = [np.zeros(2)]
         for inputs in u[:-1] / scale[2:]:
-            x = choice.A @ x + choice.B[1] @ inputs
+            x = choice.law.A[0] @ x + choice.law.B[1] @ inputs
             rows.append(x[:2] * scale[:2])
         assert np.abs(np.array(rows) - expected).max() < 1e-9
 
@@ -292,7 +292,7 @@ def test_a_state_space_in_coordinates_of_its_outputs_is_the_same_model(feedthrou
     ).fit(dataset)
     shift, scale = scaling(dataset)
     real = realised_states(model, shift, scale)
-    assert real.input_lags == (((0, 1), (2, 3)) if feedthrough else ((1,), (3,)))
+    assert real.orders.input_lags == (((0, 1), (2, 3)) if feedthrough else ((1,), (3,)))
     u = np.array(dataset.segments[0].u[:200])
     late = np.stack([u[:, 0], np.concatenate([np.full(2, model.u_origin[1]), u[:-2, 1]])], axis=1)
     U = (u - shift[2:]) / scale[2:]
@@ -300,13 +300,13 @@ def test_a_state_space_in_coordinates_of_its_outputs_is_the_same_model(feedthrou
     s = model.realisation
     w = np.zeros(3)
     first = s.d @ (late[0] - model.u_origin) + s.level + model.y_origin
-    x = np.zeros(len(real.A))
+    x = np.zeros(len(real))
     x[:2] = (first - shift[:2]) / scale[:2]
     x[2:] = 0.0
     for k in range(1, 200):
         w = s.a @ w + s.b @ (late[k - 1] - model.u_origin) + s.drift
-        drive = [B @ (U[k - lag] if k >= lag else lagged[0]) for lag, B in real.B.items()]
-        x = real.A @ x + sum(drive, np.zeros(len(x))) + real.c
+        drive = [B @ (U[k - lag] if k >= lag else lagged[0]) for lag, B in enumerate(real.law.B)]
+        x = real.law.A[0] @ x + sum(drive, np.zeros(len(x))) + real.law.c
         y = s.c @ w + s.d @ (late[k] - model.u_origin) + s.level + model.y_origin
         if k > 3:
             assert x[:2] * scale[:2] + shift[:2] == pytest.approx(y, abs=1e-8)
@@ -419,7 +419,7 @@ def test_a_dead_time_that_the_log_shows_is_tried() -> None:
     """nk_hint reaches the linear starts."""
     settings = TS(states=2, nk_hint=(4,))
     found = linear_systems(settings, vehicle(), None, scaling(vehicle()))
-    assert {system.real.input_lags for system in found} == {((1,),), ((4,),)}
+    assert {system.orders.input_lags for system in found} == {((1,),), ((4,),)}
 
 
 @pytest.mark.usefixtures("arx_alone")
