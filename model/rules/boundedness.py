@@ -12,7 +12,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-import numpy.typing as npt
 
 from flysid.dataset import FloatArray
 from flysid.model.rules.free_run_error import widened
@@ -24,9 +23,7 @@ FAR = 10.0
 _NEAR = 0.5  # of what was seen: hidden states, and outputs beside them, that are farther out have left it
 PUSHES = 3000
 """Random inputs, then as many shuffled ones."""
-_LONG_HOLD = 100  # samples that random inputs are held, at most
 _RARELY = 0.02  # of the samples
-_MOST_AWAY = 0.2  # of the samples: models that were any good on fresh data stayed below a tenth
 _ROUNDING = float(np.cbrt(np.finfo(float).eps))  # of a pole at one that stands up to three times
 _RUN_STEPS = (3000, 30_000)  # at least, and at most; between them as long as the training runs together
 
@@ -38,15 +35,17 @@ def is_bounded(stage: Stage) -> bool:
     blocks of the training inputs in random order. In that second part no more than one sample in fifty may
     lie on an output limit (the range of training, widened by itself on each side) or, with hidden states,
     half the range beyond what was simulated: ends at which a plant itself saturates are no limits in this
-    sense. The model must also forget how it was started (`is_contracting`), and rules over lags must stay
-    off the limits most of the time where random inputs are held for long. Of a model that holds an integrator
-    the changes of the output are asked instead (the range widened tenfold), as its output may go anywhere.
-    Lags are held at the limits here, those of a single rule too (`unheld`): one that stays there is too near
-    to instability.
+    sense. The model must also forget how it was started (`is_contracting`). Of a model that holds an
+    integrator the changes of the output are asked instead (the range widened tenfold), as its output may go
+    anywhere. Lags are held at the limits here, those of a single rule too (`unheld`): one that stays there is
+    too near to instability.
     """
     problem = stage.problem
     layout = stage.layout
-    x = _push(stage, seed=0)[PUSHES + PUSHES // 4 :]
+    par = problem.parameters(stage.body)
+    W = probe_run(problem.runs, layout.n, PUSHES, seed=0)
+    free_run(W, layout.depth, layout.lags, par)
+    x = W[PUSHES + PUSHES // 4 :, : layout.n]
     limits = problem.limits
     seen = [run[layout.uncompared :, : layout.n] for run in stage.simulated()]
     if layout.hidden:
@@ -58,37 +57,13 @@ def is_bounded(stage: Stage) -> bool:
         limits = widened(_range([np.diff(run, axis=0) for run in seen]), FAR)
     if not _share_at(x, limits) < _RARELY:
         return False
-    if problem.integrates or not _returns(stage):
-        return problem.integrates
-    par = problem.parameters(stage.body)
-    return is_contracting(problem.runs, _range(seen), layout.depth, layout.lags, par)
+    return problem.integrates or is_contracting(problem.runs, _range(seen), layout.depth, layout.lags, par)
 
 
 def _range(runs: Sequence[FloatArray]) -> FloatArray:
     """(2, n) smallest and largest values of every column."""
     x = np.vstack(list(runs))
     return np.stack([x.min(axis=0), x.max(axis=0)])
-
-
-def _returns(stage: Stage) -> bool:
-    """Whether rules over lags stay off their limits most of the time under random inputs held for long.
-
-    Short pushes average out in a slow plant: they do not reach the place from which rules run away. A stable
-    linear model comes back by itself once the inputs turn, so that only rules are asked.
-    """
-    if stage.rules == 1 or stage.layout.hidden:
-        return True
-    y = _push(stage, seed=2, longest=_LONG_HOLD)[:PUSHES]
-    return _share_at(y, stage.problem.limits) < _MOST_AWAY
-
-
-def _push(stage: Stage, seed: int, longest: int | None = None) -> FloatArray:
-    """(2 PUSHES, n) what is simulated under the inputs of `probe_run`, held at the limits."""
-    problem = stage.problem
-    layout = stage.layout
-    W = probe_run(problem.runs, layout.n, PUSHES, seed, longest)
-    free_run(W, layout.depth, layout.lags, problem.parameters(stage.body))
-    return W[:, : layout.n]
 
 
 def _share_at(x: FloatArray, limits: FloatArray) -> float:
@@ -151,32 +126,20 @@ def _run(W: FloatArray, start: FloatArray, depth: int, lags: Lags, par: Paramete
     return run[:, : len(start)]
 
 
-def probe_run(
-    runs: Sequence[FloatArray], n_y: int, steps: int, seed: int, longest: int | None = None
-) -> FloatArray:
+def probe_run(runs: Sequence[FloatArray], n_y: int, steps: int, seed: int) -> FloatArray:
     """W (2 steps, n_y + n_u): `steps` random inputs in the training range, then training ones shuffled.
 
-    Parameters
-    ----------
-    longest : random inputs are held for 2 samples up to so many, or up to a 200th of the training inputs if
-        that is more; for just that 200th where None.
+    Random ones are held, and training ones kept together, for a 200th of the training inputs.
     """
     rng = np.random.default_rng(seed)
     pool = np.vstack([W[:, n_y:] for W in runs])
     low = pool.min(axis=0)
     high = pool.max(axis=0)
     hold = max(2, len(pool) // 200)
-    begins = rng.integers(0, max(1, len(pool) - hold), size=-(-steps // hold))
+    count = -(-steps // hold)
+    begins = rng.integers(0, max(1, len(pool) - hold), size=count)
     usual = np.vstack([pool[b : b + hold] for b in begins])[:steps]
-    even = np.full(-(-steps // hold), hold)
-    holds = even if longest is None else _lengths(steps, max(longest, hold), rng)
-    wild = np.repeat(rng.uniform(low, high, (len(holds), len(low))), holds, axis=0)[:steps]
+    wild = np.repeat(rng.uniform(low, high, (count, len(low))), hold, axis=0)[:steps]
     W = np.zeros((2 * steps, n_y + len(low)))
     W[:, n_y:] = np.vstack([wild, usual])
     return W
-
-
-def _lengths(steps: int, longest: int, rng: np.random.Generator) -> npt.NDArray[np.int64]:
-    """Lengths from 2 to `longest`, evenly spread in logarithms, that make at least `steps` together."""
-    lengths = np.exp(rng.uniform(np.log(2.0), np.log(longest + 1.0), size=steps // 2 + 1)).astype(np.int64)
-    return lengths[: int(np.searchsorted(np.cumsum(lengths), steps)) + 1]
