@@ -84,7 +84,7 @@ def test_a_real_folder_is_read_and_the_rest_is_named(tmp_path: Path) -> None:
     assert done.return_value == 0, done.stderr
     assert len(done.stdout.split()) == 6
     (line,) = [line for line in done.stderr.splitlines() if line.startswith("ignored")]
-    assert "ignored 18 files, not logs: " in line
+    assert "ignored 18 files that are not logs: " in line
     assert "text (7): " in line
     assert "and 4 more" in line
     assert "picture (2): map.png, photo.JPG" in line
