@@ -43,22 +43,33 @@ def whole_lines(
     ending : of a last line without its end, and the lines before it: the line to read instead; b"" for none.
     """
     while start < len(view):
-        data = bytes(view[start : start + size])
-        if b"\n" not in data:
-            data = bytes(view[start : start + longest])
-        end = data.rfind(b"\n") + 1
-        stop = start + len(data)
-        if stop == len(view) and end < len(data):
-            last = ending(data[end:], data[:end]) if ending is not None else b""
+        stop = min(start + size, len(view))
+        end = _last_end(view, start, stop)
+        if end == start:
+            stop = min(start + longest, len(view))
+            end = _last_end(view, start, stop)
+        data = bytes(view[start:end])
+        if stop == len(view) and end < stop:
+            last = ending(bytes(view[end:stop]), data) if ending is not None else b""
             if last:
-                yield LineBatch(start, stop, data[:end] + last, stop)
+                yield LineBatch(start, stop, data + last, stop)
             else:
-                fault = "the last line has no end"
-                yield LineBatch(start, start + end, data[:end], stop, fault, is_cut=True)
-        elif end == 0:
-            yield LineBatch(start, start, b"", stop, "a line without an end")
+                yield LineBatch(start, end, data, stop, "the last line has no end", is_cut=True)
+        elif not data:
+            yield LineBatch(start, start, data, stop, "a line without an end")
         else:
-            stop = start + end
-            yield LineBatch(start, stop, data[:end], stop)
+            stop = end
+            yield LineBatch(start, stop, data, stop)
         release(view, start, stop)
         start = stop
+
+
+def _last_end(view: memoryview, start: int, stop: int, *, piece_bytes: int = 1 << 12) -> int:
+    """Where the last whole line in [start, stop) ends; `start` where none does."""
+    while stop > start:
+        first = max(start, stop - piece_bytes)
+        found = bytes(view[first:stop]).rfind(b"\n")
+        if found >= 0:
+            return first + found + 1
+        stop = first
+    return start

@@ -141,7 +141,7 @@ class RecordForm:
         """(n * size,) bytes of n records as a table; `heads` are the (n,) numbers of its first columns."""
         rows = len(heads[0])
         if not rows:
-            return schema.empty_table()
+            return pa.Table.from_batches([], schema)  # Schema.empty_table() imports pandas
         texts: list[Bytes] = []
         lengths = self._widths * rows
         if len(self._flags):

@@ -50,7 +50,7 @@ from flysid.ingest.formats.csv.layouts import (
 STREAM = "table"
 MAX_LINE_BYTES = 1 << 20
 BATCH_BYTES = 1 << 22
-BLOCK_BYTES = 1 << 18  # stays in a processor's cache while Arrow takes it apart
+BLOCK_BYTES = 1 << 19  # stays in a processor's cache while Arrow takes it apart
 
 
 def sniff(head: bytes, name: str) -> float:  # noqa: ARG001

@@ -171,7 +171,7 @@ def _checked(raw: ByteArray, starts: IntArray, ends: IntArray, crc_extra: npt.ND
     body = raw[base : int(ends[count - 1])].tobytes() if count else b""
     crc16 = fastcrc.crc16.mcrf4xx
     spans = zip((starts + 1 - base).tolist(), (crc_at - base).tolist(), strict=True)
-    crc = np.array([crc16(body[a:b]) for a, b in spans], dtype=np.uint16)
+    crc = np.fromiter((crc16(body[a:b]) for a, b in spans), np.uint16, count)
     crc = (crc >> 8) ^ CRC_TABLE[(crc ^ seed.astype(np.uint16)) & 0xFF]
     stated = raw[crc_at] | raw[crc_at + 1].astype(np.uint16) << 8
     wrong = crc != stated
