@@ -21,7 +21,7 @@ from flysid.showing import first_of
 
 MAX_TOPICS = 5000
 NAMED = 8
-BATCH_BYTES = 16 << 20  # larger ones touch new memory for every message, which costs more than decoding
+BATCH_BYTES = 8 << 20  # larger ones touch new memory for every message, which costs more than decoding
 
 
 class Topics:
