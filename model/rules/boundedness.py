@@ -14,7 +14,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from flysid.dataset import FloatArray
-from flysid.model.rules.free_run_error import widened
+from flysid.model.rules.free_run_error import range_of, widened
 from flysid.model.rules.kernel import Lags, Parameters, free_run
 from flysid.model.rules.stages import Stage
 
@@ -49,21 +49,15 @@ def is_bounded(stage: Stage) -> bool:
     limits = problem.limits
     seen = [run[layout.uncompared :, : layout.n] for run in stage.simulated()]
     if layout.hidden:
-        limits = widened(_range(seen), _NEAR)
+        limits = widened(range_of(seen), _NEAR)
     if problem.integrates:
         if not _rules_settle(stage):
             return False
         x = np.diff(x, axis=0)
-        limits = widened(_range([np.diff(run, axis=0) for run in seen]), FAR)
+        limits = widened(range_of([np.diff(run, axis=0) for run in seen]), FAR)
     if not _share_at(x, limits) < _RARELY:
         return False
-    return problem.integrates or is_contracting(problem.runs, _range(seen), layout.depth, layout.lags, par)
-
-
-def _range(runs: Sequence[FloatArray]) -> FloatArray:
-    """(2, n) smallest and largest values of every column."""
-    x = np.vstack(list(runs))
-    return np.stack([x.min(axis=0), x.max(axis=0)])
+    return problem.integrates or is_contracting(problem.runs, range_of(seen), layout.depth, layout.lags, par)
 
 
 def _share_at(x: FloatArray, limits: FloatArray) -> float:

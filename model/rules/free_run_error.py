@@ -174,10 +174,15 @@ def widened(limits: FloatArray, times: float) -> FloatArray:
     return np.ascontiguousarray(np.stack([limits[0] - margin, limits[1] + margin]))
 
 
+def range_of(runs: Sequence[FloatArray]) -> FloatArray:
+    """(2, n) smallest and largest values of every column."""
+    x = np.vstack(runs)
+    return np.stack([x.min(axis=0), x.max(axis=0)])
+
+
 def antecedent_range(layout: Layout, runs: Sequence[FloatArray]) -> FloatArray:
     """(2, n_z) smallest and largest antecedent in the data."""
-    z = np.vstack([layout.antecedent_values(W) for W in runs])
-    return np.stack([z.min(axis=0), z.max(axis=0)]) if z.shape[1] else np.zeros((2, 0))
+    return range_of([layout.antecedent_values(W) for W in runs])
 
 
 def started_run(layout: Layout, W: FloatArray, start: FloatArray, par: Parameters) -> FloatArray:

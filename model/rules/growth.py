@@ -20,14 +20,13 @@ from flysid.model.rules.free_run_error import Body, Problem, antecedent_range
 from flysid.model.rules.kernel import firing
 from flysid.model.rules.regressor_layout import Antecedent, Layout, windows
 from flysid.model.rules.stages import Stage, expected_cost, inserted, on_runs_of
+from flysid.model.start import START_SHARE, STEPS
 
 _PLACES = (0.15, 0.5, 0.85)
 _FIRST_PLACES = (0.1, 0.3, 0.7, 0.9)  # not the middle, from where there is no other side
 _FEWEST = 10  # samples of a region that takes another rule
-_PIECE = 1000  # rows of a piece, where long records are thinned,
-_PIECE_DEPTHS = 20  # and at least so many times what starts it
+_PIECE = 1000  # rows of a piece, where long records are thinned, and what starts it a small share
 _FEW = 5000  # rows for ranking insertions and for trying the best ones
-_START_STEPS = 4  # of a search over the first outputs alone; a linear model needs one
 NOTHING = np.zeros(0, dtype=np.int64)
 """Of a body that stays as it is while the runs' starts are searched for."""
 _MARGIN = 0.1  # of its range, by which a hidden antecedent's range is widened
@@ -44,9 +43,13 @@ def first_basis(layout: Layout, runs: tuple[FloatArray, ...], *, integrating: bo
     X = np.vstack([layout.regressor_values(W) for W in runs]) @ differences.T
     size = np.sqrt((X * X).mean(axis=0))
     size[size == 0] = 1.0
-    _, s, vt = np.linalg.svd(np.linalg.qr(X / size, mode="r") / np.sqrt(len(X)))
-    floor = np.maximum(s, 1e-12 * s[0])
-    return np.asarray((vt / floor[:, None]) @ (differences / size[:, None]))
+    return np.asarray(whitening(X / size) @ (differences / size[:, None]))
+
+
+def whitening(X: FloatArray) -> FloatArray:
+    """(n, n) coordinates in which the columns of X (N, n) are uncorrelated with unit mean square."""
+    _, s, vt = np.linalg.svd(np.linalg.qr(X, mode="r") / np.sqrt(len(X)))
+    return np.asarray(vt / np.maximum(s, 1e-12 * s.max(initial=0.0))[:, None])
 
 
 def _difference_matrix(layout: Layout) -> FloatArray:
@@ -85,7 +88,7 @@ def best_started(problem: Problem, body: Body) -> Stage:
     starts = problem.measured_initial(), problem.smooth_initial()
     plain = replace(problem, ridge=0.0, stress=None)
     stage = min((unrefined(plain, body, initial) for initial in starts), key=lambda s: s.cost)
-    found = stage.refined(_START_STEPS, 1e-3, NOTHING)
+    found = stage.refined(STEPS, 1e-3, NOTHING)
     return unrefined(problem, body, found.initial)
 
 
@@ -275,7 +278,7 @@ def thinned(stage: Stage, samples: int) -> Stage:
     if total <= samples:
         return stage
     d = stage.layout.depth
-    rows = max(_PIECE, _PIECE_DEPTHS * d)
+    rows = max(_PIECE, round(d / START_SHARE))
     every = max(1, round(total / samples))
     runs = windows(stage.problem.runs, d, rows)[::every]
     initial = stage.problem.starts(windows(stage.simulated(), d, rows)[::every])

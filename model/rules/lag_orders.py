@@ -13,8 +13,6 @@ from flysid.model.arguments import is_count
 from flysid.model.rules.regressor_layout import Antecedent, Orders, check_they_move, parse_antecedents
 from flysid.model.rules.search_settings import RuleSettings
 
-_LATE = 2  # samples of delay from which a dead time is tried as such
-
 
 def check(settings: RuleSettings) -> None:
     """Raise UsageError for settings that cannot be."""
@@ -77,7 +75,7 @@ def order_choices(settings: RuleSettings, inputs: int) -> list[Orders]:
 def _delay(settings: RuleSettings, choices: Sequence[Orders]) -> list[Orders]:
     """The choices behind the dead times that the log shows, where no choice bridges those by itself."""
     hint = tuple(settings.nk_hint)
-    if settings.nk != "auto" or max(hint, default=0) < _LATE:
+    if settings.nk != "auto" or max(hint, default=0) <= 1:  # as late as any plant behind a hold
         return []
     own = choices[0].nk
     hint = tuple(map(max, hint, own))

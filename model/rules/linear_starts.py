@@ -135,19 +135,12 @@ def as_linear(model: Fitted) -> LinearStart | None:
     elif isinstance(model, FittedStateSpace) and model.order <= _MOST_STATES:
         system = as_difference(model)
     elif isinstance(model, RuleModel) and model.structure == "ts" and len(model.parameters.theta) == 1:
-        system = _equation(model)
+        system = model.local_polynomials()[0].difference
         still = np.zeros(len(model.inputs)), np.zeros(len(model.outputs))
         return LinearStart(model.structure, orders_of(system), system, *still, ARX())
     else:
         return None
     return LinearStart(model.structure, orders_of(system), system, model.u_origin, model.y_origin, ARX())
-
-
-def _equation(model: RuleModel) -> Difference:
-    """The equation of one rule, in physical units."""
-    a, b, c = model.local_polynomials()[0]
-    here = np.eye(len(model.outputs))[None]
-    return Difference(np.concatenate([here, -a]), b, c)
 
 
 def as_stage(found: LinearStart, problem: Problem) -> Stage:

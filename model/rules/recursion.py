@@ -13,9 +13,9 @@ import numpy as np
 import numpy.typing as npt
 
 from flysid.dataset import FloatArray
-from flysid.model.freerun import far
+from flysid.model.freerun import Difference, far
 from flysid.model.polynomials import ROUNDING
-from flysid.model.rules.kernel import Lags, Parameters, free_run
+from flysid.model.rules.kernel import Lags, Parameters
 
 ComplexArray = npt.NDArray[np.complex128]
 
@@ -136,25 +136,15 @@ class Recursion(NamedTuple):
 
     def step(self, moved: int, samples: int) -> FloatArray:
         """(samples, n) what a lasting unit step of one input adds."""
-        n, depth = len(self.c), self.depth
-        W = np.zeros((depth + samples, n + self.B.shape[2]))
-        W[depth:, n + moved] = 1.0
-        free_run(W, depth, *self._alone())
-        return W[depth:, :n]
+        u = np.zeros((samples, self.B.shape[2]))
+        u[:, moved] = 1.0
+        law = self._replace(c=np.zeros_like(self.c)).difference
+        return law.run(u, np.zeros((law.depth, len(self.c))))
 
-    def _alone(self) -> tuple[Lags, Parameters]:
-        """As one rule without a constant or limits."""
-        n = len(self.c)
-        own = np.argwhere(self.A.any(axis=1))
-        given = np.argwhere(self.B.any(axis=1))
-        column = np.concatenate([own[:, 1], n + given[:, 1]])
-        lag = np.concatenate([own[:, 0] + 1, given[:, 0]])
-        theta = np.concatenate([self.A[own[:, 0], :, own[:, 1]], self.B[given[:, 0], :, given[:, 1]]]).T
-        none = np.zeros(0, dtype=np.int64)
-        nothing = np.zeros((1, 0))
-        everywhere = np.array([[-1.0], [1.0]]) * np.full(n, np.finfo(float).max)
-        par = Parameters(np.ascontiguousarray(theta[None]), nothing, nothing, np.zeros((2, 0)), everywhere)
-        return Lags(column, lag, none, none, none), par
+    @property
+    def difference(self) -> Difference:
+        """The same equation with the newest on the left side."""
+        return Difference(np.concatenate([np.eye(len(self.c))[None], -self.A]), self.B, self.c)
 
 
 def crossing(share: FloatArray) -> float:

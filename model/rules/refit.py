@@ -44,12 +44,18 @@ def on_all_runs(stage: Stage, runs: Sequence[FloatArray], iterations: int) -> St
     return found if is_bounded(found) else stage
 
 
-def as_problem(layout: Layout, parameters: Parameters, runs: tuple[FloatArray, ...]) -> tuple[Problem, Body]:
-    """A fitted model as refinement writes it: consequents in a basis in which `runs` are well conditioned."""
+def as_problem(
+    layout: Layout, parameters: Parameters, runs: tuple[FloatArray, ...], basis: FloatArray | None = None
+) -> tuple[Problem, Body]:
+    """A fitted model as refinement writes it.
+
+    `basis`: of the consequents; by default one in which `runs` are well conditioned.
+    """
     theta = parameters.theta
     p = parameters
     held = holds_integrator(theta, layout.orders.na)
-    basis = np.ascontiguousarray(first_basis(layout, runs, integrating=held))
+    if basis is None:
+        basis = first_basis(layout, runs, integrating=held)
     trained = widened(p.z_range, -layout.reach / (1.0 + 2.0 * layout.reach))
     problem = Problem(layout, runs, basis, theta[0].copy(), trained, p.limits)
     rows = (theta - theta[0]).reshape(-1, theta.shape[2]).T

@@ -8,9 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from flysid.dataset import Dataset, FloatArray
+from flysid.model.freerun import far
 from flysid.model.rules.boundedness import FAR, probe_run
 from flysid.model.rules.families import Family
-from flysid.model.rules.free_run_error import Problem
+from flysid.model.rules.free_run_error import Problem, range_of, widened
 from flysid.model.rules.growth import embedded_start, first_basis, linear_stage, rebased, unrefined
 from flysid.model.rules.integrator import looks_integrating, with_integrator
 from flysid.model.rules.judging import EXACT, Candidate, judged
@@ -25,7 +26,6 @@ from flysid.model.shared import digest, once
 SPARE_ROWS = 10  # a segment must be longer than the depth by this to say anything
 _ORDER_LOSS = 0.05  # of the mean square: at most worth an order
 _STEPS = 8  # of a linear model's refinement on other parts of the data
-_LOOSE = 100.0  # ranges within which the search for a linear model may move
 _STRESS = 1000  # steps of each kind of stress
 _ROWS_PER_NUMBER = 4
 
@@ -103,9 +103,7 @@ class SearchContext:
         """
         layout = Layout(self.fit_part.outputs, self.fit_part.inputs, orders, (), self.shift, self.scale)
         runs = runs_of(layout, self.fit_part.segments, self.least)
-        y = np.vstack([W[:, : layout.n_y] for W in runs])
-        margin = _LOOSE * np.ptp(y, axis=0)
-        limits = np.stack([y.min(axis=0) - margin, y.max(axis=0) + margin])
+        limits = far(range_of([W[:, : layout.n_y] for W in runs]))
         basis = first_basis(layout, runs)
         return Problem(layout, runs, basis, np.zeros((layout.n_y, len(basis))), np.zeros((2, 0)), limits)
 
@@ -113,10 +111,9 @@ class SearchContext:
         """A linear stage to grow from: with its output limits and with stress."""
         problem = stage.problem
         n_y = stage.problem.layout.n_y
-        y = np.vstack([W[:, :n_y] for W in problem.runs])
-        margin = (FAR if problem.integrates else 1.0) * np.ptp(y, axis=0)
-        limits = np.stack([y.min(axis=0) - margin, y.max(axis=0) + margin])
-        steps = min(_STRESS, max(200, len(y) // 2))
+        seen = range_of([W[:, :n_y] for W in problem.runs])
+        limits = widened(seen, FAR if problem.integrates else 1.0)
+        steps = min(_STRESS, max(200, sum(map(len, problem.runs)) // 2))
         stress = (
             probe_run(problem.runs, n_y, steps, seed=1)  # models are asked with others in the end
             if self.must_be_bounded and not problem.integrates

@@ -21,14 +21,13 @@ from flysid.model.rules.assembly import at_stage, free_run_rmse
 from flysid.model.rules.boundedness import is_bounded
 from flysid.model.rules.consequents import refuse_few, refuse_other_data
 from flysid.model.rules.fitted import FittedTS
-from flysid.model.rules.free_run_error import Body, Problem, widened
-from flysid.model.rules.growth import best_started
+from flysid.model.rules.growth import best_started, whitening
 from flysid.model.rules.integrator import holds_integrator
-from flysid.model.rules.kernel import IntArray
 from flysid.model.rules.lyapunov import certificate_of
 from flysid.model.rules.operating_points import described
 from flysid.model.rules.phrases import from_to
 from flysid.model.rules.recursion import Recursion, companion, rule_radius
+from flysid.model.rules.refit import as_problem
 from flysid.model.rules.regressor_layout import Layout, runs_of
 from flysid.model.rules.search_settings import RuleSettings
 from flysid.model.rules.stages import Stage, ordered
@@ -143,28 +142,13 @@ def _nearest(start: FloatArray, mean: FloatArray, holds: Callable[[FloatArray], 
 def _refine(model: FittedTS, theta: FloatArray, runs: tuple[FloatArray, ...]) -> Stage:
     """The drawn rules with everything but their poles refined; as drawn where nothing got better."""
     layout = model.layout
-    p = model.parameters
     past = np.array([0 <= column < layout.n_y for column, _ in layout.regressors])
     basis = np.zeros((len(past), len(past)))
+    X = np.vstack([layout.regressor_values(W) for W in runs])
     for block in (past, ~past):
-        at = np.flatnonzero(block)
-        if len(at):
-            basis[np.ix_(at, at)] = _whiten(layout, runs, at)
-    trained = widened(p.z_range, -layout.reach / (1.0 + 2.0 * layout.reach))
-    problem = Problem(layout, runs, basis, np.zeros(theta.shape[1:]), trained, p.limits)
-    a = np.ascontiguousarray(np.linalg.solve(basis.T, theta.transpose(2, 0, 1).reshape(len(past), -1)))
-    a = np.ascontiguousarray(a.reshape(len(past), *theta.shape[:2]).transpose(1, 2, 0))
-    start = best_started(problem, Body(a, p.centre, p.width))
-    free = np.ones(start.body.size)
-    free[: a.size] = np.tile(~past, a.size // len(past))
-    if start.rules == 1:
-        free[a.size :] = 0.0
-    found = start.refined(RuleSettings.iterations, 1e-6, np.flatnonzero(free))
+        basis[np.ix_(block, block)] = whitening(X[:, block])
+    problem, body = as_problem(layout, model.parameters._replace(theta=theta), runs, basis)
+    start = best_started(problem, body)
+    held = np.flatnonzero(np.tile(past, body.a.size // len(past)))
+    found = start.refined(RuleSettings.iterations, 1e-6, np.setdiff1d(body.free, held))
     return found if found.cost < start.cost and is_bounded(found) else start
-
-
-def _whiten(layout: Layout, runs: tuple[FloatArray, ...], at: IntArray) -> FloatArray:
-    """(n, n) coordinates in which these regressors are uncorrelated with unit mean square."""
-    X = np.vstack([layout.regressor_values(W)[:, at] for W in runs])
-    _, s, vt = np.linalg.svd(np.linalg.qr(X, mode="r") / np.sqrt(len(X)))
-    return np.asarray(vt / np.maximum(s, 1e-9 * s[0])[:, None])

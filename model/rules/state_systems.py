@@ -14,7 +14,7 @@ from flysid.errors import DataError, FitError
 from flysid.model.linear.difference_equation import FittedLinear
 from flysid.model.oe import OE
 from flysid.model.polynomials import ROUNDING
-from flysid.model.rules.free_run_error import Body, Problem
+from flysid.model.rules.free_run_error import Body, Problem, range_of, widened
 from flysid.model.rules.likely_start import Prior, initial_states
 from flysid.model.rules.realisation import (
     PLAIN,
@@ -32,7 +32,6 @@ from flysid.model.statespace import StateSpace
 from flysid.model.subspace.fitted_model import FittedStateSpace
 
 _OE_STATES = (2, 3)  # orders of output-error models: rules may use a state that a linear model does not
-_MOST_OE = 4  # and the order of the best state space, up to this
 _HIDDEN_LIMIT = 12.0  # spreads that a hidden state may reach
 _FLOOR = 1e-3  # of the metric's diagonal, added to it: directions that the linear model does not feel
 _START_ROWS = 400  # of a run from which a linear start takes its initial state
@@ -100,7 +99,7 @@ def _stands(model: FittedStateSpace) -> bool:
 def _orders(settings: RuleSettings, best: StateRealisation | None, n_y: int) -> list[int]:
     if settings.states != "auto":
         return [max(1, -(-settings.states // n_y))]
-    known = min(_MOST_OE, -(-len(best) // n_y)) if best else 2
+    known = min(settings.search.highest_order, -(-len(best) // n_y)) if best else 2
     return sorted({*_OE_STATES, max(known, 2)} if n_y == 1 else {2, max(known, 1)})
 
 
@@ -233,10 +232,8 @@ def linear_stage(
     n = layout.n
     n_y = layout.n_y
     d = layout.depth
-    y = np.vstack([W[d - 1 :, :n_y] for W in runs])
-    margin = np.ptp(y, axis=0)
     limits = np.full((2, n), np.inf) * np.array([[-1.0], [1.0]])
-    limits[:, :n_y] = np.stack([y.min(axis=0) - margin, y.max(axis=0) + margin])
+    limits[:, :n_y] = widened(range_of([W[d - 1 :, :n_y] for W in runs]), 1.0)
     problem = unmoved(layout, runs, np.zeros((2, 0)), limits)
     nowhere = Prior(np.zeros(n), 1e3 * np.eye(n), 1.0)
     stage = _linear(problem, real, nowhere)
