@@ -28,7 +28,7 @@ from flysid.model.documents import array_of, head_of, monic, signals_of, with_nu
 from flysid.model.freerun import Difference, far, saturated
 from flysid.model.linear.laws import always, is_stable, predicted
 from flysid.model.linear.text import conclusion, describe
-from flysid.model.linear.uncertainty import band_of, coefficients_of, drawn, response_of
+from flysid.model.linear.uncertainty import coefficients_of, free_run_band, response_of
 from flysid.model.noise import k_step_ahead
 from flysid.model.polynomials import ComplexArray
 from flysid.model.start import FreeRuns
@@ -200,16 +200,15 @@ class FittedLinear(FreeRuns):
     ) -> tuple[FloatArray, FloatArray]:
         """(lower, upper), (N, n_y) each: pointwise 95 % band of the free run, the parameters being unsure.
 
-        Parameters are drawn from their normal distribution; draws that are unstable are drawn again, up to
-        ten times `draws` in all.
+        To first order in the parameters, which are drawn from their normal distribution.
 
         Raises
         ------
-        UsageError : the model carries no covariance, or nearly every draw is unstable.
+        UsageError : the model carries no covariance.
         """
         if not np.isfinite(self.covariance).all() or not len(self.free):
             raise UsageError("this model carries no covariance", hint="fit it, rather than take it over")
-        return band_of(drawn(self, self._moved, self.covariance, draws, seed), u, y0)
+        return free_run_band(self, self._moved, self.covariance, draws, seed, u=u, y0=y0)
 
     def coefficients(self) -> list[Coefficient]:
         """Estimated entries of A and B, signed as in y(k) = ...; none where there is no covariance."""

@@ -27,7 +27,7 @@ from flysid.model.documents import array_of, head_of, monic, signals_of
 from flysid.model.freerun import far, saturated
 from flysid.model.linear.laws import always, is_stable, predicted
 from flysid.model.linear.text import gains_text
-from flysid.model.linear.uncertainty import band_of, drawn
+from flysid.model.linear.uncertainty import free_run_band
 from flysid.model.noise import output_error_ahead
 from flysid.model.polynomials import ComplexArray, modes_of
 from flysid.model.start import FreeRuns
@@ -182,17 +182,17 @@ class FittedStateSpace(FreeRuns):
     ) -> tuple[FloatArray, FloatArray]:
         """(lower, upper), (N, n_y) each: pointwise 95 % band of the free run, the parameters being unsure.
 
-        Draws that are unstable are drawn again, up to ten times `draws` in all.
+        To first order in the parameters, which are drawn from their normal distribution.
 
         Raises
         ------
-        UsageError : the model carries no covariance, or nearly every draw is unstable.
+        UsageError : the model carries no covariance.
         """
         if not len(self.covariance):
             raise UsageError(
                 "this model carries no covariance", hint="fit it in memory, with refine=True or stable=True"
             )
-        return band_of(drawn(self, self._moved, self.covariance, draws, seed), u, y0)
+        return free_run_band(self, self._moved, self.covariance, draws, seed, u=u, y0=y0)
 
     def to_control(self, form: ControlForm = "auto") -> Any:
         """The model as control.StateSpace, or for "tf" as control.TransferFunction; offsets are left out.

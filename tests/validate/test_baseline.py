@@ -108,7 +108,7 @@ def test_references_stand_beside_the_models_and_are_never_the_contender() -> Non
         assert text.count("reference") == 2
     assert ",persistence," in to_csv({"c": c})
     page = render(ReportContext({"c": c}, train={"c": TRAIN}))
-    assert "A useful model errs less than both" in page
+    assert "A useful model has a smaller error than both" in page
 
 
 def test_a_model_that_loses_to_the_mean_is_called_out() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import msgspec
@@ -119,3 +120,18 @@ def test_the_card_says_how_the_output_answers_a_small_step() -> None:
     assert answer(c, (0, 0)) == "One more deg of u adds 1 m/s to y; 63 % of that after 0.48 s."
     integrating = FirstOrder(a=1.0, b=0.1)
     assert answer(compare([integrating], flown(TS, [300] * 2, noise=0.02)), (0, 0)) == ""
+
+
+def curves(card: str) -> int:
+    return len(set(re.findall(r'<path [^>]*class="(measured|arx|ts)"', card)))
+
+
+def test_a_search_for_rules_that_ends_with_the_linear_model_is_one_model_on_the_card() -> None:
+    c = compare([ARX, replace(ARX, structure="ts")], flown(ARX, [600] * 6, noise=0.02))
+    page = render(ReportContext({"roll": c}))
+    card = page.partition('<article class="card')[2].partition("</article>")[0]
+    assert "TS is the same model." in card
+    assert "[0.0, 0.0]" not in card + page.partition('id="numbers"')[2].partition("<details")[0]
+    assert curves(card) == 2  # measured, and one free run in the colour that the legend names
+    other = render(ReportContext({"roll": compare([ARX, TS], flown(TS, [600] * 6, noise=0.02))}))
+    assert curves(other.partition('<article class="card')[2].partition("</article>")[0]) == 3

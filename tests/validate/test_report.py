@@ -406,7 +406,7 @@ def test_two_models_that_are_one_share_its_bands_and_show_where_it_errs() -> Non
     late = replace(test.segments[2], y=test.segments[2].y + np.linspace(0.0, 2.0, 300)[:, None] ** 4)
     test = test.with_segments((*test.segments[:2], late, test.segments[3]))
     page = render(ReportContext.of({"x": compare([model, model], test, train=train)}))
-    assert "; ARX-2 is the same model" in page
+    assert "ARX-2 is the same model." in page
     assert 'class="sure arx"' in page
     assert 'class="sure ts"' not in page
     (data,) = json.loads(re.search(r'id="data">(.*?)</script>', page, re.S)[1])  # type: ignore[index]
@@ -417,7 +417,7 @@ def test_two_models_that_are_one_share_its_bands_and_show_where_it_errs() -> Non
     found = compare({"arx": model, "ts": model}, test, train=train)
     text = " ".join(Page(render(ReportContext.of({"x": found}))).text)
     assert "A linear model is enough" in text
-    assert "The ten seconds in which the model errs most." in text
+    assert "The ten seconds in which the model's error is largest." in text
     assert "fuzzy" not in text.lower()
 
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from datetime import UTC, datetime
 
 from flysid.catalogue import FlightFacts
-from flysid.showing import first_of
+from flysid.showing import first_of, significant
 from flysid.validate.report.narrative import duration
 from flysid.validate.words import one_line
 
@@ -27,7 +27,7 @@ def masthead(flights: Sequence[FlightFacts], rates_hz: Sequence[float]) -> list[
         _all(flights, FIRMWARE),
         dates([f.start_utc_ns for f in flights if f.start_utc_ns is not None]),
         f"{duration(sum(f.duration_s for f in flights))} in total",
-        " and ".join(f"{r:.4g}" for r in rates_hz) + " Hz",
+        " and ".join(significant(r) for r in rates_hz) + " Hz",
     ]
     return [fact for fact in facts if fact]
 

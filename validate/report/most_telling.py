@@ -37,18 +37,15 @@ class ToldMoment:
 def most_telling(comparison: Comparison, trials: Sequence[StructureTrial], output: int) -> ToldMoment:
     """The ten seconds over which the free runs of the models drawn lie farthest apart, in the mean square.
 
-    Of one model, or two of the same free run: where it errs most.
+    Of one model, or two of the same free run: where its error is largest.
     """
     rows = max(2, round(SECONDS / comparison.dt_s))
-    names = [name for name, _ in drawn(comparison)]
-    differ = len(names) > 1 and not all(
-        np.allclose(t.yh[names[0]][:, output], t.yh[names[1]][:, output], atol=0.0) for t in trials
-    )
+    names = [name for name, _ in different(comparison, trials, output)]
     best = -1.0
     found = ToldMoment(trials[0], 0, min(rows, len(trials[0].y)))
     for trial in trials:
         runs = [trial.yh[name][:, output] for name in names]
-        apart = np.nan_to_num((runs[0] - (runs[1] if differ else trial.y[:, output])) ** 2)
+        apart = np.nan_to_num((runs[0] - (runs[1] if len(runs) > 1 else trial.y[:, output])) ** 2)
         sums = np.concatenate([[0.0], np.cumsum(apart)])
         length = min(rows, len(apart))
         means = (sums[length:] - sums[:-length]) / length
@@ -59,12 +56,21 @@ def most_telling(comparison: Comparison, trials: Sequence[StructureTrial], outpu
     return found
 
 
+def different(comparison: Comparison, trials: Sequence[StructureTrial], output: int) -> list[tuple[str, str]]:
+    """(model, CSS class) of the models drawn; the first alone where both have one free run."""
+    both = drawn(comparison)
+    first, last = both[0][0], both[-1][0]
+    if all(np.allclose(t.yh[first][:, output], t.yh[last][:, output], atol=0.0) for t in trials):
+        return both[:1]
+    return both
+
+
 def telling(comparison: Comparison, trials: Sequence[StructureTrial], output: int) -> tuple[Markup, str]:
     """The picture, and the flight and time that it shows."""
     found = most_telling(comparison, trials, output)
     rows = slice(found.first, found.last)
     y = found.trial.y[rows, output]
-    runs = [(css, found.trial.yh[name][rows, output]) for name, css in drawn(comparison)]
+    runs = [(css, found.trial.yh[name][rows, output]) for name, css in different(comparison, trials, output)]
     whole = comparison.test.segments[found.trial.segment]
     start = whole.t0_ns * 1e-9 - begin_s(whole, comparison.test)
     start += (found.trial.first + found.first) * comparison.dt_s

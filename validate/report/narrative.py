@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from flysid.showing import significant
 from flysid.validate.comparison import Comparison, Pair
 from flysid.validate.intervals import Scope
 from flysid.validate.verdict import Verdict
@@ -323,7 +324,7 @@ def basis(comparisons: Mapping[str, Comparison], train_s: float | None) -> str:
     words = f"{against[0].upper()}{against[1:]} on {held}"
     if train_s:
         words += f" after training on {duration(train_s)}"
-    words += ", " + " and ".join(f"{r:g}" for r in rates) + " Hz."
+    words += ", " + " and ".join(significant(r) for r in rates) + " Hz."
     if pairs:
         words += f" Judged on free-run error over {_units(pairs)}"
         words += ", each left out once" if any(p.basis.rotated for _, p in pairs) else ""

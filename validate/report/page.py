@@ -144,8 +144,10 @@ def _cards(comparisons: Mapping[str, Comparison], diagnoses: Mapping[str, Diagno
             cards.append(
                 {
                     "name": one_line(channel or output),
-                    "signals": f"{', '.join(one_line(s.name) for s in c.test.inputs)} → {one_line(output)}",
+                    "signals": f"{', '.join(one_line(s.name) for s in c.test.inputs)} → "
+                    + one_line(f"{output}, {entry.output.unit}" if entry.output.unit else output),
                     "badge": narrative.badge(pair),
+                    "same": one_line(pair.model).upper() if _is_same_model(pair) else "",
                     "change": change_words(pair),
                     "horizon": "RMSE in " + horizon_words(entry.horizon, c.dt_s),
                     "telling": shown,
@@ -159,7 +161,7 @@ def _cards(comparisons: Mapping[str, Comparison], diagnoses: Mapping[str, Diagno
                     "rmse": (base.rmse, model.rmse),
                     "fit": (base.fit_pct, model.fit_pct),
                     "unit": one_line(entry.output.unit),
-                    "size": _sizes(*sizes, same=_is_same_model(pair)),
+                    "size": _size(sizes[0]) if _is_same_model(pair) else " · ".join(map(_size, sizes)),
                 }
             )
     return cards
@@ -173,13 +175,6 @@ def _nonlinear(diagnosis: Diagnosis, output: int) -> str:
 def _is_same_model(pair: Pair) -> bool:
     """The search for rules took the baseline, parameter for parameter."""
     return pair.ci95 == (0.0, 0.0)
-
-
-def _sizes(base: ModelInfo, model: ModelInfo, *, same: bool) -> str:
-    """Of both; `same`: the search for rules took the baseline, parameter for parameter."""
-    if same:
-        return f"{_size(base)}; {one_line(model.name).upper()} is the same model"
-    return f"{_size(base)} · {_size(model)}"
 
 
 def _size(info: ModelInfo) -> str:
@@ -214,6 +209,7 @@ def _rows(comparisons: Mapping[str, Comparison]) -> list[dict[str, Any]]:
                         "change": change_words(pair) if pair else "",
                         "interval": interval_words(pair) if pair else "",
                         "badge": narrative.badge(pair) if pair else None,
+                        "same": pair is not None and _is_same_model(pair),
                     }
                 )
     return rows

@@ -10,6 +10,7 @@ from scipy.signal import lfilter
 
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import UsageError
+from flysid.model.arx import ARX
 from flysid.model.statespace import StateSpace
 from flysid.model.subspace.refinement import SystemFit
 from flysid.model.subspace.triangle import subspace
@@ -98,3 +99,17 @@ def test_validation_decides_and_the_note_says_how() -> None:
     note = StateSpace(order=2).fit(Dataset.from_arrays(*experiment(2), 0.1)).notes[-1]
     assert "simulation error" in note
     assert "against" in note
+
+
+def test_a_slow_pole_does_not_blow_up_the_band() -> None:
+    """Whole draws of a pole near one drift away; the free run is known far better than they say."""
+    rng = np.random.default_rng(5)
+    u = np.repeat(rng.normal(size=60), 25)
+    clean = np.asarray(lfilter([0.0, 0.02], [1.0, -0.98], u))
+    y = clean + 0.05 * rng.normal(size=len(u))
+    data = Dataset.from_arrays(u, y, 0.02)
+    widths = []
+    for model in (StateSpace(order=3).fit(data), ARX(na=1, nb=1, nk=1).fit(data)):
+        low, high = model.simulation_band(u[:, None], y[: model.n_init, None], draws=50)
+        widths.append(float(np.median(high - low)))
+    assert widths[0] < 5.0 * widths[1]
