@@ -23,6 +23,7 @@ USABLE = ("good", "closed loop", "weak")
 COHERENCE = "COH.: coherence, the share of the output's power that a linear model of the input can explain"
 LOOP = "loop: the input reacts to the output (a pilot or controller); see docs/recipes.md on closed loops"
 OPEN = "?: the data do not determine it"
+SIGN = "+, - before an input: the output moves with it, or against it"
 
 
 def print_suggestions(
@@ -53,6 +54,7 @@ def print_suggestions(
             table = [POOLED_HEADINGS, *pooled(group)] if together else [HEADINGS, *rows]
             lines += [f"{verdict.upper()}  {recipe}", *(f"  {line}" for line in aligned(table)), ""]
     delays = [_delay(s) for s in shown if s.rate_hz > 0]
+    lines += [SIGN] if any(s.sign and s.band_hz is not None for s in shown) else []
     lines += [COHERENCE] if shown else []
     lines += [LOOP] if any("loop" in cell for cell in delays) else []
     lines += [OPEN] if any("?" in cell for cell in delays) else []

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -13,7 +14,7 @@ from flysid.ingest.align.recipe import ChannelSpec
 from flysid.ingest.excitation.enough import too_short_alone
 from flysid.ingest.excitation.excitation import (
     GOOD_COHERENCE,
-    Spectrum,
+    Excitation,
     excitation,
     is_narrow,
     share_explained,
@@ -43,6 +44,15 @@ class Doubt:
         return f"{self.text}; {self.todo}" if self.todo else self.text
 
 
+class BestInput(NamedTuple):
+    """An output, the input that explains most of it, the share it explains, and the band in which it does."""
+
+    output: str
+    input: str
+    share: float
+    band_hz: tuple[float, float] | None
+
+
 def told(found: Sequence[Doubt]) -> Iterator[str]:
     """What is said where a model is fitted: faults, and inputs of few values; a band is told by the page."""
     for doubt in found:
@@ -52,20 +62,21 @@ def told(found: Sequence[Doubt]) -> Iterator[str]:
 
 def doubts(data: Dataset, spec: ChannelSpec) -> tuple[Doubt, ...]:
     """All reasons to doubt models of a dataset, worst first; `spec` tells how fast its dynamics are."""
+    moves = [excitation(data, i) for i in range(len(data.inputs))]
+    best = [_best_input(data, j, moves) for j in range(len(data.outputs))]
     found = (
-        _quiet(data), _slow(data, spec), _short(data), _unexplained(data), _pooled(data), _holes(data),
-        _band(data),
+        _quiet(data, moves), _slow(data, spec), _short(data), _unexplained(best), _pooled(data), _holes(data),
+        _band(best),
     )  # fmt: skip
     return tuple(itertools.chain.from_iterable(found))
 
 
-def _quiet(data: Dataset) -> Iterator[Doubt]:
-    for i, signal in enumerate(data.inputs):
-        moves = excitation(data, i)
-        if moves.quiet:
+def _quiet(data: Dataset, moves: Sequence[Excitation]) -> Iterator[Doubt]:
+    for signal, own in zip(data.inputs, moves, strict=True):
+        if own.quiet:
             yield Doubt(
                 "quiet",
-                f"input {signal.name} moves by {moves.rms:.2g} {signal.unit} rms only, less than the noise "
+                f"input {signal.name} moves by {own.rms:.2g} {signal.unit} rms only, less than the noise "
                 "of sensors of this unit: no model can be identified",
                 "fly steps, doublets or a sweep",
             )
@@ -89,26 +100,24 @@ def _short(data: Dataset) -> Iterator[Doubt]:
         yield Doubt("short", words, remedy)
 
 
-def _unexplained(data: Dataset) -> Iterator[Doubt]:
-    for j, output in enumerate(data.outputs):
-        share, name, seen = _best_input(data, j)
-        band = seen.band_hz()
+def _unexplained(best: Sequence[BestInput]) -> Iterator[Doubt]:
+    for output, name, share, band in best:
         if band is None:
             yield Doubt(
                 "unexplained",
-                f"{output.name} does not follow {name} at any frequency",
+                f"{output} does not follow {name} at any frequency",
                 "excite this axis alone, in calm air; or look for a missing input",
             )
         elif share < GOOD_COHERENCE:
             yield Doubt(
                 "unexplained",
-                f"only {100.0 * share:.0f} % of the power of {output.name} follows {name}",
+                f"only {100.0 * share:.0f} % of the power of {output} follows {name}",
                 "excite this axis alone, in calm air; or look for a missing input",
             )
         elif is_narrow(band):
             yield Doubt(
                 "narrow",
-                f"{output.name} follows {name} {_between(*band)} only, less than an octave: an oscillation "
+                f"{output} follows {name} {_between(*band)} only, less than an octave: an oscillation "
                 "rather than a response",
                 "excite this axis alone, in calm air",
             )
@@ -149,25 +158,24 @@ def _holes(data: Dataset, *, most_levels: int = 5) -> Iterator[Doubt]:
             )
 
 
-def _band(data: Dataset) -> Iterator[Doubt]:
-    for j, output in enumerate(data.outputs):
-        _, name, seen = _best_input(data, j)
-        band = seen.band_hz()
+def _band(best: Sequence[BestInput]) -> Iterator[Doubt]:
+    for output, name, _, band in best:
         if band is not None and not is_narrow(band):
             yield Doubt(
                 "band",
-                f"{output.name} follows {name} from {band[0]:.2g} to {band[1]:.2g} Hz",
+                f"{output} follows {name} from {band[0]:.2g} to {band[1]:.2g} Hz",
                 "do not trust a model of these data outside this band",
             )
 
 
-def _best_input(data: Dataset, output: int) -> tuple[float, str, Spectrum]:
-    """Share explained, name and spectrum of the input that explains most of an output."""
+def _best_input(data: Dataset, output: int, moves: Sequence[Excitation]) -> BestInput:
+    """The input that explains most of an output."""
     found = []
     for i, signal in enumerate(data.inputs):
         seen = spectrum(data, i, output)
-        found.append((share_explained(excitation(data, i), seen), signal.name, seen))
-    return max(found, key=lambda f: f[0])
+        share = share_explained(moves[i], seen)
+        found.append(BestInput(data.outputs[output].name, signal.name, share, seen.band_hz()))
+    return max(found, key=lambda f: f.share)
 
 
 def _few(names: list[str], *, most: int = 4) -> str:

@@ -76,14 +76,12 @@ class Excitation:
     rms : about the mean of each segment.
     span : largest minus smallest value.
     band_hz : the frequency below which 95 % of its power lies.
-    order : how many parameters it can tell apart: eigenvalues of its 20-lag covariance above 0.1 %.
     quiet : it moves less than sensors of its unit are noisy, or less than its own resolution.
     """
 
     rms: float
     span: float
     band_hz: float
-    order: int
     quiet: bool
 
 
@@ -99,7 +97,6 @@ def excitation(data: Dataset, column: int = 0) -> Excitation:
         rms=rms,
         span=high - low,
         band_hz=_power_band(parts, data.dt_s),
-        order=_order(parts),
         quiet=rms < max(QUIET.get(signal.unit, 0.0), 0.5 * signal.resolution) or rms == 0.0,
     )
 
@@ -171,14 +168,3 @@ def _power_band(parts: Sequence[FloatArray], dt_s: float) -> float:
         return 0.0
     index = int(np.searchsorted(np.cumsum(power), 0.95 * total))
     return float(np.fft.rfftfreq(len(longest), dt_s)[min(index, len(power) - 1)])
-
-
-def _order(parts: Sequence[FloatArray], lags: int = 20) -> int:
-    """Numerical rank of the covariance of `lags` successive inputs, from their autocovariance."""
-    auto = np.zeros(lags)
-    for x in parts:
-        if len(x) > lags:
-            auto += [float(x[k:] @ x[: len(x) - k]) for k in range(lags)]
-    steps = np.abs(np.subtract.outer(np.arange(lags), np.arange(lags)))
-    values = np.linalg.eigvalsh(auto[steps])
-    return int((values > 1e-3 * values[-1]).sum()) if values[-1] > 0 else 0

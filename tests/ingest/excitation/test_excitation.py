@@ -43,8 +43,6 @@ def test_excitation_tells_a_tone_from_noise() -> None:
     tone = excitation(data(np.sin(2 * np.pi * 0.5 * t), t))
     noise = excitation(data(np.random.default_rng(2).normal(size=5000), t))
     assert tone.rms == pytest.approx(np.sqrt(0.5), rel=1e-2)
-    assert tone.order == 2
-    assert noise.order == 20
     assert tone.band_hz == pytest.approx(0.5, abs=0.05)
     assert noise.band_hz > 20.0
 
