@@ -153,7 +153,7 @@ def posterior_of(gram: FloatArray, rows: float, output: int, shape: tuple[int, i
     power = float(gram[n + output, n + output])
     best: tuple[float, float, float, float] | None = None
     for decay in DECAYS:
-        root = _kernel_root(taps, n_u, decay)
+        root = kernel_root(taps, n_u, decay)
         values, vectors = np.linalg.eigh(root.T @ inner @ root)
         values = np.maximum(values, 0.0)
         rotated = vectors.T @ (root.T @ cross)
@@ -168,14 +168,14 @@ def posterior_of(gram: FloatArray, rows: float, output: int, shape: tuple[int, i
             "the impulse response could not be estimated", hint="check the data for extreme values"
         )
     _, decay, weight, variance = best
-    root = _kernel_root(taps, n_u, decay) * np.sqrt(weight)
+    root = kernel_root(taps, n_u, decay) * np.sqrt(weight)
     inverse = np.linalg.inv(np.eye(n) + root.T @ inner @ root)
     covariance = root @ inverse @ root.T
     words = f"decay {decay:g} per sample, noise {np.sqrt(variance):.3g} standard deviations of the output"
     return Posterior(covariance @ cross, covariance * variance, words)
 
 
-def _kernel_root(taps: int, n_u: int, decay: float) -> FloatArray:
+def kernel_root(taps: int, n_u: int, decay: float) -> FloatArray:
     """L with L Lᵀ = λ^max(i, j) per input: a sum of independent steps λ^i - λ^(i+1)."""
     powers = decay ** np.arange(taps)
     steps = np.sqrt(np.append(powers[:-1] - powers[1:], powers[-1]))

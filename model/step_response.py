@@ -2,8 +2,9 @@
 
 The impulse response is estimated with a smooth, decaying prior (the TC kernel, see `fir`) on signals that the
 autoregression of what it leaves over has whitened, in turns, so that its covariance knows the noise's colour
-(generalised least squares; Chen, Ohlsson & Ljung, 2012, Automatica 48). Summed it is the step response. Where
-the input answers the output (`feedback`), no step response is in the record, and that is said.
+(generalised least squares; Chen, Ohlsson & Ljung, 2012, Automatica 48). In the last turn priors of systems of
+low order stand beside it (`low_order_response`). Summed it is the step response. Where the input answers the
+output (`feedback`), no step response is in the record, and that is said.
 """
 
 from __future__ import annotations
@@ -17,7 +18,8 @@ import numpy.typing as npt
 from flysid.dataset import Dataset, FloatArray, Signal
 from flysid.errors import DataError, UsageError
 from flysid.model.feedback import answer_lags, is_closed, later_inputs
-from flysid.model.fir import Posterior, centred_gram, posterior_of
+from flysid.model.fir import centred_gram, posterior_of
+from flysid.model.low_order_response import averaged_posterior
 from flysid.model.noise import noise_model
 from flysid.model.polynomials import Z95
 from flysid.model.threads import on_one_thread
@@ -189,19 +191,23 @@ def step_response(
     taps = max(round(horizon_s / dt_s), 2)
     records, scale = _records(data, output, factor, taps)
     masks = [_mask(u[:, source] * scale[source], taps, above, below) for u, _ in records]
-    rows = sum(int(m[taps - 1 :].sum()) for m in masks)
-    if rows < 4 * taps:
+    samples = sum(int(m[taps - 1 :].sum()) for m in masks)
+    if samples < 4 * taps:
         wanted = "" if above is None and below is None else " of the class asked for"
         raise DataError(
-            f"{rows * dt_s:.3g} s of flying{wanted} are too short for a response of {horizon_s:g} s",
+            f"{samples * dt_s:.3g} s of flying{wanted} are too short for a response of {horizon_s:g} s",
             hint="a shorter horizon, or longer flights",
         )
+    shape = (taps, len(data.inputs))
     d = np.ones(1)
     for _ in range(rounds):
-        posterior, constant = _estimate(records, masks, d, taps)
+        gram, rows = _gram(records, masks, d, taps)
+        posterior = posterior_of(centred_gram(gram), rows, 0, shape)
+        constant = _constant(gram, posterior.mean) / float(d.sum())
         errors = [_error(record, posterior.mean, constant, taps) for record in records]
-        d, _ = noise_model(errors)
-    posterior, _ = _estimate(records, masks, d, taps)
+        d, _ = noise_model(_runs(errors, masks, taps))
+    gram, rows = _gram(records, masks, d, taps)
+    posterior = averaged_posterior(centred_gram(gram), rows, shape)
     _check_loop(errors, [u[taps - 1 :] for u, _ in records], dt_s, data, output)
     own = slice(source * taps, (source + 1) * taps)
     unit = scale[-1] / scale[source]
@@ -212,7 +218,7 @@ def step_response(
         covariance=unit**2 * (total @ posterior.covariance[own, own] @ total.T),
         input=data.inputs[source],
         output=data.outputs[output],
-        seconds=rows * dt_s,
+        seconds=samples * dt_s,
         words=_class_words(data.inputs[source], above, below),
     )
 
@@ -266,18 +272,20 @@ def _mask(u: FloatArray, taps: int, above: float | None, below: float | None) ->
     return good
 
 
-def _estimate(
+def _gram(
     records: Sequence[Record], masks: Sequence[BoolArray], d: FloatArray, taps: int
-) -> tuple[Posterior, float]:
-    """Posterior of the taps from signals filtered with d; and the constant of the unfiltered equation."""
+) -> tuple[FloatArray, float]:
+    """Of signals filtered with d, and how many samples are in it."""
     gram = np.zeros(())
     for block in _rows(records, masks, d, taps):
         gram = gram + block.T @ block
-    rows = float(gram[-1, -1])
-    means = gram[-1] / rows
-    posterior = posterior_of(centred_gram(gram), rows, 0, (taps, records[0][0].shape[1]))
-    left = float(means[-2] - means[:-2] @ posterior.mean)
-    return posterior, left / float(d.sum())
+    return gram, float(gram[-1, -1])
+
+
+def _constant(gram: FloatArray, mean: FloatArray) -> float:
+    """What the taps leave of the output's mean."""
+    means = gram[-1] / gram[-1, -1]
+    return float(means[-2] - means[:-2] @ mean)
 
 
 def _rows(
@@ -305,6 +313,15 @@ def _error(record: Record, mean: FloatArray, constant: float, taps: int) -> Floa
     u, y = record
     made = sum(fftconvolve(u[:, j], mean[j * taps : (j + 1) * taps])[: len(y)] for j in range(u.shape[1]))
     return np.asarray((y - made - constant)[taps - 1 :])
+
+
+def _runs(errors: Sequence[FloatArray], masks: Sequence[BoolArray], taps: int) -> list[FloatArray]:
+    """The stretches of the class alone: elsewhere the response may be another one, which is no noise."""
+    found = []
+    for error, mask in zip(errors, masks, strict=True):
+        edges = np.flatnonzero(np.diff(mask[taps - 1 :])) + 1
+        found += np.split(error, edges)[0 if mask[taps - 1] else 1 :: 2]
+    return found
 
 
 def _check_loop(

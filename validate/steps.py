@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from flysid.dataset import Dataset
 from flysid.errors import DataError, RecipeError, UsageError
+from flysid.ingest.align.modes import COPTER, PLANE, PX4
 from flysid.ingest.align.recipe import load_recipe
 from flysid.ingest.lake.lake import Lake
 from flysid.model.step_response import StepResponse, step_response
@@ -86,13 +88,40 @@ def channel_steps(
             continue
         tell("estimating the step response", channel=name, share=i / len(wanted))
         try:
-            data = lake.dataset(recipe, name)
+            data, left_out = commanded_by_sticks(lake.dataset(recipe, name), recipe.channel(name).stick_modes)
+            without = f"without {' and '.join(left_out)}" if left_out else ""
             for above, below in ((None, None),) if fast is None else ((None, fast), (fast, None)):
                 response = step_response(data, horizon_s=horizon_s, above=above, below=below)
-                found.append(ChannelStep(name, of, response))
+                words = ", ".join(filter(None, (response.words, without)))
+                found.append(ChannelStep(name, of, replace(response, words=words)))
         except (DataError, RecipeError) as error:
             skipped[name] = error.advice
     return found, skipped
+
+
+def commanded_by_sticks(data: Dataset, modes: Sequence[str]) -> tuple[Dataset, tuple[str, ...]]:
+    """What was flown in modes in which sticks command the input, and the modes that were left out.
+
+    In the others an outer loop makes the input from the vehicle's own motion. That loop may be too slow for
+    `feedback` to tell it from a pilot, but not for a step response, which then ends where the loop lets it.
+    Stretches whose mode is not known stay.
+
+    Raises
+    ------
+    DataError : nothing was flown in such a mode.
+    """
+    known = {*COPTER.values(), *PLANE.values(), *PX4.values()}
+    outer = known.difference(modes) if modes else set()
+    kept = [s for s in data.segments if s.marks.get("mode") not in outer]
+    flown = dict.fromkeys(str(s.marks["mode"]) for s in data.segments if s.marks.get("mode") in outer)
+    if not kept:
+        names = " and ".join(s.name for s in data.inputs)
+        raise DataError(
+            f"loop: not a step response. In {' and '.join(flown)} no stick commands {names}: a loop around "
+            "velocity or position does, which answers the vehicle",
+            hint="fly in a mode in which the stick is an angle or a rate, e.g. " + " or ".join(modes[:2]),
+        )
+    return data.with_segments(kept), tuple(flown)
 
 
 def draw_steps(steps: Sequence[ChannelStep], path: str | Path) -> None:

@@ -190,6 +190,16 @@ KINDS = (
 )
 
 
+Stating = tuple[Any, Mapping[str, Any] | DataError | UsageError]
+"""A log, and its settings or why it has none."""
+
+
+def _stated(settings: Mapping[str, Any] | DataError | UsageError) -> Mapping[str, Any]:
+    if isinstance(settings, Exception):
+        raise settings
+    return settings
+
+
 def _own(stated: Mapping[str, float], stem: str) -> tuple[tuple[str, float], ...]:
     return tuple(sorted((name, value) for name, value in stated.items() if name.startswith(stem)))
 
@@ -217,7 +227,7 @@ def judge(logs: Iterable[Any], axes: Iterable[str] = ("roll", "pitch")) -> list[
     groups = _flown_alike(logs, axes)
     found = []
     for i, (axis, group) in enumerate(groups):
-        tell(f"measuring the {axis} loop", log=group[0].name, share=i / len(groups))
+        tell(f"measuring the {axis} loop", log=group[0][0].name, share=i / len(groups))
         found.append(_judge(group, axis))
     return found
 
@@ -229,41 +239,44 @@ def sets_of_gains(logs: Iterable[Any], axes: Iterable[str] = ("roll", "pitch")) 
     return max(sets.values(), default=0)
 
 
-def _flown_alike(logs: Iterable[Any], axes: Iterable[str]) -> list[tuple[str, list[Any]]]:
+def _flown_alike(logs: Iterable[Any], axes: Iterable[str]) -> list[tuple[str, list[Stating]]]:
     """Of every axis the flights by their gains, in their order; one that states none stands alone."""
-    stated = [(log, _settings(log)) for log in logs]
-    found: list[tuple[str, list[Any]]] = []
+    stating = [(log, _settings(log)) for log in logs]
+    found: list[tuple[str, list[Stating]]] = []
     for axis in axes:
-        groups: dict[tuple[Any, ...], list[Any]] = {}
-        for log, settings in stated:
-            groups.setdefault(_gains_key(log, settings, axis), []).append(log)
+        groups: dict[tuple[Any, ...], list[Stating]] = {}
+        for log, settings in stating:
+            groups.setdefault(_gains_key(log, settings, axis), []).append((log, settings))
         found += [(axis, group) for group in groups.values()]
     return found
 
 
-def _settings(log: Any) -> Mapping[str, Any] | None:
-    """What a log states; None where it states nothing that is known."""
+def _settings(log: Any) -> Mapping[str, Any] | DataError | UsageError:
+    """What a log states, or why it states nothing that is known."""
     try:
         return _kind(log).settings(log)
-    except (DataError, UsageError):
-        return None
+    except (DataError, UsageError) as error:
+        return error
 
 
-def _gains_key(log: Any, settings: Mapping[str, Any] | None, axis: str) -> tuple[Any, ...]:
+def _gains_key(log: Any, settings: Mapping[str, Any] | DataError | UsageError, axis: str) -> tuple[Any, ...]:
     """Equal for flights of the same gains."""
     kind = _kind(log)
+    if isinstance(settings, Exception):
+        return (log.name,)
     try:
-        return (log.name,) if settings is None else (kind.mark, kind.alike(settings, axis))
+        return (kind.mark, kind.alike(settings, axis))
     except (DataError, UsageError):
         return (log.name,)
 
 
-def _judge(logs: list[Any], axis: str) -> Judged:
+def _judge(group: list[Stating], axis: str) -> Judged:
+    logs = [log for log, _ in group]
     names = tuple(log.name for log in logs)
     gains: Mapping[str, float] = {}
     try:
         kind = _kind(logs[0])
-        settings = [kind.settings(log) for log in logs]
+        settings = [_stated(own) for _, own in group]
         stated = kind.controller(settings[0], axis, NO_THROTTLE)
         gains = stated.gains
         parts = [kind.record(log, axis, own) for log, own in zip(logs, settings, strict=True)]

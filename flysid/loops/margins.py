@@ -18,7 +18,7 @@ from flysid.model.polynomials import DB
 TRUSTED = 0.4
 NEIGHBOURS = 7  # lines: one that the sticks happened to leave out ends no band
 POWERS = 5  # of ln f, from 0 on: four of them bend the crossover of a plant with a lag by a standard error
-OCTAVES = 4.0  # of one such curve: as far as sticks in gusty air let the plant be known
+OCTAVES = (4.0, 3.0, 2.0)  # of one such curve: the fewer the less bend, and the more scatter
 CLEAR = np.sqrt(2.0)
 """The band goes on half an octave beyond what is told of its upper part. Nearer to its end, where the sticks
 fade, the plant's gain comes out too large by up to its error, and flights that reach a figure there at all
@@ -110,8 +110,7 @@ def margins(loop: Loop, controller: Controller) -> Margins:
     f = loop.f[at]
     back = controller.feedback(f)
     forward = controller.reference(f)
-    centre, draws = smoothed(loop, at)
-    other, _ = smoothed(loop, at, POWERS + 1)
+    centre, draws, other = _least_off(loop, at)
     one, more = (np.array(_figures(f, g, back, forward)) for g in (centre, other))
     if np.isnan(one[0]):
         raise DataError(
@@ -131,8 +130,28 @@ def margins(loop: Loop, controller: Controller) -> Margins:
     return Margins((low, high), *named)
 
 
+def _least_off(loop: Loop, at: npt.NDArray[np.bool_]) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+    """The plant, its draws, and the plant with one more power, of the stretches that are off least.
+
+    Off, on average over the lines and beside their own scatter, by the curve's scatter and by what one more
+    power changes. In gusts the first counts, and stretches are long; in still air the second.
+    """
+    plain = plant(loop.mean)[at]
+    own = np.mean(np.abs(np.log(plant(loop.draws)[:, at] / plain)) ** 2, axis=0)
+    best = np.inf
+    for octaves in OCTAVES:
+        centre, draws = smoothed(loop, at, octaves=octaves)
+        other, _ = smoothed(loop, at, POWERS + 1, octaves)
+        off = np.mean(np.abs(np.log(draws / centre)) ** 2, axis=0) + np.abs(np.log(other / centre)) ** 2
+        error = float(np.mean(off / np.maximum(own, 1e-300)))
+        if error < best:
+            best = error
+            found = centre, draws, other
+    return found
+
+
 def smoothed(
-    loop: Loop, at: npt.NDArray[np.bool_], powers: int = POWERS
+    loop: Loop, at: npt.NDArray[np.bool_], powers: int = POWERS, octaves: float = OCTAVES[0]
 ) -> tuple[ComplexArray, ComplexArray]:
     """The plant (F,) at these lines and its draws (D, F), without scatter from line to line and without bend.
 
@@ -148,7 +167,7 @@ def smoothed(
     centre = plant(loop.mean)[at]
     away = np.log(plant(loop.draws)[:, at] / centre)
     scatter = median_filter((np.abs(away) ** 2).mean(axis=0), NEIGHBOURS, mode="nearest")
-    curves = _Curves.at(f, 1.0 / np.sqrt(np.maximum(scatter, 1e-8)), powers)
+    curves = _Curves.at(f, 1.0 / np.sqrt(np.maximum(scatter, 1e-8)), powers, octaves)
     sent = loop.mean[0, 1][at]
     sent_away = np.log(loop.draws[:, 0, 1][:, at] / sent)
     window_s = 1.0 / (loop.f[1] - loop.f[0])
@@ -169,7 +188,7 @@ def _unbent(ln_plant: ComplexArray, ln_sent: ComplexArray, window_s: float) -> C
 
 @dataclass(frozen=True, eq=False)
 class _Curves:
-    """Fits of ln G by powers of ln f, and of its phase by those and f, over stretches of `OCTAVES` at most.
+    """Fits of ln G by powers of ln f, and of its phase by those and f, over stretches of a few octaves.
 
     A band that reaches far, as in still air, holds bends that one curve would spread over all of it. Lines
     between the middles of two stretches have what both say, by their distance from either.
@@ -184,15 +203,15 @@ class _Curves:
     turn: FloatArray
 
     @classmethod
-    def at(cls, f: FloatArray, weight: FloatArray, powers: int = POWERS) -> _Curves:
+    def at(cls, f: FloatArray, weight: FloatArray, powers: int, octaves: float) -> _Curves:
         x = np.log2(f / f[0])
-        beyond = max(0.0, x[-1] - OCTAVES)
-        starts = np.linspace(0.0, beyond, 1 + int(np.ceil(2.0 * beyond / OCTAVES)))
-        middles = starts + 0.5 * OCTAVES
+        beyond = max(0.0, x[-1] - octaves)
+        starts = np.linspace(0.0, beyond, 1 + int(np.ceil(2.0 * beyond / octaves)))
+        middles = starts + 0.5 * octaves
         shares = np.array([np.interp(x, middles, row) for row in np.eye(len(starts))])
         maps = np.zeros((2, 3, len(f), len(f)))
         for start, share in zip(starts, shares, strict=True):
-            inside = (x >= start - 1e-9) & (x <= start + OCTAVES + 1e-9)
+            inside = (x >= start - 1e-9) & (x <= start + octaves + 1e-9)
             own = _stretch(f[inside], weight[inside], powers)
             maps[:, :, np.flatnonzero(inside)[:, None], np.flatnonzero(inside)] += (
                 share[inside][:, None] * own

@@ -115,6 +115,9 @@ class ChannelSpec:
     both serve the suggestions.
     `shows` and `hides` tell which changes of the vehicle this channel shows, and which it does not and where
     they would be seen; both serve the comparison of a fleet.
+    `stick_modes` names the flight modes in which the pilot's stick commands the input, directly or as an
+    angle. In every other one a loop around velocity or position does, which answers the vehicle: it holds no
+    step response. Empty: not known.
     """
 
     inputs: tuple[str, ...]
@@ -126,6 +129,7 @@ class ChannelSpec:
     remedy: str = ""
     shows: str = ""
     hides: str = ""
+    stick_modes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

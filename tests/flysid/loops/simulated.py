@@ -26,9 +26,11 @@ class Vehicle:
     delay_steps: int = 8
 
     def response(self, f: FloatArray) -> ComplexArray:
-        s = 2j * np.pi * f
-        delay = self.delay_steps * STEP_S  # half a step of hold, less half a step of the integration
-        return np.asarray(self.gain / (s * (self.lag_s * s + 1.0)) * np.exp(-s * delay))
+        """Of the steps in which it is simulated."""
+        back = np.exp(-2j * np.pi * f * STEP_S)
+        keep = np.exp(-STEP_S / self.lag_s)
+        turning = (1.0 - keep) / (1.0 - keep * back)
+        return np.asarray(self.gain * STEP_S * back ** (1 + self.delay_steps) / (1.0 - back) * turning)
 
 
 class Answers(Protocol):
