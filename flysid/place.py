@@ -19,10 +19,13 @@ from dataclasses import dataclass
 from datetime import datetime, timedelta
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from flysid.errors import PlaceError, UsageError
 from flysid.files import writing_to
+
+if TYPE_CHECKING:
+    from obstore import UpdateVersion
 
 SCHEMES = ("s3", "gs", "az")
 _CREDENTIALS = {
@@ -124,13 +127,19 @@ class Place:
         with self._asking(key):
             return bytes(obstore.get(self._store, key).bytes())
 
-    def read_tagged(self, key: str) -> tuple[bytes, str]:
-        """An object's content and its tag."""
+    def read_tagged(self, key: str) -> tuple[bytes, UpdateVersion]:
+        """An object's content, and what `replace` knows it by: its tag, on Google its generation."""
         import obstore
 
         with self._asking(key):
             answer = obstore.get(self._store, key)
-            return bytes(answer.bytes()), str(answer.meta["e_tag"] or "")
+            meta = answer.meta
+            tag: UpdateVersion = {}
+            if meta["e_tag"]:
+                tag["e_tag"] = meta["e_tag"]
+            if meta["version"]:
+                tag["version"] = meta["version"]
+            return bytes(answer.bytes()), tag
 
     def read_if_there(self, key: str) -> bytes | None:
         """An object's content; None where there is no such object."""
@@ -203,14 +212,14 @@ class Place:
                 return False
         return True
 
-    def replace(self, key: str, content: bytes, etag: str) -> bool:
+    def replace(self, key: str, content: bytes, tag: UpdateVersion) -> bool:
         """Write an object if it is still the one with this tag; whether it was written."""
         import obstore
         from obstore.exceptions import PreconditionError
 
         with self._asking(key):
             try:
-                obstore.put(self._store, key, content, mode={"e_tag": etag}, use_multipart=False)
+                obstore.put(self._store, key, content, mode=tag, use_multipart=False)
             except PreconditionError:
                 return False
         return True
@@ -292,7 +301,7 @@ class Place:
 
 
 _NO_CREDENTIALS = re.compile(
-    r"/latest/api/token|/latest/meta-data|metadata\.google|identity/oauth2|MissingAccount"
+    r"/latest/api/token|/latest/meta-data|computeMetadata|identity/oauth2|MissingAccount"
 )
 
 

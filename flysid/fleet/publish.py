@@ -67,11 +67,11 @@ def publish(place: Place, folder: Path, info: Mapping[str, str], *, replace: boo
         key = f"{home}/{MANIFEST_FILE}"
         if place.create(key, text):
             return Published(facts_of(own, content_stamp(text)), is_new=True)
-        there, etag = place.read_tagged(key)
+        there, tag = place.read_tagged(key)
         theirs = parse_manifest(there, place.at(key))
         if theirs.source.sha256 != own.source.sha256:
             continue
-        if replace and there != text and place.replace(key, text, etag):
+        if replace and there != text and place.replace(key, text, tag):
             return Published(facts_of(own, content_stamp(text)), is_new=True)
         if replace and there != text:  # another writer was faster, and has read the same log again
             theirs = parse_manifest(there := place.read(key), place.at(key))

@@ -1,4 +1,4 @@
-"""Real servers of S3 and of Azure for a session, and a folder of a bucket for a test."""
+"""Real servers of S3 and of Azure, a stand-in for Google's, and a folder of a bucket for a test."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from itertools import count
 import pytest
 
 from tests.azureserver import CONTAINER, AzureServer, azurite
+from tests.gcsserver import BUCKET, GoogleServer, google
 from tests.s3server import S3Server, seaweedfs
 
 _numbers = count()
@@ -56,7 +57,24 @@ def container(azure_server: AzureServer, monkeypatch: pytest.MonkeyPatch) -> str
     return f"az://{CONTAINER}/{next(_numbers)}"
 
 
-@pytest.fixture(params=["bucket", "container"])
+@pytest.fixture(scope="session")
+def google_server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[GoogleServer]:
+    """What Google documents of its store, on loopback."""
+    server = google(tmp_path_factory.mktemp("google"))
+    server.start()
+    yield server
+    server.kill()
+
+
+@pytest.fixture
+def google_bucket(google_server: GoogleServer, monkeypatch: pytest.MonkeyPatch) -> str:
+    """The address of an empty folder on Google's, with the environment that reaches it."""
+    for name, value in google_server.environment.items():
+        monkeypatch.setenv(name, value)
+    return f"gs://{BUCKET}/{next(_numbers)}"
+
+
+@pytest.fixture(params=["bucket", "container", "google_bucket"])
 def store(request: pytest.FixtureRequest) -> str:
     """An empty folder of each kind of store that can be had."""
     address: str = request.getfixturevalue(request.param)

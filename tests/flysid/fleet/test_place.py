@@ -55,9 +55,9 @@ def test_of_many_who_create_one_key_one_succeeds(store: str) -> None:
 def test_an_object_is_replaced_only_by_who_has_seen_it(store: str) -> None:
     place = Place(store)
     place.put("counter", b"0")
-    _, etag = place.read_tagged("counter")
-    assert place.replace("counter", b"1", etag)
-    assert not place.replace("counter", b"2", etag)
+    _, tag = place.read_tagged("counter")
+    assert place.replace("counter", b"1", tag)
+    assert not place.replace("counter", b"2", tag)
     assert place.read("counter") == b"1"
 
 
@@ -119,6 +119,19 @@ def test_azure_names_a_wrong_secret_a_missing_container_no_credentials_and_no_an
         monkeypatch.delenv(name)
     with pytest.raises(UsageError, match="no credentials"):
         Place(container).read("there")
+
+
+def test_google_names_a_missing_bucket_and_no_credentials(
+    google_bucket: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with pytest.raises(UsageError, match="no such bucket"):
+        list(Place("gs://absent-bucket").list())
+    monkeypatch.delenv("GOOGLE_SERVICE_ACCOUNT")
+    monkeypatch.setenv("HOME", str(tmp_path))
+    monkeypatch.setenv("http_proxy", f"http://127.0.0.1:{free_port()}")  # so that no one else is asked
+    with pytest.raises(UsageError, match="no credentials") as caught:
+        Place(google_bucket).read("there")
+    assert "GOOGLE_APPLICATION_CREDENTIALS" in caught.value.hint
 
 
 def test_a_store_that_is_down_is_worth_another_try(bucket: str, monkeypatch: pytest.MonkeyPatch) -> None:
