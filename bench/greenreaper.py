@@ -4,9 +4,9 @@
 
 DATA is an ingested folder of ../shared/logs/blackbox/greenreaper_* and hiro_*. From the first four flights of
 greenreaper, the closed loop from setpoint to gyro of every later one with the gains that its header states:
-median error of the complex response, beside that of the plant of that flight itself and of "nothing changed";
-how often the measured response lies in the stated band; and the margins over the series. Responses are
-resolved to one over the window (2 s).
+median error of the complex response (lines weighed by their coherence, and all alike), beside that of the
+plant of that flight itself and of "nothing changed"; how often the measured response lies in the stated
+band; and the margins over the series. Responses are resolved to one over the window (2 s).
 """
 
 from __future__ import annotations
@@ -76,6 +76,19 @@ def held(prediction: Prediction, flown: Flown) -> FloatArray:
     return inside.astype(np.float64)
 
 
+def coherence(loop: Loop) -> FloatArray:
+    """(F,) of setpoint and rate."""
+    s = loop.mean
+    return np.asarray(np.abs(s[0, 2]) ** 2 / (s[0, 0].real * s[2, 2].real))
+
+
+def median(values: FloatArray, weight: FloatArray) -> float:
+    """The value with half of the weight on either side."""
+    order = np.argsort(values)
+    below = np.cumsum(weight[order])
+    return float(values[order][np.searchsorted(below, 0.5 * below[-1])])
+
+
 def series(lake: Lake, prefix: str, axis: str, early: int, window_s: float) -> None:
     """The table of one set of flights."""
     every = flights(lake, prefix, axis, window_s)
@@ -86,18 +99,21 @@ def series(lake: Lake, prefix: str, axis: str, early: int, window_s: float) -> N
     for flown in later:
         measured = closed_loop(flown.loop.mean)
         at = [(flown.loop.f >= low) & (flown.loop.f < high) for low, high in BANDS]
+        trust = coherence(flown.loop)
         for name, response in told(known, flown).items():
             gap = np.abs(response - measured) / np.abs(measured)
-            errors.setdefault(name, []).append([float(np.median(gap[band])) for band in at])
+            for how, weight in (("", trust), (", all lines alike", np.ones_like(trust))):
+                row = [median(gap[band], weight[band]) for band in at]
+                errors.setdefault(name + how, []).append(row)
         if len(known) >= 3:
             good = held(predict([x.loop for x in known], flown.controller), flown)
             inside.append([float(good[band].mean()) for band in at])
     print(f"\n{prefix} {axis}: {len(known)} flights known, {len(later)} predicted; " + _words())
     for name, rows in errors.items():
-        print(f"  {name:16s} " + "  ".join(f"{100 * v:5.1f} %" for v in np.median(rows, axis=0)))
+        print(f"  {name:32s} " + "  ".join(f"{100 * v:5.1f} %" for v in np.median(rows, axis=0)))
     if inside:
         print(
-            f"  {'in the 95 % band':16s} " + "  ".join(f"{100 * v:5.1f} %" for v in np.mean(inside, axis=0))
+            f"  {'in the 95 % band':32s} " + "  ".join(f"{100 * v:5.1f} %" for v in np.mean(inside, axis=0))
         )
     for flown in every:
         print(f"  {flown.name[:24]:24s} {_margins(flown)}")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -127,6 +127,7 @@ def margins(loop: Loop, controller: Controller) -> Margins:
     named = [_figure(value, wide, beyond) for value, wide in zip(one, reach, strict=True)]
     if not turned.max() < high / CLEAR:
         named[2] = _at_least(one[2] - reach[2], named[2].why or beyond)
+    named[4] = replace(named[4], low=max(named[4].low, 1.0))  # S is one where the loop has faded away
     return Margins((low, high), *named)
 
 
@@ -303,7 +304,7 @@ def _figure(value: float, reach: float, beyond: str) -> Figure:
     if np.isnan(value) or np.isnan(reach):
         return Figure(None, why=beyond)
     if value <= reach:
-        return Figure(None, why="the flights scatter too much; fly longer, in calmer air")
+        return Figure(None, why="the measurement scatters too much; fly longer, in calmer air")
     return Figure(float(value), float(value - reach), float(value + reach))
 
 
