@@ -2,9 +2,9 @@
 
 A simulated quadrotor (50 Hz, wind of 0 to 4 m/s drawn for each flight, turbulence, sensor noise) is
 identified on 8 flights of 150 s; thresholds come from 4 h of other flights, false alarms are counted in fresh
-ones, and faults come at 60 s of 120, or are there from take-off. Seeds of the four sets are disjoint. The
-watch begins 10 s after a flight does: the simulated vehicle starts trimmed for still air, and real wind does
-not come within one sample.
+ones, and faults come at 60 s of 120, or are there from take-off. Seeds of the four sets are disjoint, and
+those of campaigns (`--campaign`), too. The watch begins 10 s after a flight does: the simulated vehicle
+starts trimmed for still air, and real wind does not come within one sample.
 """
 
 from __future__ import annotations
@@ -33,6 +33,7 @@ FAULT_S = 120.0
 AT_S = 60.0
 SETTLING_S = 10.0
 ASKED_1_H = 0.1
+CAMPAIGN = 1_000_000
 NOISE = {"thrust": 0.005, "v_z": 0.02, "q": 0.3, "r": 0.3}
 PLANS = (MULTISINE, PILOT, STEPS)
 DRONE = Vehicle()
@@ -167,15 +168,18 @@ def main() -> None:
         help="s when a fault comes; 0: from take-off",
     )
     parser.add_argument("--channels", default=",".join(CHANNELS))
+    parser.add_argument("--campaign", type=int, default=0, help="another has other seeds for everything")
     parser.add_argument("--small", action="store_true", help="a tenth of everything")
     options = parser.parse_args()
     share = 0.1 if options.small else 1.0
     flights_an_hour = 3600.0 / TRAINING_S
-    training = [fly(seed, TRAINING_S) for seed in seeds(1_000, 8)]
-    others = [
-        fly(s, TRAINING_S) for s in seeds(2_000, round(share * options.calibration_hours * flights_an_hour))
+    first = CAMPAIGN * options.campaign
+    held = round(share * options.calibration_hours * flights_an_hour)
+    training = [fly(seed, TRAINING_S) for seed in seeds(first + 1_000, 8)]
+    others = [fly(seed, TRAINING_S) for seed in seeds(first + 2_000, held)]
+    nominal = [
+        fly(s, TRAINING_S) for s in seeds(first + 20_000, round(share * options.hours * flights_an_hour))
     ]
-    nominal = [fly(s, TRAINING_S) for s in seeds(20_000, round(share * options.hours * flights_an_hour))]
     faults = max(4, round(share * options.faults))
     for kind in options.models.split(","):
         began = time.process_time()
@@ -187,9 +191,9 @@ def main() -> None:
         if nominal:
             false_alarms(watches, nominal)
         if "60" in options.at:
-            delays(watches, faults, "comes at 60 s", AT_S, options.only)
+            delays(watches, faults, "comes at 60 s", AT_S, options.only, first)
         if "0" in options.at:
-            delays(watches, max(4, faults // 2), "from take-off", 0.0, options.only)
+            delays(watches, max(4, faults // 2), "from take-off", 0.0, options.only, first)
 
 
 def false_alarms(watches: list[ChannelWatch], nominal: list[Flown]) -> None:
@@ -214,7 +218,7 @@ def false_alarms(watches: list[ChannelWatch], nominal: list[Flown]) -> None:
     print(f"({spent:.1f} us of CPU a sample and channel, three detectors)\n")
 
 
-def delays(watches: list[ChannelWatch], count: int, when: str, at_s: float, only: str) -> None:
+def delays(watches: list[ChannelWatch], count: int, when: str, at_s: float, only: str, first: int) -> None:
     """Which share of flights with a fault each channel finds, and how soon."""
     print(f"\nFault {when}, {count} flights each; found, median / 95th percentile in s:\n")
     names = [one.name for one in watches]
@@ -223,7 +227,7 @@ def delays(watches: list[ChannelWatch], count: int, when: str, at_s: float, only
         if not fault.startswith(only):
             continue
         found: dict[tuple[str, str], list[float]] = {(name, kind): [] for kind in SAID for name in names}
-        for seed in seeds(200_000 + 1_000 * k, count):
+        for seed in seeds(first + 200_000 + 1_000 * k, count):
             flown = fly(seed, FAULT_S, (at_s, vehicle))
             for name, said, delay in first_events(watches, flown, at_s):
                 found[name, said].append(delay)

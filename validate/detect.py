@@ -3,8 +3,9 @@
     cusum   two-sided cumulative sum of the one-step error's mean (Page, 1954): the default
     glr     the same against a step of unknown size within the last 20 s (Willsky and Jones, 1976), windows
             doubling from one sample on: quicker on large steps
-    level   mean over 5 s of measured less free run, the free run begun 10 s ago: a one-step error has the
-            measured output in it and forgets what was wrong from take-off, the free run does not
+    level   mean over 5 s of measured less free run, the free run begun 10 s ago, or with the stream where it
+            is younger: a one-step error has the measured output in it and forgets what was wrong from
+            take-off, the free run does not
 
 One-step errors in flight are neither white nor Gaussian (wind), so no textbook threshold keeps its promise.
 Thresholds come from held-out flights: largest values per block of time, an exponential tail fitted to those
@@ -214,7 +215,7 @@ def one_step(model: Fitted, u: FloatArray, y: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class Levels:
-    """Free runs begun `RUN_S` ago, ended every `LEVEL_EVERY_S`.
+    """Free runs begun `RUN_S` ago, or where the segment begins, ended every `LEVEL_EVERY_S`.
 
     Attributes
     ----------
@@ -231,7 +232,7 @@ class Levels:
 def levels(model: Fitted, u: FloatArray, y: FloatArray) -> Levels:
     """The free run's levels along a segment."""
     every = max(1, round(LEVEL_EVERY_S / model.dt_s))
-    at = np.arange(run_samples(model), len(y) + 1, every) - 1
+    at = np.arange(shortest_run(model), len(y) + 1, every) - 1
     found = [level_at_end(model, y[: k + 1], run_at_end(model, u[: k + 1], y[: k + 1])) for k in at.tolist()]
     shape = (len(at), y.shape[1])
     return Levels(
@@ -246,8 +247,13 @@ def run_samples(model: Fitted) -> int:
     return model.n_init + max(2, round(RUN_S / model.dt_s))
 
 
+def shortest_run(model: Fitted) -> int:
+    """Samples after which a free run has a level, those included that it starts from."""
+    return model.n_init + max(2, round(LEVEL_S / model.dt_s))
+
+
 def run_at_end(model: Fitted, u: FloatArray, y: FloatArray) -> FloatArray:
-    """(n, n_y) the free run that ends with these samples, begun `RUN_S` ago."""
+    """(n, n_y) the free run that ends with these samples, begun `RUN_S` ago or with the first of them."""
     n = run_samples(model)
     return model.simulate(u[-n:], y[-n:][: model.n_init])
 

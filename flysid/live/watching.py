@@ -25,6 +25,7 @@ from flysid.validate.detect import (
     level_at_end,
     run_at_end,
     run_samples,
+    shortest_run,
 )
 from flysid.validate.run import HeldOut
 
@@ -113,7 +114,7 @@ class ChannelWatch:
         self._seen = 0
         self._clean = 0  # samples since an input was last outside
         self._outside = False
-        self._next_level = self._keep
+        self._next_level = shortest_run(self.model)
         for output in self._outputs:
             output.sums.forget()
             output.level = output.level_before = 0.0
@@ -191,7 +192,7 @@ class ChannelWatch:
         if self._seen < self._next_level:
             return
         self._next_level = self._seen + max(1, round(LEVEL_EVERY_S / self.model.dt_s))
-        clean = self._clean >= self._keep
+        clean = self._clean >= min(self._seen, self._keep)
         level = np.zeros(len(self._outputs))
         if clean or self.trace is not None:
             free = run_at_end(self.model, self._u, self._y)

@@ -21,7 +21,7 @@ from flysid.live.causes import likely, likely_of_effort, meaning_of, visibility
 from flysid.live.following import Follower
 from flysid.live.spool import SpoolPiece, whole_records
 from flysid.live.watching import ChannelWatch, known_inputs
-from flysid.validate.detect import Thresholds, calibrate
+from flysid.validate.detect import LEVEL_EVERY_S, LEVEL_S, Thresholds, calibrate
 from tests.command import ROOT, call, shell
 from tests.flysid.live.flown import FAULT_S, play
 from tests.link_trials import free_port
@@ -54,6 +54,17 @@ def test_a_fault_is_one_alarm_with_its_size() -> None:
     assert abs(events[0].since_s - at_s) < 1.0
     assert events[0].shift > 0.0
     assert "left its band" in events[0].text
+
+
+def test_the_level_finds_what_is_wrong_from_take_off_as_soon_as_it_has_its_seconds() -> None:
+    segment = flown(70, 30)
+    limits, known = calibrated()
+    deaf = tuple(replace(one, cusum=1e9, glr=1e9) for one in limits)
+    watch = ChannelWatch("roll", MODEL, deaf, known)
+    pushed = Segment(segment.u, segment.y + 0.5)
+    [alarm] = [e for e in watch.run(pushed) if e.kind == "alarm"]
+    assert alarm.detector == "level"
+    assert LEVEL_S - LEVEL_EVERY_S <= alarm.time_s <= LEVEL_S + LEVEL_EVERY_S
 
 
 def test_nominal_flight_is_quiet() -> None:
