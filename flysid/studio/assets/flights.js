@@ -1,6 +1,6 @@
 // Flights: drop a log, find a flight, drag its fields to plots.
 import { Refused, follow, get, send } from "./api.js";
-import { clock, date, el, go, guarded, plain, size } from "./page.js";
+import { breakable, clock, date, el, go, guarded, plain, size } from "./page.js";
 import { Plots, shown } from "./plots.js";
 import { knownFields, takesField } from "./fields.js";
 
@@ -117,7 +117,7 @@ export async function showFlights(main, query, stay) {
       const title = group.stream.startsWith("@") ? "signals of " + group.stream.slice(1)
         : group.stream + " (" + group.rows.toLocaleString("en") + (group.rate_hz ? ", " + plain(+group.rate_hz.toPrecision(3)) + " Hz" : "") + ")";
       const items = el("ul", {});
-      const box = el("details", { open: words.length > 0 }, el("summary", {}, title), items);
+      const box = el("details", { open: words.length > 0 }, el("summary", {}, breakable(title)), items);
       const fill = () => {
         if (items.childElementCount) { return; }
         fields.slice(0, MOST_FIELDS).forEach(([name, unit]) => items.append(el("li", {}, fieldButton(group.stream + ":" + name, unit))));

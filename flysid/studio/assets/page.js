@@ -78,6 +78,10 @@ export class Stay {
   }
 }
 
+export function breakable(name) { // long names of streams may go on in the next line after an underscore
+  return name.split(/(?<=_)/).map((part) => [part, el("wbr")]);
+}
+
 export function advice(error) { // what is wrong and what to do
   return error.message + (error.where ? " (" + error.where + ")" : "") + (error.hint ? ". Try: " + error.hint : "");
 }

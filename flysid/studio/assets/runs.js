@@ -16,7 +16,7 @@ class Runs {
     Object.assign(this, { runs, stay });
     this.picked = new Set(query.getAll("pick").filter((id) => id !== "newest"));
     this.open = query.get("run") || (query.get("pick") === "newest" && runs.length ? runs[0].id : "");
-    this.filter = el("input", { type: "search", "aria-label": "Find runs", placeholder: "recipe, channel, verdict, folder", value: query.get("q") || "", oninput: () => this.changed() });
+    this.filter = el("input", { type: "search", "aria-label": "Find runs", placeholder: "recipe, verdict, ...", value: query.get("q") || "", oninput: () => this.changed() });
     this.differ = el("input", { type: "checkbox", checked: query.get("d") === "1", onchange: () => this.changed() });
     this.compare = el("button", { onclick: guarded(() => this.compared()) });
     this.table = el("div", { class: "scroll" });
