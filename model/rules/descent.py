@@ -13,7 +13,6 @@ import numpy as np
 from flysid.dataset import FloatArray
 from flysid.errors import FitError
 from flysid.model.bordered import Bordered
-from flysid.model.compiled_filters import compiled
 from flysid.model.refine import levenberg_marquardt
 from flysid.model.rules.free_run_error import SETS, Body, Problem
 from flysid.model.rules.kernel import IntArray, sweep
@@ -22,79 +21,8 @@ HOLD = 3.0  # weight on memberships, relative to the ridge on consequents
 _DRIFT = 1e-5  # on the hidden states' scale and origin, which no output shows
 Normal = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
 """Corner (C, C), border (S, C, q), blocks (S, q, q) of a Gauss-Newton matrix, and half the gradient."""
-
-
-@compiled
-def _over_runs(  # type: ignore[no-untyped-def]
-    starts, lags, par, basis, chosen, runs, sizes, ring, H, g, normal
-):
-    """The mean squared error; where `ring` has columns, J'J (lower triangle) and J'e into `normal`, as means.
-
-    Parameters
-    ----------
-    starts : (S, moving n) what every run starts from.
-    chosen : (C,) indices into [a | centre | log width], ascending, of the numbers that move.
-    runs : all runs one below the other, their edges, and room for them to be simulated in.
-    sizes : first simulated row of a run, rows before it that are unknowns, compared columns and numbers.
-    H, g : (common + q, common + q), (common + q,) to work in, common the last chosen number + 1.
-    """
-    W, edges, X = runs
-    depth, moving, n_y, samples = sizes
-    n = par.theta.shape[1]
-    corner, border, blocks, slope = normal
-    free = chosen.size
-    q = moving * n
-    common = ring.shape[2] - q
-    differentiates = ring.shape[2] > 0
-    kept = np.empty((0, n_y, 0))
-    total = 0.0
-    for s in range(edges.size - 1):
-        if differentiates:
-            clear(ring, H, g)
-        first = edges[s] + depth - moving
-        for k in range(moving):
-            for i in range(n):
-                X[first + k, i] = starts[s, k * n + i]
-                gap = X[first + k, i] - W[first + k, i]
-                if i < n_y:
-                    total += gap * gap
-                if differentiates:
-                    own = common + k * n + i
-                    ring[(first + k) % ring.shape[0], i, own] = 1.0
-                    if i < n_y:
-                        H[own, own] += 1.0
-                        g[own] += gap
-        rows = (edges[s] + depth, edges[s + 1])
-        total += sweep(X, W, rows, lags, par, basis, q, ring, kept, H, g)
-        if not differentiates:
-            continue
-        for i in range(free):
-            a = chosen[i]
-            slope[i] += g[a] / samples
-            for j in range(i + 1):
-                corner[i, j] += H[a, chosen[j]] / samples
-            for j in range(q):
-                border[s, i, j] = H[common + j, a] / samples
-        for i in range(q):
-            slope[free + s * q + i] = g[common + i] / samples
-            for j in range(i + 1):
-                value = H[common + i, common + j] / samples
-                blocks[s, i, j] = value
-                blocks[s, j, i] = value
-    return total / samples
-
-
-@compiled
-def clear(ring, H, g):  # type: ignore[no-untyped-def]
-    """Set what a sweep adds to back to zero."""
-    for d in range(ring.shape[0]):
-        for i in range(ring.shape[1]):
-            for p in range(ring.shape[2]):
-                ring[d, i, p] = 0.0
-    for p in range(g.size):
-        g[p] = 0.0
-        for q in range(g.size):
-            H[p, q] = 0.0
+Work = tuple[FloatArray, FloatArray, FloatArray]
+"""What a sweep works in: a ring of sensitivities, J'J and J'e; without columns it only simulates."""
 
 
 class Cost:
@@ -118,55 +46,86 @@ class Cost:
         self.q = layout.moving * layout.n
         hidden = np.arange(layout.n) >= layout.n_y
         self.drift = np.tile(_DRIFT / max(1, len(problem.runs) * layout.hidden) * hidden, layout.moving)
-        width = (int(self.chosen[-1]) + 1 if self.chosen.size else 0) + self.q
-        self.W, self.edges = problem.stacked
-        self.X = self.W.copy()
-        self.S = np.zeros((0, self.W.shape[1])) if problem.stress is None else problem.stress.copy()
-        self.work = (
-            np.zeros((max(layout.moving, 1), layout.n, width)),
-            np.zeros((width, width)),
-            np.zeros(width),
-        )
+        self.seen = np.tile(~hidden, layout.moving).astype(np.float64)
+        self.known = problem.measured_initial().reshape(len(problem.runs), self.q)
+        self.runs = [(W.copy(), np.ascontiguousarray(W)) for W in problem.runs]
+        self.S = np.zeros((0, len(layout.scale))) if problem.stress is None else problem.stress.copy()
+        common = int(self.chosen[-1]) + 1 if self.chosen.size else 0
+        width = common + self.q
+        self.ring = np.zeros((max(layout.moving, 1), layout.n, width))
+        for k, column in enumerate(range(common, width)):  # of a run that begins with what moves
+            row, i = divmod(k, layout.n)
+            self.ring[(layout.uncompared + row) % len(self.ring), i, column] = 1.0
+        self.H = np.diag(np.concatenate([np.zeros(common), self.seen]))
+        self.work = (np.zeros_like(self.ring), np.zeros((width, width)), np.zeros(width))
+        self.kept = np.zeros((0, layout.n_y, 0))
         self.plain = (np.zeros((1, layout.n, 0)), np.zeros((0, 0)), np.zeros(0))
 
     def at(self, p: FloatArray) -> float:
         """The cost at p."""
-        return self._summed(p, self.plain, self._zero(0), derive=False)
+        return self._summed(p, self.plain, None)
 
     def normal(self, p: FloatArray) -> tuple[float, Bordered, FloatArray]:
         """The cost at p, its Gauss-Newton matrix and half its gradient, over what moves."""
-        normal = self._zero(self.chosen.size)
-        cost = self._summed(p, self.work, normal, derive=True)
-        corner, border, blocks, slope = normal
-        return cost, Bordered(np.tril(corner) + np.tril(corner, -1).T, border, blocks), slope
-
-    def _zero(self, free: int) -> Normal:
-        """Normal equations to be summed into."""
         q = self.q
-        runs = len(self.problem.runs)
-        slope = np.zeros(free + runs * q)
-        return np.zeros((free, free)), np.zeros((runs, free, q)), np.zeros((runs, q, q)), slope
+        runs = len(self.runs)
+        free = self.chosen.size
+        sums = np.zeros((free, free)), np.zeros((runs, free, q)), np.zeros((runs, q, q))
+        normal = (*sums, np.zeros(free + runs * q))
+        cost = self._summed(p, self.work, normal)
+        corner, border, blocks, slope = normal
+        return cost, Bordered(_symmetric(corner), border, _symmetric(blocks)), slope
 
-    def _summed(
-        self, p: FloatArray, work: tuple[FloatArray, FloatArray, FloatArray], normal: Normal, *, derive: bool
-    ) -> float:
+    def _summed(self, p: FloatArray, work: Work, normal: Normal | None) -> float:
         problem = self.problem
-        layout = problem.layout
         self._expand(p)
-        starts = np.ascontiguousarray(p[self.body.size :].reshape(len(problem.runs), -1))
-        runs = (self.W, self.edges, self.X)
-        sizes = (layout.depth, layout.moving, layout.n_y, float(problem.samples))
-        cost = float(
-            _over_runs(starts, layout.lags, self.par, self.basis, self.chosen, runs, sizes, *work, normal)
-        )
-        into = normal if derive else None
-        if layout.hidden:
-            cost += self._drifted(starts, into)
+        starts = p[self.body.size :].reshape(self.known.shape)
+        cost = self._missed(starts, work, normal)
+        if problem.layout.hidden:
+            cost += self._drifted(starts, normal)
         if problem.ridge > 0.0 and len(self.body.a) > 1:
-            cost += self._departure(p, into)
+            cost += self._departure(p, normal)
         if len(self.S):
-            cost += self._strayed(into)
+            cost += self._strayed(normal)
         return cost
+
+    def _missed(self, starts: FloatArray, work: Work, normal: Normal | None) -> float:
+        """Mean squares of simulated less measured outputs, of what every run starts from as well."""
+        layout = self.problem.layout
+        begun = slice(layout.uncompared, layout.depth)
+        gaps = (starts - self.known) * self.seen
+        total = float((gaps * gaps).sum())
+        ring, H, g = work
+        size = len(self.H) - self.q
+        both = np.zeros((size, size))
+        along = np.zeros(size)
+        for at, (X, W) in enumerate(self.runs):
+            X[begun, : layout.n] = starts[at].reshape(-1, layout.n)
+            if normal is None:
+                total += self._sweep(X, W, 0, work)
+                continue
+            ring[:] = self.ring
+            H[:] = self.H
+            g[:size] = 0.0
+            g[size:] = gaps[at]
+            total += self._sweep(X, W, self.q, work)
+            both += H[:size, :size]
+            along += g[:size]
+            normal[1][at] = H[size:, self.chosen].T
+            normal[2][at] = H[size:, size:]
+            normal[3][self.chosen.size + at * self.q :][: self.q] = g[size:]
+        if normal is not None:
+            normal[0][:] = both[np.ix_(self.chosen, self.chosen)]
+            normal[3][: self.chosen.size] = along[self.chosen]
+            for part in normal:
+                part /= self.problem.samples
+        return total / self.problem.samples
+
+    def _sweep(self, X: FloatArray, W: FloatArray, own: int, work: Work) -> float:
+        layout = self.problem.layout
+        rows = (layout.depth, len(X))
+        ring, H, g = work
+        return float(sweep(X, W, rows, layout.lags, self.par, self.basis, own, ring, self.kept, H, g))
 
     def _expand(self, p: FloatArray) -> None:
         """Parameters at a vector of unknowns: centres within the data, widths that words can name."""
@@ -227,23 +186,22 @@ class Cost:
 
     def _strayed(self, normal: Normal | None) -> float:
         """Mean squares by which the outputs leave their range under stress; differentiated if they do."""
-        square = self._under_stress(0, self.plain)
+        nowhere = np.zeros((0, self.S.shape[1]))
+        square = self._sweep(self.S, nowhere, 0, self.plain)
         if square > 0.0 and normal is not None:
-            ring, H, g = self.work
-            clear(ring, H, g)
-            self._under_stress(self.q, self.work)
+            for part in self.work:
+                part[:] = 0.0
+            self._sweep(self.S, nowhere, self.q, self.work)
             chosen = self.chosen
+            _, H, g = self.work
             normal[3][: chosen.size] += g[chosen] / len(self.S)
             normal[0][:] += H[np.ix_(chosen, chosen)] / len(self.S)
         return square / len(self.S)
 
-    def _under_stress(self, own: int, work: tuple[FloatArray, FloatArray, FloatArray]) -> float:
-        layout = self.problem.layout
-        nowhere = np.zeros((0, self.S.shape[1]))
-        kept = np.zeros((0, layout.n_y, 0))
-        rows = (layout.depth, len(self.S))
-        ring, H, g = work
-        return float(sweep(self.S, nowhere, rows, layout.lags, self.par, self.basis, own, ring, kept, H, g))
+
+def _symmetric(lower: FloatArray) -> FloatArray:
+    """Matrices (..., n, n) of which only the lower triangles are known."""
+    return np.asarray(np.tril(lower) + np.swapaxes(np.tril(lower, -1), -1, -2))
 
 
 def descended(cost: Cost, p: FloatArray, iterations: int, tolerance: float) -> tuple[float, FloatArray]:

@@ -17,7 +17,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 
@@ -115,12 +114,6 @@ class Problem:
     def integrates(self) -> bool:
         """Whether every model of this problem has a pole at one."""
         return bool(len(self.basis) < self.basis.shape[1])
-
-    @cached_property
-    def stacked(self) -> tuple[FloatArray, IntArray]:
-        """All runs one below the other, and where each begins and ends."""
-        edges = np.cumsum([0, *(len(W) for W in self.runs)])
-        return np.ascontiguousarray(np.vstack(self.runs)), edges.astype(np.int64)
 
     def parameters(self, body: Body) -> Parameters:
         """Kernel parameters of a body."""
