@@ -21,7 +21,7 @@ START_NS = 1_700_000_000 * 10**9
 
 @dataclass(frozen=True)
 class Record:
-    """Vehicle time and arrivals; where the clock was set (-1: nowhere), and by how much; UTC per second."""
+    """Vehicle time, arrivals; where the clock was set (-1: nowhere), by how much; UTC per vehicle second."""
 
     vehicle_ns: IntArray
     utc_ns: IntArray

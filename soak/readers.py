@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 
 from soak import Budget, Outcome, peak_memory
-from tests.format_trials import FORMATS, Ask, at_risk, intact, records_of
+from tests.format_trials import CARRIED, FORMATS, Ask, at_risk, intact, records_of
 
 MEMORY_MB = 512
 HANG_S = 5.0
 
 
 def each_format(
-    budget: Budget, trials: Callable[[str, Ask], Outcome], names: Sequence[str] = FORMATS
+    budget: Budget, trials: Callable[[str, Ask], Outcome], names: Sequence[str] = (*FORMATS, *CARRIED)
 ) -> Iterator[Outcome]:
     """Run trials on every format; memory above 512 MB and trials above 5 s are failures too."""
     names = budget.chosen(names)

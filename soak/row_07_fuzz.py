@@ -16,7 +16,7 @@ from pathlib import Path
 from soak import Budget, Campaign, Outcome
 from soak.fuzz_reader import FOUND, last_input
 from soak.readers import HANG_S, MEMORY_MB
-from tests.format_trials import FORMATS
+from tests.format_trials import CARRIED, FORMATS
 
 HOUR_S = 3600.0
 GRACE_S = 120.0
@@ -42,7 +42,7 @@ def fuzz_apart(name: str, seconds: float) -> Outcome:
 
 def run(budget: Budget) -> Iterator[Outcome]:
     """One outcome per format; memory above 512 MB and trials above 5 s are failures too."""
-    names = budget.chosen(FORMATS)
+    names = budget.chosen([*FORMATS, *CARRIED])
     each = HOUR_S if budget.seconds is None else budget.seconds / max(1, len(names))
     for name in names:
         outcome = fuzz_apart(name, each)

@@ -22,6 +22,7 @@ from tests.samplelogs import Record, record_at, sample_modules
 
 SAMPLES = {name: module for name, module in sample_modules().items() if hasattr(module, "build")}
 FORMATS = sorted(set(all_formats()) & set(SAMPLES))
+CARRIED = sorted(name for name, module in SAMPLES.items() if hasattr(module, "FORMAT"))  # in captures
 Ask = Callable[[], bool]
 
 
@@ -53,7 +54,9 @@ def intact(name: str) -> Flight:
 
 def read(name: str, blob: bytes, **limits: Any) -> Flight:
     """The flight in these bytes, by the reader of one format."""
-    return collect(memoryview(blob), "sample" + module_of(name).SUFFIX, all_formats()[name], Limits(**limits))
+    module = module_of(name)
+    fmt = all_formats()[getattr(module, "FORMAT", name)]
+    return collect(memoryview(blob), "sample" + module.SUFFIX, fmt, Limits(**limits))
 
 
 def read_or_none(name: str, blob: bytes, outcome: Outcome) -> Flight | None:
@@ -119,6 +122,12 @@ def cut(name: str, every: int, goes_on: Ask) -> Outcome:
     return outcome
 
 
+def is_unseen(name: str, start: int, end: int) -> bool:
+    """Whether damage to these bytes may lose a record in silence."""
+    module = module_of(name)
+    return bool(hasattr(module, "unseen") and module.unseen(sample(name), start, end))
+
+
 def flip(name: str, count: int, goes_on: Ask) -> Outcome:
     """Single bits flipped: at most the record hit is lost, and never in silence."""
     outcome = Outcome(name)
@@ -139,9 +148,14 @@ def flip(name: str, count: int, goes_on: Ask) -> Outcome:
         outcome.keep(rows, whole)
         if rows < whole - risk:
             outcome.failures.append(f"{where}: {rows} rows of {whole}, {risk} at risk")
-        elif flight is not None and rows < whole and not flight.damage.lossy:
+        elif is_silent(flight, whole) and not is_unseen(name, byte, byte + 1):
             outcome.failures.append(f"{where}: {whole - rows} rows lost in silence")
     return outcome
+
+
+def is_silent(flight: Flight | None, whole: int) -> bool:
+    """Whether rows were lost without a word."""
+    return flight is not None and flight.rows < whole and not flight.damage.lossy
 
 
 def insert(name: str, count: int, goes_on: Ask) -> Outcome:
@@ -316,6 +330,6 @@ def length(name: str, count: int, goes_on: Ask) -> Outcome:
             outcome.failures.append(
                 f"{width} bytes of {value} at {at}: {rows} rows of {whole}, {risk} at risk"
             )
-        elif flight is not None and rows < whole and not flight.damage.lossy:
+        elif is_silent(flight, whole) and not is_unseen(name, at, at + width):
             outcome.failures.append(f"{width} bytes of {value} at {at}: {whole - rows} rows lost in silence")
     return outcome

@@ -5,6 +5,11 @@ A module `tests/samplelogs/<format name>.py` offers
 - `SUFFIX`, e.g. ".tlog";
 - `build() -> bytes`: an intact log of about 20 kB, the same bytes at every call;
 - `records(blob) -> list[Record]`: every record of that log in order, contiguous from first to last byte;
+- optionally `FORMAT`: the format whose reader it is for, where that is not the module's name;
+- optionally `left_of(piece) -> tuple[int, bool]`: rows that can be read of the beginning of a record, and
+  whether nothing of them is lost;
+- optionally `unseen(blob, start, end) -> bool`: whether bytes changed there may make a record mean something
+  else, which is passed over as such;
 - optionally `at_risk(blob, byte) -> int`: rows that damage to this byte may cost; by default those of
   the record it belongs to. (A definition puts all rows of its stream at risk; a chunk all of its rows.)
 - optionally `RESYNC_BYTES`: intact bytes after damage that the reader may lose before it finds its way

@@ -10,7 +10,7 @@ that says the same within REPEAT_NS is such a second sight, unless one flow numb
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from enum import IntEnum
 from socket import IPPROTO_TCP, IPPROTO_UDP
@@ -51,6 +51,7 @@ IP_STARTS = {
     LinkType.RAW_IPV4: 0,
     LinkType.RAW_IPV6: 0,
 }
+ONLY_VERSION: Mapping[int, int] = {LinkType.RAW_IPV4: 4, LinkType.RAW_IPV6: 6}
 
 
 @dataclass(frozen=True)
@@ -162,7 +163,7 @@ def _whole(
     if start < 0:
         return None
     try:
-        found = ip_packet(frame, start)
+        found = ip_packet(frame, start, ONLY_VERSION.get(packet.link, 0))
     except HeaderError as error:
         tally.undecode("packets", 1, str(error))
         return None

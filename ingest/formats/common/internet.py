@@ -56,14 +56,19 @@ class HeaderError(ValueError):
     """A header that is cut, whose checksum or length is wrong, or fragments that overlap."""
 
 
-def ip_packet(frame: bytes, start: int) -> IpPacket | None:
-    """The IP packet that begins at `start`; None where there is none. Raises HeaderError."""
+def ip_packet(frame: bytes, start: int, only: int = 0) -> IpPacket | None:
+    """The IP packet that begins at `start`; None where there is none. Raises HeaderError.
+
+    `only` : the version that it must be of; 0 where both may be.
+    """
     version = frame[start] >> 4 if len(frame) > start else 0
-    if version == 4 and len(frame) >= start + V4_BYTES:
+    if only and version != only:
+        raise HeaderError(f"no IP packet of version {only}")
+    if len(frame) < start + {4: V4_BYTES, 6: V6_BYTES}.get(version, 0):
+        raise HeaderError("a packet that ends in its header")
+    if version == 4:
         return _version_4(frame, start)
-    if version == 6 and len(frame) >= start + V6_BYTES:
-        return _version_6(frame, start)
-    return None
+    return _version_6(frame, start) if version == 6 else None
 
 
 def _version_4(frame: bytes, start: int) -> IpPacket:

@@ -16,9 +16,11 @@ from flysid.ingest.formats.common.tally import Tally
 
 FILE_HEAD_BYTES = 24
 RECORD_HEAD_BYTES = 16
+LEAST_RECORD = RECORD_HEAD_BYTES + 20  # with the head of an IP packet
 MAX_CAPTURED = 1 << 18
 RELEASE_BYTES = 16 << 20
 MAX_STEP_S = 86_400
+FAR = 4  # whole records in a row that must agree on a time more than a day away: clocks are set, bits flip
 
 
 @dataclass(frozen=True)
@@ -68,44 +70,98 @@ def packets(view: memoryview, tally: Tally) -> Iterator[Packet]:
     style = _style(bytes(view[:FILE_HEAD_BYTES]))
     if style is None:
         return
-    at = FILE_HEAD_BYTES
+    at = _first_record(view, style)
+    tally.skip(FILE_HEAD_BYTES, at, "no record here")
     last_s = -1
     released = 0
     while at < len(view):
         if at - released > RELEASE_BYTES:
             release(view, released, at)
             released = at
-        head = _record(view, at, style, last_s)
-        if head is None:
+        head = _record(view, at, style)
+        if head is None or not (_is_near(head, last_s) or _is_believed(view, at, style)):
             at = _recover(view, at, (style, last_s), tally)
             continue
-        last_s, time_ns, end = head
-        yield Packet(at, time_ns, style.link, at + RECORD_HEAD_BYTES, end)
-        at = end
+        last_s = head.seconds
+        yield Packet(at, head.time_ns, style.link, at + RECORD_HEAD_BYTES, head.end)
+        at = head.end
 
 
-def _record(view: memoryview, at: int, style: _Style, last_s: int) -> tuple[int, int, int] | None:
-    """Seconds, time in ns and end of the record at `at`; None where it cannot be one."""
+def _first_record(view: memoryview, style: _Style) -> int:
+    """Where the first record begins that can be believed; where it should, if none can within a record."""
+    head = _record(view, FILE_HEAD_BYTES, style)
+    if head is not None and head.end >= FILE_HEAD_BYTES + LEAST_RECORD and _is_followed(view, head, style):
+        return FILE_HEAD_BYTES
+    places = range(FILE_HEAD_BYTES, min(MAX_CAPTURED, len(view)))
+    return next((at for at in places if _is_believed(view, at, style)), FILE_HEAD_BYTES)
+
+
+@dataclass(frozen=True)
+class _Head:
+    """What the head of a record says: seconds, time, where it ends, and whether its packet is whole."""
+
+    seconds: int
+    time_ns: int
+    end: int
+    is_whole: bool
+
+
+def _record(view: memoryview, at: int, style: _Style) -> _Head | None:
+    """The head of the record at `at`; None where it cannot be one."""
     if at + RECORD_HEAD_BYTES > len(view):
         return None
     seconds, fraction, captured, length = struct.unpack_from(style.order + "4I", view, at)
     end = at + RECORD_HEAD_BYTES + captured
     sane = captured <= min(length, MAX_CAPTURED) and fraction * style.unit_ns < 10**9 and end <= len(view)
-    if not sane or (last_s >= 0 and abs(seconds - last_s) > MAX_STEP_S):
-        return None
-    return seconds, seconds * 10**9 + fraction * style.unit_ns, end
+    time_ns = seconds * 10**9 + fraction * style.unit_ns
+    return _Head(seconds, time_ns, end, captured == length) if sane else None
+
+
+def _is_near(head: _Head, last_s: int) -> bool:
+    """Whether a record's time lies within a day of the one before."""
+    return last_s < 0 or abs(head.seconds - last_s) <= MAX_STEP_S
+
+
+def _is_followed(view: memoryview, head: _Head, style: _Style) -> bool:
+    """Whether a record near in time stands behind one, or the file ends with it."""
+    behind = _record(view, head.end, style)
+    return head.end == len(view) or (behind is not None and _is_near(behind, head.seconds))
+
+
+def _is_believed(view: memoryview, at: int, style: _Style) -> bool:
+    """Whether several records of whole packets follow each other from `at` on, near to each other in time."""
+    last_s = -1
+    for _ in range(FAR):
+        head = _record(view, at, style)
+        if head is None or not head.is_whole or head.end - at < LEAST_RECORD or not _is_near(head, last_s):
+            return False
+        if head.end == len(view):
+            return True
+        at, last_s = head.end, head.seconds
+    return True
 
 
 def _recover(view: memoryview, at: int, known: tuple[_Style, int], tally: Tally) -> int:
-    """After damage: the next record that another one, or the end, follows."""
+    """After damage: the next record that others, or the end, follow.
+
+    One near in time comes first, where it lies no further than a record is long: heads read from a wrong
+    place may agree with each other, too.
+    """
     style, last_s = known
-    for place in range(at + 1, len(view) - RECORD_HEAD_BYTES + 1):
-        head = _record(view, place, style, last_s)
-        if head is None or head[2] - place < RECORD_HEAD_BYTES + 20:
-            continue
-        if head[2] == len(view) or _record(view, head[2], style, head[0]) is not None:
-            tally.skip(at, place, "no record here")
-            return place
+    last = len(view) - RECORD_HEAD_BYTES + 1
+    near = range(at + 1, min(at + MAX_CAPTURED, last))
+    for places, is_far in ((near, False), (range(at + 1, last), True)):
+        for place in places:
+            head = _record(view, place, style)
+            if head is None or head.end - place < LEAST_RECORD:
+                continue
+            if (
+                _is_followed(view, head, style)
+                if _is_near(head, last_s)
+                else is_far and _is_believed(view, place, style)
+            ):
+                tally.skip(at, place, "no record here")
+                return place
     tally.truncated = True
     tally.skip(at, len(view), "cut off inside a record")
     return len(view)

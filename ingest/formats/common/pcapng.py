@@ -22,6 +22,7 @@ from flysid.ingest.formats.common.tally import Tally
 ORDERS = {b"\x4d\x3c\x2b\x1a": "<", b"\x1a\x2b\x3c\x4d": ">"}
 MAGIC = b"\x0a\x0d\x0d\x0a"
 LEAST_BLOCK = 12
+LEAST_INTERFACE = 20
 MOST_BLOCK = 16 << 20
 MAX_NS = 1 << 62  # in the year 2116
 
@@ -41,6 +42,10 @@ class BlockKind(IntEnum):
     OBSOLETE = 2
     SIMPLE = 3
     PACKET = 6
+
+
+# names, statistics, journals, secrets; what a program adds of its own
+WITHOUT_PACKETS = frozenset({4, 5, 9, 10, 0x0BAD, 0x40000BAD})
 
 
 def is_pcapng(head: bytes) -> bool:
@@ -72,7 +77,7 @@ def packets(view: memoryview, tally: Tally) -> Iterator[Packet]:
         kind = struct.unpack_from(section.order + "I", view, at)[0]
         if kind == BlockKind.SECTION:
             section = _Section(ORDERS[bytes(view[at + 8 : at + 12])])
-        elif kind == BlockKind.INTERFACE and end - at >= 20:
+        elif kind == BlockKind.INTERFACE and end - at >= LEAST_INTERFACE:
             section.interfaces.append(_interface(view, (at + 8, end - 4), section.order))
         elif kind in (BlockKind.SIMPLE, BlockKind.PACKET, BlockKind.OBSOLETE):
             found = _packet(view, (at, end), kind, section, last_ns)
@@ -84,6 +89,8 @@ def packets(view: memoryview, tally: Tally) -> Iterator[Packet]:
             else:
                 tally.time_outliers["capture"] += 1
                 yield replace(found, time_ns=last_ns)
+        elif kind not in WITHOUT_PACKETS:
+            tally.undecode("blocks", 1, "of a type that is not known")
         at = end
 
 

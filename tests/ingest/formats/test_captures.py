@@ -22,6 +22,7 @@ from flysid.ingest.formats.mavlink.frames import STAMP_BYTES, read_header
 from flysid.ingest.formats.mavlink.probing import make_scanner
 from flysid.ingest.formats.registry import FORMATS, detect
 from flysid.ingest.formats.scrubbing import scrub_log
+from tests.format_trials import CARRIED, cut, delete, flip, insert, length
 from tests.ingest.formats.test_tlog import LOGS, flying
 from tests.samplelogs import navdata
 from tests.samplelogs.tlog import frame, sender
@@ -423,3 +424,25 @@ def test_a_fragment_waits_no_longer_than_its_number_is_its_own() -> None:
     parts = [(packets[10][0], first), (packets[10][0], last)]
     flight = read(pcap([stale, *packets[:10], *parts, *packets[11:]]))
     assert flight["ATTITUDE"].num_rows == 100
+
+
+@pytest.mark.parametrize("step_s", [3 * 86_400, 10 * 31_557_600])
+def test_a_capturing_clock_that_is_set_costs_no_packet(step_s: int) -> None:
+    packets = over_udp(flying(sender(), 100))
+    moved = [(t + (step_s * 10**9 if i >= 40 else 0), d) for i, (t, d) in enumerate(packets)]
+    flight = read(pcap(moved))
+    assert flight["ATTITUDE"].num_rows == 100
+    assert flight.damage.bytes_skipped == 0
+
+
+@pytest.mark.parametrize("name", CARRIED)
+def test_damaged_captures_keep_what_the_damage_leaves(name: str) -> None:
+    for outcome in (
+        cut(name, 397, lambda: True),
+        flip(name, 60, lambda: True),
+        insert(name, 30, lambda: True),
+        delete(name, 15, lambda: True),
+        length(name, 60, lambda: True),
+    ):
+        assert outcome.failures == []
+        assert outcome.trials > 10
