@@ -74,10 +74,19 @@ def _read_archive(path: Path, size: int, modified_ns: int, limits: Limits) -> Ar
             found = [_listed(info) for info in archive.infolist() if not info.is_dir()]
         fault = ""
     except (zipfile.BadZipFile, ValueError, NotImplementedError, struct.error, EOFError):
-        with map_file(path) as view:
-            found = list(_met(view))
+        found = []
         fault = "the archive's list of members is cut off or damaged; some may be missing"
+    with map_file(path) as view:
+        if found and not any(_is_in_place(view, member) for member in found):
+            fault = "the archive's list of members does not fit it: bytes are missing, or were added"
+        if fault:
+            found = list(_met(view)) or found
     return Archive(_named(_bounded(found, size, limits)), fault)
+
+
+def _is_in_place(view: memoryview, member: Member) -> bool:
+    """Whether a member's header stands where the list says."""
+    return member.header >= 0 and view[member.header : member.header + 4] == ZIP_MAGICS[0]
 
 
 def member_pieces(view: memoryview, member: Member) -> Iterator[bytes]:

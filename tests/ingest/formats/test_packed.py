@@ -362,3 +362,19 @@ def test_a_scrubbed_copy_is_packed_as_its_name_says(tmp_path: Path, suffix: str)
     assert flysid.read(tmp_path / ("copy.tlog" + suffix)).rows
     with pytest.raises(UsageError, match="one log, not an archive"):
         scrub_log(path, tmp_path / "copy.zip")
+
+
+@pytest.mark.parametrize("added", [b"", b"garbage" * 9])
+def test_an_archive_whose_bytes_moved_gives_what_its_members_hold_up_to_there(
+    added: bytes, tmp_path: Path
+) -> None:
+    log = sample("tlog") * 3
+    path = tmp_path / "flights.zip"
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("a.tlog", log)
+    blob = path.read_bytes()
+    at = len(blob) // 2
+    path.write_bytes(blob[:at] + added + blob[at + (0 if added else 64) :])
+    flight = flysid.read(path)
+    assert 50 < flight.rows < 3 * 135
+    assert flight.damage.truncated
