@@ -59,8 +59,8 @@ class Layout:
     def _forms(self) -> dict[int, RecordForm]:
         return {}
 
-    def table(self, schema: pa.Schema, heads: Sequence[IntArray], matrix: ByteMatrix) -> pa.Table:
-        """Records as a table: time_ns, boot, maybe recv_ns, (n,) each, then `fields`.
+    def table(self, schema: pa.Schema, heads: Sequence[IntArray | int], matrix: ByteMatrix) -> pa.Table:
+        """Records as a table: time_ns, boot, maybe recv_ns, (n,) each or one number for all, then `fields`.
 
         Parameters
         ----------
@@ -70,7 +70,7 @@ class Layout:
         if form is None:
             form = RecordForm(self.size, HEADS[: len(heads)], [self._cell(spec) for spec in self.fields])
             self._forms[len(heads)] = form
-        return form.table(schema, heads, matrix.reshape(-1))
+        return form.table(schema, heads, matrix.reshape(-1), len(matrix))
 
     def _cell(self, spec: Field) -> Cell:
         kind, offset = self.dtype.fields[spec.name][:2]  # type: ignore[index]

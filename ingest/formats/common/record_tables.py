@@ -26,7 +26,7 @@ from flysid.ingest.formats.common.arrow_arrays import fixed_text, number_type
 from flysid.ingest.formats.common.gather import Bytes, Values
 
 HEADS = (np.dtype("<i8"), np.dtype("<i4"), np.dtype("<i8"))  # time_ns, boot, recv_ns
-_PREFIX = struct.Struct("<iI")  # a message begins: -1, bytes of its head
+_PREFIX = "<iI"  # a message begins: -1, bytes of its head
 _HEAD = struct.Struct("<I8x 6HiIqhB5x 5H2xiqII4xI")
 _BODY_LENGTH, _ROWS, _NODES = 4, 8, 11  # places in the head, in words of 8 bytes
 _V5, _RECORD_BATCH = 4, 3
@@ -109,9 +109,7 @@ class RecordForm:
         self._texts = [cell for cell in cells if cell.is_text]
         # pieces of the buffer: heads, numbers as they lie in the record, ends and characters of every text
         laid = [*(Cell(0, kind) for kind in heads), *numbers]
-        self._widths = np.array([c.width for c in laid] + [0, 0] * len(self._texts), dtype=np.int64)
-        self._flags = np.flatnonzero([c.is_flag for c in laid])
-        self._ends = len(laid)
+        self._bits = [c.width * (1 if c.is_flag else 8) for c in laid]
         self._make_head(cells)
 
     def _make_head(self, cells: Sequence[Cell]) -> None:
@@ -129,46 +127,40 @@ class RecordForm:
         nodes = len(counts)
         message = (24, 12, 24, 16, 18, 4, 8, 12, 32, 0, _V5, _RECORD_BATCH)
         batch = (10, 20, 4, 12, 16, 12, 0, 12, 16 * nodes + 16, nodes)
-        words = np.zeros(_NODES + 2 * nodes + 1 + 2 * buffers, dtype=np.int64)
-        words[:_NODES] = np.frombuffer(_HEAD.pack(*message, *batch), dtype=np.int64)
-        words[_NODES + 2 * nodes] = buffers << 32
-        self._counts = np.array(counts, dtype=np.int64)
+        head = struct.unpack(f"<{_NODES}q", _HEAD.pack(*message, *batch))
+        self._words = [*head, *[0] * (2 * nodes), buffers << 32, *[0] * (2 * buffers)]
+        self._packing = struct.Struct(f"{_PREFIX}{len(self._words)}q")
+        self._counts = counts
         self._rows = slice(_NODES, _NODES + 2 * nodes, 2)
-        self._places = _NODES + 2 * nodes + 1 + 2 * np.array(places, dtype=np.int64)
-        self._head = np.append(np.frombuffer(_PREFIX.pack(-1, words.nbytes), dtype=np.int64), words)
+        self._places = [_NODES + 2 * nodes + 1 + 2 * place for place in places]
 
-    def table(self, schema: pa.Schema, heads: Sequence[Values], records: Bytes) -> pa.Table:
-        """(n * size,) bytes of n records as a table; `heads` are the (n,) numbers of its first columns."""
-        rows = len(heads[0])
+    def table(self, schema: pa.Schema, heads: Sequence[Values | int], records: Bytes, rows: int) -> pa.Table:
+        """(rows * size,) bytes as a table; `heads` are its first columns: (rows,) numbers, or one for all."""
         if not rows:
             return pa.Table.from_batches([], schema)  # Schema.empty_table() imports pandas
-        texts: list[Bytes] = []
-        lengths = self._widths * rows
-        if len(self._flags):
-            lengths[self._flags] = (lengths[self._flags] + 7) >> 3
-        if self._texts:
-            texts = [piece for cell in self._texts for piece in self._text(cell, records, rows)]
-            lengths[self._ends :] = [len(piece) for piece in texts]
-        padded = (lengths + 7) & -8
-        ends = padded.cumsum()
-        starts = ends - padded
-        body = self._head.nbytes
-        whole = np.empty(body + int(ends[-1]), dtype=np.uint8)
-        whole[:body] = self._head.view(np.uint8)
-        words = whole[8:body].view(np.int64)
-        words[_BODY_LENGTH] = ends[-1]
+        texts = [piece for cell in self._texts for piece in self._text(cell, records, rows)]
+        lengths = [(bits * rows + 7) >> 3 for bits in self._bits]
+        lengths += map(len, texts)
+        words = self._words.copy()
+        end = 0
+        at = []
+        for place, length in zip(self._places, lengths, strict=True):
+            words[place] = end
+            words[place + 1] = length
+            at.append(end + self._packing.size)
+            end += (length + 7) & -8
+        words[_BODY_LENGTH] = end
         words[_ROWS] = rows
-        words[self._rows] = self._counts * rows
-        words[self._places] = starts
-        words[self._places + 1] = lengths
-        at = (starts + body).tolist()
-        for k, (kind, head) in enumerate(zip(self._heads, heads, strict=True)):
-            np.ndarray((rows,), kind, whole, at[k])[:] = head
+        words[self._rows] = [count * rows for count in self._counts]
+        whole = np.empty(self._packing.size + end, dtype=np.uint8)
+        self._packing.pack_into(whole.data, 0, -1, 8 * len(words), *words)
+        for place, kind, head in zip(at, self._heads, heads, strict=False):
+            np.ndarray((rows,), kind, whole, place)[:] = head
         for block in self._blocks:
             values = block.values(records, rows, self.size)
-            strides = (int(padded[block.piece]), values.itemsize)
+            strides = ((lengths[block.piece] + 7) & -8, values.itemsize)
             np.ndarray(values.shape, values.dtype, whole, at[block.piece], strides)[:] = values
-        for place, piece in zip(at[self._ends :], texts, strict=True):
+        for place, piece in zip(at[len(self._bits) :], texts, strict=True):
             whole[place : place + len(piece)] = piece
         return pa.Table.from_batches([pa.ipc.read_record_batch(pa.py_buffer(whole), schema)])
 

@@ -105,5 +105,4 @@ def _part(reader: _Reader, kind: int, matrix: ByteMatrix, time_ns: IntArray) -> 
         source = "the deck's clock, since boot"
         metadata = {"time_source": source, "message": layout.name}
         reader.schemas[kind] = message_schema(layout.columns, metadata, received=False)
-    heads = (time_ns, np.zeros_like(time_ns))
-    return StreamPart(layout.name, layout.table(reader.schemas[kind], heads, matrix))
+    return StreamPart(layout.name, layout.table(reader.schemas[kind], (time_ns, 0), matrix))

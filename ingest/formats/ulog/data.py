@@ -114,8 +114,7 @@ class DataDecoder:
         time_ns = time_us * 1000
         self._observe(index, records, time_ns)
         schema = _schema(subscription.topic, subscription.instance, layout)
-        boot = np.zeros(len(at), dtype=np.int32)
-        return StreamPart(subscription.stream, layout.form.table(schema, (time_ns, boot), records))
+        return StreamPart(subscription.stream, layout.form.table(schema, (time_ns, 0), records, len(at)))
 
     def _observe(self, index: int, records: Bytes, time_ns: Index) -> None:
         """Count steps back and collect pairs of vehicle time and UTC."""

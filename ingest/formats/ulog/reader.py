@@ -128,8 +128,9 @@ class UlogReader:
         """Take in a run of information and parameters; returns where to go on, 0 without any."""
         end = 0
         origin = self._origin
+        now_ns = self._now_ns
         for kind, body, end, key in self._framer.keyed_run(at):
-            if kind != PARAMETER or not self.words.add_keyed(key, self.view[body:end], self._now_ns, origin):
+            if kind != PARAMETER or not self.words.add_keyed(key, self.view[body:end], now_ns, origin):
                 self._take(kind, self.view[body:end])
         return end
 

@@ -35,6 +35,7 @@ MAX_KEYS = 1 << 13
 ANY_SIZE = -1
 FLAGS, FORMAT_TYPE, ADDED, LOGGED, TAGGED, SYNC_TYPE, DATA, PARAMETER = b"BFALCSDP"
 _KEY = re.compile(rb"[a-z0-9_]+(\[\d+\])? [\x21-\x7e]+")
+_NAME = re.compile(rb"[!-~]+")
 _SIZED = re.compile(rb"(\w+?)(?:\[(\d{1,5})\])? ")
 _TEXT_AT = {LOGGED: 9, TAGGED: 11}
 _FORMAT = re.compile(rb"[\w/-]+:[ -~]*")  # all of it: a length that swallows the next record is none
@@ -297,7 +298,7 @@ class Framer:
         number = number[fits]
         stop = places + HEAD_BYTES + size[fits]
         breaks = np.append(np.flatnonzero(stop[:-1] != places[1:]), max(len(places) - 1, 0))
-        run_end = breaks[np.searchsorted(breaks, np.arange(len(places)))]
+        run_end = np.repeat(breaks, np.diff(breaks, prepend=-1))[: len(places)]
         return _Window(start, end, places, stop, self.sizes.subscription[number].astype(np.int64), run_end)
 
 
@@ -316,7 +317,7 @@ def has_shape(kind: int, body: memoryview) -> bool:
     if kind == FLAGS:
         return 40 <= size <= 64
     if kind == ADDED:
-        return size >= 4 and all(32 < c < 127 for c in body[3:])
+        return _NAME.fullmatch(body, 3) is not None
     if kind == LOGGED:
         return size >= 9 and 48 <= body[0] <= 55
     if kind == TAGGED:
