@@ -13,7 +13,7 @@ import numpy as np
 import pyarrow as pa
 
 from flysid.flight import BOOT, RECEIVED, TIME
-from flysid.ingest.formats.common.gather import Bytes, Index, Values
+from flysid.ingest.formats.common.gather import Bytes, Index, Values, as_bytes
 
 ARROW_TYPES: Mapping[str, pa.DataType] = {
     "b1": pa.bool_(),
@@ -96,11 +96,14 @@ def fixed_text(values: Values) -> pa.Array:
 
 def strings(values: Iterable[str]) -> pa.Array:
     """Python strings; lone surrogates become "?"."""
-    whole = list(values)
-    try:
-        return pa.array(whole, pa.string())
-    except UnicodeEncodeError:
-        return pa.array([v.encode("utf-8", "replace").decode() for v in whole], pa.string())
+    every: list[str] = list(values)
+    joined = "".join(every)
+    if joined.isascii():
+        sizes = np.fromiter(map(len, every), np.int64, len(every))
+        return text(as_bytes(joined.encode()), sizes)
+    encoded = [v.encode("utf-8", "replace") for v in every]
+    sizes = np.array([len(v) for v in encoded], dtype=np.int64)
+    return text(as_bytes(b"".join(encoded)), sizes)
 
 
 def blobs(values: Sequence[bytes]) -> pa.Array:

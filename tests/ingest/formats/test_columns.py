@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+from pathlib import Path
 from random import Random
+from types import ModuleType
 
 import numpy as np
 import pyarrow as pa
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -16,6 +21,7 @@ from flysid.ingest.formats.common.columns import (
     gather,
     message_schema,
 )
+from tests.samplelogs import dataflash, dataflash_text, mcap, tlog, ulog
 
 
 def matrix_of(rows: list[bytes], width: int) -> np.ndarray[tuple[int, int], np.dtype[np.uint8]]:
@@ -91,3 +97,13 @@ def test_schema_states_units_and_avoids_reserved_names() -> None:
 def test_lone_surrogates_do_not_break_strings() -> None:
     assert strings(["a\ud800"]).to_pylist() == ["a?"]
     assert strings([]).type == pa.string()
+
+
+@pytest.mark.parametrize("log", [ulog, tlog, dataflash, dataflash_text, mcap])
+def test_logs_are_read_without_importing_pandas(log: ModuleType, tmp_path: Path) -> None:
+    """It takes 0.3 s of CPU, as much as all else of a small log."""
+    path = tmp_path / "one.log"
+    path.write_bytes(log.build())
+    script = f"import sys, flysid; flysid.read({str(path)!r}); print('pandas' in sys.modules)"
+    ended = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert ended.stdout.split() == ["False"]
