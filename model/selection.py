@@ -35,6 +35,8 @@ def block_errors(model: Fitted, data: Dataset, skip: int, scale: FloatArray) -> 
 
     Parameters
     ----------
+    model : one that fits its start to the first n_init = `skip` samples, as candidates do: its run is that of
+        `start.run_from_window`, without a search for it.
     scale : (n_y,) unit of every output's error.
     """
     errors = []

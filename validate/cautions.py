@@ -120,7 +120,6 @@ def _unstable(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterator[Cautio
 
 
 def _extrapolates(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterator[Caution]:
-    linear = all(c.verdict and all(p.one_rule for p in c.verdict.values()) for c in comparisons.values())
     of: list[tuple[str, Outside]] = [
         (n, o) for n, d in diagnoses.items() for o in d.outside if o.share > 0.01
     ]
@@ -136,8 +135,7 @@ def _extrapolates(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterator[Ca
             "warning",
             f"Held-out samples leave the training range on {said}, most in "
             f"{where} ({100 * worst.worst_share:.0f} % of {one_line(worst.signal.name)}). "
-            f"{'Models' if linear else 'Fuzzy models'} extrapolate poorly; these samples are included in "
-            "every number here.",
+            "Models extrapolate poorly; these samples are included in every number here.",
             "train on flights that reach this range, or hold out others.",
             2.0 + worst.share,
         )

@@ -37,7 +37,7 @@ class RunChannel:
     folder : the run's.
     fitted_at : when run.json was written, ISO 8601 in UTC.
     rmse : label -> free-run RMSE on the held-out part, in `unit`; empty where the run was not judged.
-    verdict : of the contender against the baseline in free run, or "not judged".
+    verdict : of the contender against the baseline in free run, or NOT_JUDGED.
     held_out : hash of the held-out part, "" where the run was not judged.
     baseline : label of the linear model that the verdict is against, "" where the run was not judged.
     rank : 1 for the smallest error on this held-out part (best model of each run); None where not judged.

@@ -17,7 +17,7 @@ from markupsafe import Markup
 from flysid.validate.caution import Caution
 from flysid.validate.comparison import Comparison, Entry, Pair
 from flysid.validate.metrics import Scores
-from flysid.validate.terminal import shown_models, standing, summary_cells
+from flysid.validate.terminal import of_which, shown_models, standing, summary_cells
 from flysid.validate.words import (
     change_words,
     horizon_words,
@@ -91,6 +91,7 @@ def to_markdown(
         f"- **{_escape(name)}**: {_sentence(cells, _escape)}" for name, *cells in summary_cells(comparisons)
     ]
     said += [f"- **{_escape(name)}**: not judged: {_escape(why)}" for name, why in (skipped or {}).items()]
+    said += [f"- {line}" for line in of_which(comparisons)]
     if cautions:
         said += ["", "Before you rely on this:", ""]
         said += [f"- {c.level}: {_escape(f'{c.text} {c.todo}'.strip())}" for c in cautions]

@@ -25,7 +25,8 @@ RIGHT = {1, 2, 3, 4, 6, 7}
 def table(comparisons: Mapping[str, Comparison]) -> str:
     """Every model in free run, the best first; at other horizons the two models of the headline.
 
-    A line each below the output and horizon they are of, no line break at the end.
+    A line each below the output and horizon they are of, then what is of all samples and what of a typical
+    flight, where these differ; no line break at the end.
     """
     rows: list[Sequence[str]] = [HEADER]
     titles: dict[int, str] = {}
@@ -44,7 +45,18 @@ def table(comparisons: Mapping[str, Comparison]) -> str:
         lines += [titles[i]] if i in titles else []
         lines += [_line(row, widths)]
         lines += [f"    {notes[i]}"] if notes.get(i) else []
-    return "\n".join(lines)
+    return "\n".join([*lines, *of_which(comparisons)])
+
+
+def of_which(comparisons: Mapping[str, Comparison]) -> list[str]:
+    """Where changes are those of a typical flight: that the errors beside them are not; else nothing."""
+    pairs = [p for c in comparisons.values() for e in c.entries for p in e.pairs.values()]
+    if not any(p.scope is Scope.ANOTHER and p.change_pct is not None for p in pairs):
+        return []
+    return [
+        "RMSE, FIT and VAF are of all held-out samples together.",
+        "CHANGE is on a typical flight (geometric mean of the flights' ratios), not the quotient of two RMSE.",
+    ]
 
 
 def summary(comparisons: Mapping[str, Comparison]) -> str:

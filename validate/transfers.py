@@ -19,7 +19,7 @@ from flysid.ingest.align.recipe import load_recipe
 from flysid.ingest.lake.lake import Lake
 from flysid.model.detrend import Trend
 from flysid.model.feedback import Feedback, feedback
-from flysid.model.frequency.controller_inverse import controller_bands
+from flysid.model.frequency.controller_inverse import LoopView, view_loop
 from flysid.model.frequency.loop_figures import LoopFigure, broken_loop, command_figures, loop_figures
 from flysid.model.frequency.response import MeasuredResponse, measure_response, split_references
 from flysid.model.polynomials import DB, Z95, ComplexArray
@@ -40,7 +40,7 @@ class ChannelTransfers:
     fit_pct : per output, of the free run over the flights that it was fitted to.
     loops : per output, whether the input answers it; none where a reference was named.
     reference : signals through which the response was measured.
-    follows : per output, bands (rad/s) in which the measured response is -1 / controller.
+    views : per output, whose the measured response is; None where that cannot be told.
     figures : of the closed loop from its command ("command"), of the one cut open ("loop"); see
         `model.frequency.loop_figures`.
     """
@@ -53,7 +53,7 @@ class ChannelTransfers:
     fit_pct: tuple[float | None, ...]
     loops: tuple[Feedback, ...]
     reference: tuple[str, ...] = ()
-    follows: tuple[tuple[tuple[float, float], ...], ...] = ()
+    views: tuple[LoopView | None, ...] = ()
     figures: Mapping[str, Sequence[LoopFigure]] = field(default_factory=dict)
 
     @property
@@ -84,15 +84,9 @@ class ChannelTransfers:
         measured = self.measured[output]
         if measured is None:
             return f"no measured frequency response: {self.unmeasured}"
+        band = self.band(output, source)
         if self.is_looped(output):
-            bands = self.follows[output] if self.follows else ()
-            where = " and ".join(f"{low:.3g} to {high:.3g}" for low, high in bands)
-            return (
-                "no band can be trusted: a loop is closed, and where it reacts to the output the measured "
-                f"response is -1/controller{f': so from {where} rad/s' if where else ''}. "
-                "Name what drives the loop: --reference FIELD"
-            )
-        band = measured.band(source)
+            return _in_a_loop(band, self._follows(output))
         of = (
             f"the coherence of {' and '.join(self.reference)} with input and output" if self.reference else ""
         )
@@ -106,13 +100,27 @@ class ChannelTransfers:
         )
 
     def is_looped(self, output: int) -> bool:
-        """The input answers this output, and no reference was named: the measured response is no plant's."""
-        return bool(self.loops) and self.loops[output].closed
+        """The input answers this output, and no reference was named: the response need not be the plant's."""
+        measured = self.measured[output]
+        view = self.views[output] if self.views else None
+        seen = view is not None and measured is not None and view.seen(measured)
+        return seen or (bool(self.loops) and self.loops[output].closed)
+
+    def _follows(self, output: int) -> list[tuple[float, float]]:
+        """Bands (rad/s) in which the measured response is -1 / controller; none in open loop."""
+        measured = self.measured[output]
+        view = self.views[output] if self.views and self.is_looped(output) else None
+        return [] if view is None or measured is None else view.follows(measured)
 
     def band(self, output: int, source: int) -> tuple[float, float] | None:
         """Where to trust the response, rad/s; None where nowhere."""
         measured = self.measured[output]
-        return None if measured is None or self.is_looped(output) else measured.band(source)
+        if measured is None:
+            return None
+        if not self.is_looped(output):
+            return measured.band(source)
+        view = self.views[output] if self.views else None
+        return None if view is None else measured.band(source, view.plants)
 
     def response(
         self, output: int, source: int, omega: FloatArray
@@ -173,7 +181,7 @@ class ChannelTransfers:
             "fit_pct": list(self.fit_pct),
             "transfers": [t.to_dict() | _figures(t) for t in self.model.transfers],
             "reference": list(self.reference),
-            "follows_controller_rad_s": [list(map(list, bands)) for bands in self.follows],
+            "follows_controller_rad_s": [list(map(list, self._follows(i))) for i in range(len(self.views))],
             "measured": [
                 None if m is None else _measured(m, j) | {"band_rad_s": self.band(i, j)}
                 for i, m in enumerate(self.measured)
@@ -185,6 +193,21 @@ class ChannelTransfers:
             "figures": {g: {f.name: f.to_dict() for f in found} for g, found in self.figures.items()},
             "notes": list(self.model.notes),
         }
+
+
+def _in_a_loop(band: tuple[float, float] | None, follows: Sequence[tuple[float, float]]) -> str:
+    """What can be trusted of a response that was measured in a closed loop, without what drives it."""
+    where = " and ".join(f"{low:.3g} to {high:.3g}" for low, high in follows)
+    law = "where it reacts to the output the measured response is -1/controller"
+    law += f": so from {where} rad/s" if where else ""
+    said = f"no band can be trusted: a loop is closed, and {law}"
+    if band is not None:
+        said = (
+            f"a loop is closed, and {law}. Trust it from {band[0]:.3g} to {band[1]:.3g} rad/s "
+            f"({band[0] / 2 / np.pi:.2g} to {band[1] / 2 / np.pi:.2g} Hz) only, where the coherence is above "
+            "0.6 and the loop does not bend it"
+        )
+    return f"{said}. Name what drives the loop: --reference FIELD"
 
 
 def _width(value: float) -> str:
@@ -305,11 +328,10 @@ def identify_channel(name: str, data: Dataset, estimator: TF, reference_at: str 
         fits.append(scores(y, yh).fit_pct if len(y) else None)
     loops = feedback(model, data) if model.is_stable and not references else ()
     names = tuple(data.inputs[j].name for j in references)
-    follows = tuple(
-        tuple(controller_bands(data, loop, seen)) if loops and loops[loop].closed and seen else ()
-        for loop, seen in enumerate(measured)
+    views = tuple(
+        None if references or seen is None else view_loop(data, i, seen) for i, seen in enumerate(measured)
     )
-    whole = ChannelTransfers(name, plant, model, measured, why, tuple(fits), loops, names, follows)
+    whole = ChannelTransfers(name, plant, model, measured, why, tuple(fits), loops, names, views)
     return replace(whole, figures=_all_figures(whole, data, reference_at))
 
 

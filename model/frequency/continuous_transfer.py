@@ -16,19 +16,32 @@ from flysid.showing import significant
 
 @dataclass(frozen=True)
 class TransferEstimate:
-    """A figure and its standard error (NaN where unknown); prints with half the width of its interval."""
+    """A figure and its standard error (NaN where unknown); prints with half the width of its interval.
+
+    least, most : between these the truth lies, whatever was measured; the interval ends there, too, and is
+        printed by its ends where it does.
+    """
 
     value: float
     error: float
+    least: float = -np.inf
+    most: float = np.inf
 
     @property
     def interval(self) -> tuple[float, float]:
         """95 %."""
-        return self.value - Z95 * self.error, self.value + Z95 * self.error
+        half = Z95 * self.error
+        return float(np.maximum(self.value - half, self.least)), float(
+            np.minimum(self.value + half, self.most)
+        )
 
     def __str__(self) -> str:
-        spread = f" +- {significant(Z95 * self.error, 2)}" if self.error > 0 else ""
-        return f"{significant(self.value, 4)}{spread}"
+        if not self.error > 0:
+            return significant(self.value, 4)
+        low, high = self.interval
+        if low <= self.least or high >= self.most:
+            return f"{significant(self.value, 4)} [{significant(low, 2)}, {significant(high, 2)}]"
+        return f"{significant(self.value, 4)} +- {significant(Z95 * self.error, 2)}"
 
 
 @dataclass(frozen=True)
@@ -94,7 +107,7 @@ class ContinuousTransfer:
     @property
     def dead_time(self) -> TransferEstimate:
         """Seconds."""
-        return TransferEstimate(self.dead_time_s, float(self.errors[-1]))
+        return TransferEstimate(self.dead_time_s, float(self.errors[-1]), least=0.0)
 
     @property
     def poles(self) -> ComplexArray:
@@ -160,14 +173,12 @@ class ContinuousTransfer:
         damping = -pole.real / size
         turn = -slope.real / size + pole.real * along / size**2
         real = (
-            TransferEstimate(-1.0 / pole.real, self._spread(slope.real / pole.real**2))
-            if not pole.imag
-            else None
+            _same_sign(-1.0 / pole.real, self._spread(slope.real / pole.real**2)) if not pole.imag else None
         )
         return ContinuousMode(
             complex(pole),
-            TransferEstimate(size, self._spread(along)),
-            TransferEstimate(damping, self._spread(turn) if pole.imag else 0.0),
+            TransferEstimate(size, self._spread(along), least=0.0),
+            TransferEstimate(damping, self._spread(turn) if pole.imag else 0.0, least=-1.0, most=1.0),
             real,
         )
 
@@ -225,7 +236,7 @@ class ContinuousTransfer:
     def __str__(self) -> str:
         top = _text(self.numerator, self.numerator_error)
         bottom = _text(self.denominator, self.denominator_error)
-        dead = f" e^(-{_spread_text(self.dead_time_s, self.errors[-1])} s)" if self.dead_time_s else ""
+        dead = f" e^(-{_exponent(self.dead_time)} s)" if self.dead_time_s else ""
         rule = "-" * max(len(top), len(bottom))
         lines = [f"{self.output} / {self.input} ={dead}", top, rule, bottom]
         if len(self.denominator) == 1:
@@ -238,6 +249,20 @@ class ContinuousTransfer:
         if np.isfinite(self.errors).all() and self.errors.any():
             words.append("(+- is half the width of a 95 % interval)")
         return "\n".join([*lines, *words])
+
+
+def _same_sign(value: float, error: float) -> TransferEstimate:
+    """What is positive where stable, negative where unstable, and never 0."""
+    if value > 0.0:
+        return TransferEstimate(value, error, least=0.0)
+    return TransferEstimate(value, error, most=0.0)
+
+
+def _exponent(estimate: TransferEstimate) -> str:
+    low, high = estimate.interval
+    if estimate.error > 0 and low <= estimate.least:
+        return f"{significant(estimate.value, 4)} [{significant(low, 2)}, {significant(high, 2)}]"
+    return _spread_text(estimate.value, estimate.error)
 
 
 def _spread_text(value: float, error: float) -> str:

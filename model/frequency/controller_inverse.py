@@ -2,13 +2,16 @@
 
 Long regressions both ways (of the output on past inputs, of the input on the present and past output, each
 with its own past; Ljung, 1999, 13.4: the direct method with a rich model of the noise) tell plant and
-controller apart roughly, without a reference. A response that lies nearer to -1 / C than to the plant follows
-the controller.
+controller apart roughly, without a reference. A measured response is a mixture of both, by what moved the
+input: near -1 / C it is the controller's; where it is not near the plant it is not the plant's.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
+import numpy.typing as npt
 
 from flysid.dataset import Dataset, FloatArray
 from flysid.model.frequency.response import MeasuredResponse
@@ -17,24 +20,49 @@ from flysid.model.polynomials import ComplexArray
 ORDER = 20
 
 
-def controller_bands(
+@dataclass(frozen=True, eq=False)
+class LoopView:
+    """Whose the measured response of a single input is, where a loop may be closed.
+
+    Attributes
+    ----------
+    plants : (F,) it is the plant's, as far as the regressions tell.
+    controllers : (F,) it is -1 / controller, and nearer to that than to the plant.
+    """
+
+    plants: npt.NDArray[np.bool_]
+    controllers: npt.NDArray[np.bool_]
+
+    def follows(self, measured: MeasuredResponse) -> list[tuple[float, float]]:
+        """Bands (rad/s) in which the response is the controller's."""
+        edges = np.flatnonzero(np.diff(np.concatenate([[0], self.controllers.astype(np.int8), [0]])))
+        pairs = zip(edges[::2], edges[1::2], strict=True)
+        runs = [(float(measured.omega[a]), float(measured.omega[b - 1])) for a, b in pairs]
+        return [(low, high) for low, high in runs if low < high]
+
+    def seen(self, measured: MeasuredResponse) -> bool:
+        """Where the coherence counts, some of the response is the controller's."""
+        return bool((self.controllers & (measured.trusted() > 0)).any())
+
+
+def view_loop(
     data: Dataset, output: int, measured: MeasuredResponse, *, near: float = 0.5
-) -> list[tuple[float, float]]:
-    """Bands (rad/s) in which the response of a single input follows -1 / controller; none where segments are
-    too short to tell.
+) -> LoopView | None:
+    """Whose the response is, by frequency; None of several inputs, or where segments are too short to tell.
 
     `near`: in ln: 4.3 dB, or 29 degrees.
 
     Example
     -------
-    >>> controller_bands(data, 0, measure_response(data))  # doctest: +SKIP
+    >>> measured = measure_response(data)  # doctest: +SKIP
+    >>> view_loop(data, 0, measured).follows(measured)  # doctest: +SKIP
     [(0.6, 3.3), (80.8, 1005.3)]
     """
     if len(data.inputs) != 1:
-        return []
+        return None
     pairs = [np.column_stack([s.u[:, 0], s.y[:, output]]) for s in data.segments if len(s) > 6 * ORDER]
     if not pairs:
-        return []
+        return None
     mean = np.concatenate(pairs).mean(axis=0)
     scale = np.concatenate(pairs).std(axis=0)
     scaled = [(p - mean) / scale for p in pairs]
@@ -44,10 +72,8 @@ def controller_bands(
     law = _response(scaled, (0, 1), 0, back) / unit  # what the input makes of the output: -C
     seen = measured.response[:, 0]
     to_law = np.abs(np.log(seen * law))
-    follows = (to_law < near) & (to_law < np.abs(np.log(seen / plant)))
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], follows.astype(np.int8), [0]])))
-    runs = [(measured.omega[a], measured.omega[b - 1]) for a, b in zip(edges[::2], edges[1::2], strict=True)]
-    return [(float(low), float(high)) for low, high in runs if low < high]
+    to_plant = np.abs(np.log(seen / plant))
+    return LoopView(to_plant < near, (to_law < near) & (to_law < to_plant))
 
 
 def _response(

@@ -7,7 +7,9 @@ rejection (-3 dB of |S|: Berger et al., 2016, J. Am. Helicopter Soc. 61).
 
 Around a frequency looked for, ln G is a parabola in ln omega, fitted to the points nearby by their errors.
 Intervals are of first order (delta method) from the errors of those points and their correlation. What lies
-outside the band that can be trusted is refused in words, never extrapolated.
+outside the band that can be trusted is refused in words, never extrapolated. No interval reaches where the
+truth cannot be: a loop that stood while it was recorded has no margin below 0, and |S| tends to 1 where the
+loop's gain fades, so that its peak is no lower.
 """
 
 from __future__ import annotations
@@ -179,6 +181,13 @@ def _interval(name: str, value: float, error: float, log: bool = False) -> LoopF
     return LoopFigure(name, float(value), float(value - Z95 * error), float(value + Z95 * error))
 
 
+def _not_below_0(figure: LoopFigure) -> LoopFigure:
+    """The interval without what is below 0; a value there is left as it is, and its interval."""
+    if figure.value is None or figure.low is None or figure.value < 0.0:
+        return figure
+    return replace(figure, low=max(figure.low, 0.0))
+
+
 def _root(curve: _LoopCurve, start: float, part: Callable[[complex], float]) -> tuple[float, float, float]:
     """(x, its error, error of the other part there) where a part of the parabola is 0."""
     x = start
@@ -221,7 +230,10 @@ def _crossing(loop: MeasuredResponse) -> list[LoopFigure]:
     margin = 180.0 + np.degrees(values[0].imag)
     # the phase's own error, and what an error of the crossover adds along the phase's slope
     spread = np.degrees(np.hypot(own, values[1].imag * error))
-    return [_interval(names[0], x, error, log=True), _interval(names[1], float(margin), float(spread))]
+    return [
+        _interval(names[0], x, error, log=True),
+        _not_below_0(_interval(names[1], float(margin), float(spread))),
+    ]
 
 
 def _gain_margin(loop: MeasuredResponse) -> LoopFigure:
@@ -235,7 +247,8 @@ def _gain_margin(loop: MeasuredResponse) -> LoopFigure:
         return LoopFigure(name, None, why="the loop's phase does not pass -180 degrees in the trusted band")
     x, error, own = _root(shifted, found[0], _imag)
     values, _ = shifted.parabola(x)
-    return _interval(name, -DB * values[0].real, DB * float(np.hypot(own, values[1].real * error)))
+    spread = DB * float(np.hypot(own, values[1].real * error))
+    return _not_below_0(_interval(name, -DB * values[0].real, spread))
 
 
 def _sensitivity(loop: MeasuredResponse) -> list[LoopFigure]:
@@ -252,7 +265,9 @@ def _sensitivity(loop: MeasuredResponse) -> list[LoopFigure]:
         log=np.log(np.abs(s)) + 1j * np.unwrap(np.angle(s)),
         error=curve.error * np.abs(value * s),
     )
-    peak = replace(_peak(of_s), name=names[0])
+    peak = replace(_not_below_0(_peak(of_s)), name=names[0])
+    if peak.value is not None and peak.value < 0.0:
+        peak = LoopFigure(names[0], None, why="its peak lies outside the trusted band")
     crossings = _shift(of_s, -HALF_POWER).crossings(_shift(of_s, -HALF_POWER).smooth().real)
     if not crossings:
         why = "|S| does not pass -3 dB in the trusted band"

@@ -19,6 +19,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
+import numpy.typing as npt
 
 from flysid.dataset import Dataset, FloatArray, Signal
 from flysid.errors import DataError, UsageError
@@ -92,16 +93,20 @@ class MeasuredResponse:
         spread = np.degrees(self.half_width(level))
         return self.phase_deg - spread, self.phase_deg + spread
 
-    def trusted(self, source: int = 0) -> FloatArray:
-        """(F,) 1 inside the widest band (in octaves) where the coherence counts, else 0; see `band`."""
+    def trusted(self, source: int = 0, among: npt.NDArray[np.bool_] | None = None) -> FloatArray:
+        """(F,) 1 inside the widest band (in octaves) where the coherence counts, else 0; see `band`.
+
+        `among`: (F,) these points alone.
+        """
         averages = self.averages[:, source]
         chance = 1.0 - 0.05 ** (1.0 / np.maximum(averages - 1.0, 0.1))
         level = np.maximum(GOOD_COHERENCE, chance)
         own = self.coherence[:, source]
-        good = _smooth(own) > level
+        allowed = np.ones(len(own), dtype=bool) if among is None else among
+        good = allowed & (_smooth(own) > level)
         edges = np.flatnonzero(np.diff(np.concatenate([[0], good.astype(np.int8), [0]])))
         inside = np.zeros(len(self.omega))
-        counts = own > level
+        counts = allowed & (own > level)
         runs = [  # none on its neighbours' word alone
             (start, stop)
             for start, stop in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)
@@ -113,9 +118,9 @@ class MeasuredResponse:
             inside[kept[0] : kept[-1] + 1] = 1.0
         return inside
 
-    def band(self, source: int = 0) -> tuple[float, float] | None:
+    def band(self, source: int = 0, among: npt.NDArray[np.bool_] | None = None) -> tuple[float, float] | None:
         """Lowest and highest trustworthy frequency, rad/s: coherence above 0.6 and above chance; or None."""
-        inside = np.flatnonzero(self.trusted(source))
+        inside = np.flatnonzero(self.trusted(source, among))
         return (float(self.omega[inside[0]]), float(self.omega[inside[-1]])) if len(inside) else None
 
 

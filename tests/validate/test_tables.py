@@ -48,11 +48,14 @@ def test_csv_cells_are_no_formulas() -> None:
 def test_markdown_is_one_table_whatever_the_names() -> None:
     calm = to_markdown({"roll": compared()}).splitlines()
     assert calm[0].startswith("- **roll**: TS better (one rule: linear); free run: RMSE 0.")
-    assert calm[4].startswith("| roll | free run | ts | 0.0")
+    assert calm[1].startswith(
+        "- RMSE, FIT and VAF: of all held-out samples together. CHANGE: on a typical flight"
+    )
+    assert calm[5].startswith("| roll | free run | ts | 0.0")
     evil = to_markdown({EVIL: compared(EVIL)})
     assert len(evil.splitlines()) == len(calm)
     assert "<b>" not in evil
-    for line in evil.splitlines()[2:]:
+    for line in evil.splitlines()[3:]:
         assert line.replace("\\|", "").count("|") == 13
 
 
@@ -60,13 +63,13 @@ def test_markdown_says_what_to_beware_of_and_what_was_not_judged() -> None:
     beware = Caution("warning", "Inputs leave the range on a_b.", "train on more.")
     lines = to_markdown({"roll": compared()}, None, [beware], {"yaw": "too | short"}).splitlines()
     assert lines[1] == "- **yaw**: not judged: too \\| short"
-    assert lines[3:6] == [
+    assert lines[4:7] == [
         "Before you rely on this:",
         "",
         "- warning: Inputs leave the range on a\\_b. train on more.",
     ]
-    assert lines[6] == ""
-    assert lines[7].startswith("| channel |")
+    assert lines[7] == ""
+    assert lines[8].startswith("| channel |")
 
 
 def test_notebook_table_escapes() -> None:

@@ -18,7 +18,7 @@ from flysid.cli.gains import command
 from flysid.errors import DataError
 from flysid.loops.controller import betaflight, refuse_misfit
 from flysid.loops.judged import judge
-from flysid.loops.margins import margins, trusted_band
+from flysid.loops.margins import LEAST_MS, _figure, _figures, margins, trusted_band
 from flysid.loops.prediction import predict
 from flysid.loops.stick_response import Loop, plant
 from tests.flysid.loops.autopilots import ardupilot_log, px4_log
@@ -214,3 +214,14 @@ def test_the_window_does_not_turn_the_loop() -> None:
     assert len(phases) == 8
     true = truth(Sampled(vehicle), Flown("px4"))["phase_deg"]
     assert np.mean(phases) == pytest.approx(true, abs=0.45)
+
+
+def test_no_sensitivity_is_told_to_peak_below_one() -> None:
+    """|S| tends to 1 where the loop's gain fades; in a band below that it stayed at 0.6."""
+    f = np.geomspace(2.0, 4.0, 60)
+    vehicle = Vehicle()
+    inside = np.abs(1.0 / (1.0 + vehicle.response(f) * PID.feedback(f)))
+    assert inside.max() < LEAST_MS
+    assert _figures(f, vehicle.response(f), PID.feedback(f), PID.reference(f))[4] == LEAST_MS
+    found = _figure(1.1, 0.3, LEAST_MS, "beyond the band")
+    assert (found.low, found.high) == (LEAST_MS, pytest.approx(1.4))

@@ -9,11 +9,12 @@ import pytest
 from scipy.signal import lfilter
 
 import flysid
+from bench import loop_bands
 from bench.closed_loop import PLANT, SWEPT_HZ, Loop, direct, held, nearest, truth
 from flysid.dataset import Dataset
 from flysid.errors import UsageError
 from flysid.model.base import load
-from flysid.model.frequency.controller_inverse import controller_bands
+from flysid.model.frequency.controller_inverse import view_loop
 from flysid.model.frequency.response import measure_response
 from flysid.model.frequency.transfer import continuous
 from flysid.model.iv import IV
@@ -60,7 +61,10 @@ def test_where_a_response_follows_the_controller_is_named() -> None:
     """-1 / C is 20 dB and more off the plant above the sweep; open loop has no such band."""
     data = direct(Loop(0.2).flown(3))
     measured = measure_response(data)
-    bands = controller_bands(data, 0, measured)
+    view = view_loop(data, 0, measured)
+    assert view is not None
+    assert view.seen(measured)
+    bands = view.follows(measured)
     assert any(low < 120.0 and high > 800.0 for low, high in bands)
     wrong = np.abs(np.log(np.abs(measured.response[:, 0] / truth(measured.omega, data.dt_s))))
     inside = np.any([(measured.omega >= a) & (measured.omega <= b) for a, b in bands], axis=0)
@@ -69,7 +73,28 @@ def test_where_a_response_follows_the_controller_is_named() -> None:
     u = np.repeat(rng.standard_normal(600), 10)
     y = lfilter([0.0, 0.2], [1.0, -0.8], u) + 0.1 * rng.standard_normal(6000)
     alone = Dataset.from_arrays(u, y, 0.02)
-    assert controller_bands(alone, 0, measure_response(alone)) == []
+    measured = measure_response(alone)
+    view = view_loop(alone, 0, measured)
+    assert view is not None
+    assert not view.seen(measured)
+    assert view.follows(measured) == []
+
+
+@pytest.mark.parametrize(("gusts", "some"), [(0.3, True), (3.0, False)])
+def test_in_a_loop_a_band_is_told_where_the_response_is_the_plants(gusts: float, some: bool) -> None:
+    """Weak gusts had hidden every band, strong ones none: there the coherence is that of -1 / C."""
+    told = off = 0
+    for seed in range(300, 305):
+        data, plant = loop_bands.flown(np.random.default_rng(seed), gusts)
+        measured = measure_response(data)
+        view = view_loop(data, 0, measured)
+        assert view is not None
+        inside = measured.trusted(0, view.plants) > 0
+        wrong = np.log(measured.response[:, 0] / loop_bands.plant_at(plant, measured.omega))
+        told += int(inside.sum())
+        off += int((inside & (np.abs(wrong) > loop_bands.OFF)).sum())
+    assert (told > 100) is some
+    assert off <= max(2, told // 50)
 
 
 def test_two_references_tell_two_inputs_apart() -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.signal import lfilter
@@ -93,3 +95,15 @@ def test_figures_guard_a_pipeline() -> None:
     assert matching_channels(f"loop.phase_margin_deg.low < {margin['low'] + 1.0}", document) == {"rate": ""}
     assert matching_channels(f"loop.phase_margin_deg.high < {margin['low']}", document) == {}
     assert matching_channels("command.bandwidth_rads.value < 0", document)  # not to be told: a guard fails
+
+
+def test_no_interval_reaches_where_the_truth_cannot_be() -> None:
+    """Of noisy records intervals of first order reached to margins below 0, and to |S| below 1."""
+    low = {"gain_margin_db": 0.0, "phase_margin_deg": 0.0, "sensitivity_peak_db": 0.0}
+    for seed in range(3):
+        loop = broken_loop(flown(seed, snr_db=5.0), reference="r", at="input")
+        loose = replace(loop, error=30.0 * loop.error)
+        for figure in loop_figures(loose):
+            if figure.name in low and figure.value is not None:
+                assert figure.low is not None
+                assert low[figure.name] <= figure.low <= figure.value

@@ -10,6 +10,7 @@ from scipy.signal import cont2discrete, lfilter
 import flysid
 from flysid.dataset import Dataset
 from flysid.errors import DataError, FitError, UsageError
+from flysid.model.frequency.continuous_transfer import ContinuousTransfer, TransferEstimate
 from flysid.model.transfer_function import TF, FittedTF
 from tests.model.linear.test_transfer import PLANTS, experiment
 
@@ -222,3 +223,17 @@ def test_a_static_gain_with_a_dead_time_is_found_as_one() -> None:
         assert "\n1\n" not in str(found)
     with pytest.raises(UsageError, match="nk_hint"):
         TF(nk_hint=(1, 2)).fit(data)
+
+
+def test_an_interval_ends_where_the_truth_must() -> None:
+    assert str(TransferEstimate(0.5, 0.1)) == "0.5 +- 0.2"
+    assert str(TransferEstimate(0.05, 0.1, least=0.0)) == "0.05 [0, 0.25]"
+    loose = ContinuousTransfer(
+        np.array([2.0]), np.array([1.0, 2.0]), np.diag([0.1, 1.5, 0.04]), 0.1, "u", "y"
+    )
+    assert loose.dead_time.interval[0] == 0.0
+    assert "e^(-0.1 [0, 0.49] s)" in str(loose)
+    (mode,) = loose.modes
+    assert mode.frequency_rad_s.interval[0] == 0.0
+    assert mode.time_constant_s is not None
+    assert mode.time_constant_s.interval[0] == 0.0
