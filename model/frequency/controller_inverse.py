@@ -27,11 +27,13 @@ class LoopView:
     Attributes
     ----------
     plants : (F,) it is the plant's, as far as the regressions tell.
-    controllers : (F,) it is -1 / controller, and nearer to that than to the plant.
+    controllers : (F,) it is -1 / controller, and nearer to that than to the plant; never both.
+    beyond_doubt : (F,) that, and not near the plant: without noise, open loops are near both.
     """
 
     plants: npt.NDArray[np.bool_]
     controllers: npt.NDArray[np.bool_]
+    beyond_doubt: npt.NDArray[np.bool_]
 
     def follows(self, measured: MeasuredResponse) -> list[tuple[float, float]]:
         """Bands (rad/s) in which the response is the controller's."""
@@ -41,8 +43,8 @@ class LoopView:
         return [(low, high) for low, high in runs if low < high]
 
     def seen(self, measured: MeasuredResponse) -> bool:
-        """Where the coherence counts, some of the response is the controller's."""
-        return bool((self.controllers & (measured.trusted() > 0)).any())
+        """Where the coherence counts, some of the response is the controller's beyond doubt."""
+        return bool((self.beyond_doubt & (measured.trusted() > 0)).any())
 
 
 def view_loop(
@@ -73,7 +75,9 @@ def view_loop(
     seen = measured.response[:, 0]
     to_law = np.abs(np.log(seen * law))
     to_plant = np.abs(np.log(seen / plant))
-    return LoopView(to_plant < near, (to_law < near) & (to_law < to_plant))
+    controllers = (to_law < near) & (to_law < to_plant)
+    close = to_plant < near
+    return LoopView(close & ~controllers, controllers, controllers & ~close)
 
 
 def _response(
