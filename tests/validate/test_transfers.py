@@ -124,8 +124,8 @@ def test_the_command_line(logs: dict[str, Path], tmp_path: Path) -> None:
     assert "Traceback" not in failed.stderr
 
 
-def test_a_closed_loop_is_trusted_through_its_reference_only(tmp_path: Path) -> None:
-    """A table with a chirp added inside a loop: without the chirp no band is trusted, with it the plant's."""
+def test_a_closed_loop_is_trusted_where_its_reference_moves_it(tmp_path: Path) -> None:
+    """A table with a chirp added inside a loop: with and without its name, the plant's band is trusted."""
     data = Loop(0.2, rate_hz=100.0).flown(3)
     segment = data.segments[0]
     rows = np.column_stack([np.arange(len(segment)) * data.dt_s, segment.u, segment.y])
@@ -136,7 +136,8 @@ def test_a_closed_loop_is_trusted_through_its_reference_only(tmp_path: Path) -> 
     assert plain.returncode == 0, plain.stderr
     direct = json.loads(plain.stdout)["channels"][0]
     assert direct["feedback"][0]["closed"]
-    assert direct["measured"][0]["band_rad_s"] is None
+    low, high = direct["measured"][0]["band_rad_s"]
+    assert 2 * np.pi * SWEPT_HZ[0] < low < high < 2 * np.pi * SWEPT_HZ[1]
     done = call(*order, "--reference", "chirp", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     through = json.loads(done.stdout)["channels"][0]
@@ -153,8 +154,8 @@ def test_what_is_said_of_a_loop() -> None:
     data = Loop(0.2, rate_hz=100.0).flown(3)
     estimator = TF(poles=2, zeros=0)
     alone = "\n".join(identify_channel("rate", direct(data), estimator).lines())
-    assert "trust it from" not in alone
-    assert "no band can be trusted: a loop is closed" in alone
+    assert "a loop is closed, and where it reacts" in alone
+    assert " rad/s. Trust it from 8.93 to 55.1 rad/s (1.4 to 8.8 Hz) only" in alone
     assert "response is -1/controller: so from " in alone
     assert "--reference FIELD" in alone
     found = identify_channel("rate", data, TF(poles=2, zeros=0, reference=["chirp"]))
