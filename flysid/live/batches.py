@@ -146,7 +146,8 @@ def gather(slots: ByteArray, sizes: IntArray, addresses: ByteArray, raw: ByteArr
     at = 0
     for k in range(len(sizes)):
         size = sizes[k]
-        raw[at : at + size] = slots[k, :size]
+        for b in range(size):  # a slice's assignment takes seconds longer to compile
+            raw[at + b] = slots[k, b]
         at += size
         if k:
             for b in range(addresses.shape[1]):

@@ -163,7 +163,8 @@ def enter(
                 boot_at = at
         for b in range(8):
             records[at + b] = (stamp >> (56 - 8 * b)) & 0xFF
-        records[at + 8 : at + 8 + end - q] = raw[q:end]
+        for b in range(end - q):  # a slice's assignment takes seconds longer to compile
+            records[at + 8 + b] = raw[q + b]
         at += 8 + end - q
     return at, boot_at
 

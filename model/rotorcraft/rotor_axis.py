@@ -106,11 +106,12 @@ def run(x, by, y, theta, dt, integrates, resting, out, slopes):  # type: ignore[
     earlier = np.zeros(count)  # the command before the first row
     earlier_by = np.zeros(count)
     if not resting:
-        earlier[:] = x[0]
-        n[:] = x[0]
-        if volts >= 0:
-            earlier_by[:] = by[0]
-            n_by[:] = by[0]
+        for i in range(count):  # a slice's assignment takes a second longer to compile
+            earlier[i] = x[0, i]
+            n[i] = x[0, i]
+            if volts >= 0:
+                earlier_by[i] = by[0, i]
+                n_by[i] = by[0, i]
     dg = np.zeros(theta.size)
     g = 0.0
     for i in range(count):
@@ -125,7 +126,7 @@ def run(x, by, y, theta, dt, integrates, resting, out, slopes):  # type: ignore[
     d_trim = np.zeros(theta.size)
     d_trim[4] = 1.0
     if not integrates:
-        d_rate[:] = dg
+        d_rate += dg
         d_rate[4] += 1.0
     for k in range(rows):
         out[k, 0] = rate
@@ -202,8 +203,11 @@ def run(x, by, y, theta, dt, integrates, resting, out, slopes):  # type: ignore[
 
 
 def driven(x: FloatArray, theta: FloatArray, volts: FloatArray | None) -> FloatArray:
-    """(N, n) commands as the motors feel them; volts (N,) are logarithms of the voltage over its mean."""
-    return x if volts is None else x * np.exp(theta[-1] * volts)[:, None]
+    """(N, n) commands as the motors feel them; volts (N,) are logarithms of the voltage over its mean.
+
+    Row by row in memory, whatever came: `run` is then compiled once.
+    """
+    return np.ascontiguousarray(x if volts is None else x * np.exp(theta[-1] * volts)[:, None])
 
 
 def predictions(

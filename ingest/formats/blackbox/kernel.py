@@ -394,11 +394,13 @@ def walk(
             _keep(tables.main, tables.main_us, tables.main_span, state.main, values, us, at, end)
             state.main += 1
         elif kind == SLOW:
-            history[place, : program.size[SLOW]] = values[: program.size[SLOW]]
+            for field in range(program.size[SLOW]):  # slices take seconds longer to compile
+                history[place, field] = values[field]
             _keep(tables.slow, tables.slow_us, tables.slow_span, state.slow, values, state.us, at, end)
             state.slow += 1
         elif kind == GPS:
-            history[place, : program.size[GPS]] = values[: program.size[GPS]]
+            for field in range(program.size[GPS]):  # slices take seconds longer to compile
+                history[place, field] = values[field]
             us = state.us
             if state.gps_time_at >= 0 and us >= 0:
                 us = unwrapped(values[state.gps_time_at], us)
