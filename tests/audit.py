@@ -16,6 +16,7 @@ import sys
 import tomllib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cache
 from importlib import metadata
 from pathlib import Path
 
@@ -99,6 +100,7 @@ def licence_of(found: metadata.Distribution) -> str:
     return "; ".join(stated("License-Expression") or classifiers or text[:1])
 
 
+@cache
 def packages() -> list[Package]:
     """Everything that is installed because of flysid, by name."""
     wanted = project()

@@ -14,7 +14,10 @@ DRIVER = shutil.which("chromedriver")
 FLAGS = (
     "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--hide-scrollbars",
     "--disable-background-networking", "--disable-component-update", "--disable-sync",
-    "--window-size=1280,1000",
+    "--window-size=1280,1000", "--disable-extensions",
+    # one site, one process: else every page that is opened begins two
+    "--process-per-site", "--disable-site-isolation-trials",
+    "--disable-features=IsolateOrigins,site-per-process,SpareRendererForSitePerProcess",
 )  # fmt: skip
 
 needs_browser = pytest.mark.skipif(

@@ -16,6 +16,7 @@ from flysid.validate.compare_models import across_channels, compare
 from flysid.validate.report import ReportContext, Sweep, write_report
 from tests.browser import needs_browser, opened
 from tests.fakes import FirstOrder, flown
+from tests.flysid.studio.page import until
 from tests.validate.test_report import HOSTILE, hostile_context
 
 pytestmark = needs_browser
@@ -62,7 +63,7 @@ def test_charts_wait_until_they_are_near(browser: Any, page: Path) -> None:
 def test_no_request_no_error_every_panel_drawn(browser: Any, page: Path) -> None:
     assert opened(browser, page) == []
     assert page.stat().st_size < 1_500_000
-    assert browser.execute_script("return document.documentElement.dataset.ready") == "yes"
+    until(lambda: browser.execute_script("return document.documentElement.dataset.ready") == "yes")
     for i in range(3):
         browser.execute_script(f"document.querySelectorAll('#tabs button')[{i}].click()")
         scroll_to_charts(browser)

@@ -104,7 +104,7 @@ def test_every_structure_in_c_equals_its_program_exactly_and_the_model_closely(
 ) -> None:
     model = fitted(name)
     program = program_of(model)
-    u = inputs(model, 4_000)
+    u = inputs(model, 1_000)
     found = run_in_c(program, u, tmp_path / "double")
     assert np.array_equal(found, run(program, u)[0])
     free = model.simulate(u)

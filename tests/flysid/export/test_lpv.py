@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import io
 import json
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import control
@@ -57,10 +59,10 @@ def test_weights_sum_to_one_and_far_outside_too() -> None:
         assert (w >= 0.0).all()
 
 
-@pytest.mark.parametrize("model", [curved("rate"), bent()], ids=["thrust curve", "terms"])
-def test_products_are_no_affine_system(model: Fitted) -> None:
+@pytest.mark.parametrize("made", [partial(curved, "rate"), bent], ids=["thrust curve", "terms"])
+def test_products_are_no_affine_system(made: Callable[[], Fitted]) -> None:
     with pytest.raises(UsageError, match="products, magnitudes or signs of signals"):
-        to_lpv(model)
+        to_lpv(made())
 
 
 def test_several_systems_are_no_linear_one() -> None:
