@@ -35,7 +35,7 @@ DT_S = 0.02
 SECONDS = 180.0
 BAND_HZ = (0.05, 8.0)
 BAND_RAD_S = (0.6, 50.0)
-PEAKS = (8.0, 8.0, 1.0)
+PEAKS = (8.0, 8.0, 0.6)
 """Of theta_in, phi_in (deg), vz_in (m/s)."""
 WIND_M_S = 0.25
 INPUTS = (("pitch_effort", ""), ("roll_effort", ""), ("throttle", ""), ("theta_in", "deg"), ("phi_in", "deg"),

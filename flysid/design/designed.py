@@ -30,6 +30,9 @@ SAID = {
 """Laws of a design in the order in which they are told."""
 
 
+WAY_BACK = "The old gains are in old.param, beside new.param."
+
+
 @dataclass(frozen=True)
 class DesignMeaning:
     """What a law means over all plants: the smallest and the largest of each figure.
@@ -166,7 +169,7 @@ class Design:
     def caution(self) -> str:
         """What everybody who reads the gains must know."""
         if self.new:
-            return SAFETY
+            return f"{SAFETY} {WAY_BACK}"
         return f"No new.param: without the present gains (--old FILE) there is no way back. {SAFETY}"
 
     def to_dict(self) -> dict[str, Any]:
@@ -198,6 +201,7 @@ class Design:
                     f"For the next flight only, of {self.run}: no gain more than doubled or halved. {whose}",
                     changed,
                     SAFETY,
+                    WAY_BACK,
                 ),
             )
         return found

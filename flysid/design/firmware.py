@@ -29,8 +29,7 @@ from flysid.errors import DataError, UsageError
 SAFETY = (
     "Calculated from a model of past flights; not tested on your vehicle. Margins hold for the models "
     "listed, below saturation. Fly first in SITL; then in calm air, high, with a switch back to the old "
-    "gains (old.param is beside this file) and one axis at a time. Do not fly gains that you could not "
-    "explain."
+    "gains and one axis at a time. Do not fly gains that you could not explain."
 )
 Parameters = Mapping[str, float]
 
