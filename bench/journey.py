@@ -33,6 +33,8 @@ SIMULATED = {
     ".tlog": ("tlog", SYNTHETIC, "--recipe ardrone-synthetic"),
     ".mcap": ("mcap", SYNTHETIC, "--recipe ardrone-synthetic"),
 }
+ROOT = Path(__file__).resolve().parents[1]
+"""What is measured, whatever version is installed beside it."""
 BLACKBOX = "hiro_highP_highD.bfl"
 PR_SET_CHILD_SUBREAPER = 36  # of Linux' prctl.h
 
@@ -63,7 +65,7 @@ def run(command: str, folder: Path) -> Step:
         cwd=folder,
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
-        env=os.environ | {"PYTHONUNBUFFERED": "1"},
+        env=os.environ | {"PYTHONUNBUFFERED": "1", "PYTHONPATH": str(ROOT)},
     )
     assert child.stdout is not None
     first_s = None

@@ -55,7 +55,7 @@ def of_which(comparisons: Mapping[str, Comparison]) -> list[str]:
         return []
     return [
         "RMSE, FIT and VAF are of all held-out samples together.",
-        "CHANGE is on a typical flight (geometric mean of the flights' ratios), not the quotient of two RMSE.",
+        "CHANGE is of a typical flight (geometric mean of the flights' ratios), not a quotient of two RMSE.",
     ]
 
 
