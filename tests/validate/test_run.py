@@ -192,9 +192,9 @@ def test_other_forms_of_the_judgement_tell_the_same_numbers(judgement: Judgement
     assert json.loads(judgement.text("json")) == judgement.document
     assert f"| arx | {number(rmse)} m/s |" in judgement.text("markdown")
     grave = [c.text for c in judgement.cautions if c.level in ("danger", "warning")]
-    assert [line for line in judgement.table.splitlines() if line.startswith("caution: ")] == [
-        f"caution: {c.text} Try: {c.todo}" for c in judgement.cautions if c.text in grave
-    ]
+    told = " ".join(judgement.table.split())  # folded to the width of a terminal
+    assert [text for text in grave if told.count(f"caution: {text} Try: ") != 1] == []
+    assert told.count("caution: ") == len(grave)
     assert all(text in judgement.text("markdown").replace("\\", "") for text in grave)
     held = judgement.comparisons[CHANNEL]
     still = replace(held.test, segments=tuple(replace(s, u=0.0 * s.u) for s in held.test.segments))
