@@ -91,7 +91,8 @@ def to_markdown(
         f"- **{_escape(name)}**: {_sentence(cells, _escape)}" for name, *cells in summary_cells(comparisons)
     ]
     said += [f"- **{_escape(name)}**: not judged: {_escape(why)}" for name, why in (skipped or {}).items()]
-    said += [f"- {line}" for line in of_which(comparisons)]
+    which = " ".join(of_which(comparisons))
+    said += [f"- {which}"] if which else []
     if cautions:
         said += ["", "Before you rely on this:", ""]
         said += [f"- {c.level}: {_escape(f'{c.text} {c.todo}'.strip())}" for c in cautions]

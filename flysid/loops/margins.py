@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -19,6 +19,7 @@ TRUSTED = 0.4
 NEIGHBOURS = 7  # lines: one that the sticks happened to leave out ends no band
 POWERS = 5  # of ln f, from 0 on: four of them bend the crossover of a plant with a lag by a standard error
 OCTAVES = (4.0, 3.0, 2.0)  # of one such curve: the fewer the less bend, and the more scatter
+LEAST_MS = 1.0
 CLEAR = np.sqrt(2.0)
 """The band goes on half an octave beyond what is told of its upper part. Nearer to its end, where the sticks
 fade, the plant's gain comes out too large by up to its error, and flights that reach a figure there at all
@@ -56,7 +57,8 @@ class Margins:
     crossover_hz, phase_deg, gain_db, delay_ms : where the loop's gain is one; margins there and at -180 deg.
         Where the loop reaches -180 deg above the band, the gain margin exceeds what its gain leaves at the
         band's end.
-    ms : the largest sensitivity inside the band: how much disturbances grow at worst.
+    ms : the largest sensitivity inside the band: how much disturbances grow at worst. Never below 1, to which
+        every loop's tends where its gain fades.
     bandwidth_hz : where the answer to the setpoint falls to -3 dB.
     noise : the largest gain from measurement noise to the controller's output, inside the band.
     """
@@ -124,10 +126,10 @@ def margins(loop: Loop, controller: Controller) -> Margins:
     turned = np.append(every[:, -1], one[-1])
     one = one[:-1]
     reach = _reach(one, more[:-1], every[:, :-1], blocks)
-    named = [_figure(value, wide, beyond) for value, wide in zip(one, reach, strict=True)]
+    least = (0.0, 0.0, 0.0, 0.0, LEAST_MS, 0.0, 0.0)
+    named = [_figure(*figure, beyond) for figure in zip(one, reach, least, strict=True)]
     if not turned.max() < high / CLEAR:
         named[2] = _at_least(one[2] - reach[2], named[2].why or beyond)
-    named[4] = replace(named[4], low=max(named[4].low, 1.0))  # S is one where the loop has faded away
     return Margins((low, high), *named)
 
 
@@ -299,13 +301,14 @@ def _reach(one: FloatArray, more: FloatArray, every: FloatArray, blocks: int) ->
     return np.asarray(stdtrit(blocks - 1, 0.975) * np.hypot(scatter, np.nan_to_num(more - one)))
 
 
-def _figure(value: float, reach: float, beyond: str) -> Figure:
-    """With its interval, or why there is none."""
+def _figure(value: float, reach: float, least: float, beyond: str) -> Figure:
+    """With its interval, nothing of it below the least that the figure can be; or why there is none."""
     if np.isnan(value) or np.isnan(reach):
         return Figure(None, why=beyond)
     if value <= reach:
         return Figure(None, why="the measurement scatters too much; fly longer, in calmer air")
-    return Figure(float(value), float(value - reach), float(value + reach))
+    told, low, high = (max(float(v), least) for v in (value, value - reach, value + reach))
+    return Figure(told, low, high)
 
 
 def _at_least(low: float, why: str) -> Figure:

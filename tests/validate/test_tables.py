@@ -49,7 +49,7 @@ def test_markdown_is_one_table_whatever_the_names() -> None:
     calm = to_markdown({"roll": compared()}).splitlines()
     assert calm[0].startswith("- **roll**: TS better (one rule: linear); free run: RMSE 0.")
     assert calm[1].startswith(
-        "- RMSE, FIT and VAF: of all held-out samples together. CHANGE: on a typical flight"
+        "- RMSE, FIT and VAF are of all held-out samples together. CHANGE is of a typical"
     )
     assert calm[5].startswith("| roll | free run | ts | 0.0")
     evil = to_markdown({EVIL: compared(EVIL)})

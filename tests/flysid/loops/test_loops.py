@@ -18,7 +18,7 @@ from flysid.cli.gains import command
 from flysid.errors import DataError
 from flysid.loops.controller import betaflight, refuse_misfit
 from flysid.loops.judged import judge
-from flysid.loops.margins import LEAST_MS, _figure, _figures, margins, trusted_band
+from flysid.loops.margins import LEAST_MS, _figure, margins, trusted_band
 from flysid.loops.prediction import predict
 from flysid.loops.stick_response import Loop, plant
 from tests.flysid.loops.autopilots import ardupilot_log, px4_log
@@ -222,6 +222,6 @@ def test_no_sensitivity_is_told_to_peak_below_one() -> None:
     vehicle = Vehicle()
     inside = np.abs(1.0 / (1.0 + vehicle.response(f) * PID.feedback(f)))
     assert inside.max() < LEAST_MS
-    assert _figures(f, vehicle.response(f), PID.feedback(f), PID.reference(f))[4] == LEAST_MS
     found = _figure(1.1, 0.3, LEAST_MS, "beyond the band")
     assert (found.low, found.high) == (LEAST_MS, pytest.approx(1.4))
+    assert _figure(float(inside.max()), 0.1, LEAST_MS, "beyond the band").value == LEAST_MS
