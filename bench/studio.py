@@ -19,7 +19,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +29,7 @@ import pyarrow as pa
 from flysid.flight import BOOT, TIME, ClockMap, Damage, Source
 from flysid.ingest.lake.workers import anonymous_bytes
 from flysid.store import create_data_folder, write_flight
-from tests.browser import launch
+from tests.browser import ONE_PROCESS, launch
 from tests.flysid.studio.server import Server, studio
 
 PIXELS = 1200
@@ -38,6 +38,10 @@ PERIOD_NS = 1_000_000
 SPIKE = 1e7
 FRESH = 5  # servers that have seen nothing
 ENDED = ("done", "failed", "cancelled", "interrupted")
+BROWSERS = {
+    "a browser that has a process for the studio's pages": (),
+    "a browser that begins one for every page": ONE_PROCESS,
+}
 MOST_FRESH = 10**7  # samples that are read anew for each of them
 
 
@@ -345,14 +349,25 @@ def main() -> None:
 
         if not words.only:
             at_the_server(data, samples, words.people)
-        browser = launch(Path(place) / "profile")
-        try:
-            if words.only != "drop":
-                at_the_page(data, samples, browser)
-            for number, log in enumerate(words.log if words.only != "page" else []):
-                drop(Path(place) / f"dropped-{number}", log, browser)
-        finally:
-            browser.quit()
+        if words.only != "drop":
+            for title, without in BROWSERS.items():
+                print(title)
+                with browsing(Path(place) / title, without) as browser:
+                    at_the_page(data, samples, browser)
+        if words.only != "page":
+            with browsing(Path(place) / "profile") as browser:
+                for number, log in enumerate(words.log):
+                    drop(Path(place) / f"dropped-{number}", log, browser)
+
+
+@contextmanager
+def browsing(profile: Path, without: tuple[str, ...] = ()) -> Iterator[Any]:
+    """Chromium without some of the tests' flags."""
+    browser = launch(profile, without)
+    try:
+        yield browser
+    finally:
+        browser.quit()
 
 
 def at_the_server(data: Path, samples: int, people: int) -> None:

@@ -11,13 +11,15 @@ import pytest
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 DRIVER = shutil.which("chromedriver")
+ONE_PROCESS = (
+    "--process-per-site", "--disable-site-isolation-trials",
+    "--disable-features=IsolateOrigins,site-per-process,SpareRendererForSitePerProcess",
+)  # fmt: skip
+"""One site, one process: else every page that is opened begins two."""
 FLAGS = (
     "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--hide-scrollbars",
     "--disable-background-networking", "--disable-component-update", "--disable-sync",
-    "--window-size=1280,1000", "--disable-extensions",
-    # one site, one process: else every page that is opened begins two
-    "--process-per-site", "--disable-site-isolation-trials",
-    "--disable-features=IsolateOrigins,site-per-process,SpareRendererForSitePerProcess",
+    "--window-size=1280,1000", "--disable-extensions", *ONE_PROCESS,
 )  # fmt: skip
 
 needs_browser = pytest.mark.skipif(
