@@ -30,7 +30,7 @@ class Channels {
       picked: (recipe) => { this.untick(recipe); this.draw(); },
       changed: () => { this.aligned.clear(); this.stripped = ""; this.draw(); },
     });
-    this.matrix = el("div", { class: "scroll" });
+    this.matrix = el("div", { class: "scroll", role: "region", "aria-label": "Flights and channels", tabindex: 0 });
     this.strips = el("section", { class: "strips", "aria-label": "Segments of the ticked flights" });
     this.cell = el("section", { class: "opened" });
     this.work = el("div", { class: "work" }, el("h1", {}, "What these flights can identify"),

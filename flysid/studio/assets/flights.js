@@ -144,7 +144,7 @@ export async function showFlights(main, query, stay) {
     const table = el("table", {}, el("tbody", {}, rows.slice(0, 500).map(([at, kind, text]) => el("tr", {},
       el("td", {}, el("button", { onclick: () => { plots.look(at - 5, at + 5); plots.mark(0, at); } }, plain(at) + " s")),
       el("td", {}, kind), el("td", {}, text)))));
-    events.append(el("div", { class: "scroll" }, table));
+    events.append(el("div", { class: "scroll", role: "region", "aria-label": "Events", tabindex: 0 }, table));
   }
 
   async function drawMap(at) {

@@ -19,7 +19,7 @@ class Runs {
     this.filter = el("input", { type: "search", "aria-label": "Find runs", placeholder: "recipe, verdict, ...", value: query.get("q") || "", oninput: () => this.changed() });
     this.differ = el("input", { type: "checkbox", checked: query.get("d") === "1", onchange: () => this.changed() });
     this.compare = el("button", { onclick: guarded(() => this.compared()) });
-    this.table = el("div", { class: "scroll" });
+    this.table = el("div", { class: "scroll", role: "region", "aria-label": "Runs", tabindex: 0 });
     this.below = el("section", { class: "run" });
     main.append(el("div", { class: "work" }, el("h1", {}, "Runs"),
       el("div", { class: "tools" }, this.filter, el("label", { class: "tick" }, this.differ, "only what differs"), this.compare), this.table,
