@@ -25,7 +25,7 @@ class Channels {
     this.parts = new Parts(query.getAll("x"), query.getAll("h"), () => this.partsChanged());
     this.fit = new FitPanel({
       recipes, query, parts: this.parts, stay,
-      chosen: () => [...this.ticked].map((id) => id.split("|")),
+      chosen: () => [...this.ticked].sort().map((id) => id.split("|")), // the same ticks, the same command, whichever flight was looked at first
       all: (ids) => ids.length === flights.length && count <= flights.length,
       picked: (recipe) => { this.untick(recipe); this.draw(); },
       changed: () => { this.aligned.clear(); this.stripped = ""; this.draw(); },
