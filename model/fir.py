@@ -9,7 +9,7 @@ order has to be chosen, and many taps on few data do no harm. The model is unbia
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -30,6 +30,8 @@ from flysid.model.threads import on_one_thread
 MOST_TAPS = 120
 DECAYS = (0.3, 0.5, 0.65, 0.75, 0.82, 0.88, 0.92, 0.95, 0.97, 0.985, 0.995)
 SCALES = tuple(10.0 ** np.arange(-4.0, 12.1, 0.5))
+LEAST_REST = 1e-12
+"""Of the output's power: less cannot be left over but by rounding."""
 
 
 @dataclass(frozen=True)
@@ -151,28 +153,50 @@ def posterior_of(gram: FloatArray, rows: float, output: int, shape: tuple[int, i
     inner = gram[:n, :n]
     cross = gram[:n, n + output]
     power = float(gram[n + output, n + output])
-    best: tuple[float, float, float, float] | None = None
-    for decay in DECAYS:
-        root = kernel_root(taps, n_u, decay)
-        values, vectors = np.linalg.eigh(root.T @ inner @ root)
-        values = np.maximum(values, 0.0)
-        rotated = vectors.T @ (root.T @ cross)
-        for weight in SCALES:  # prior variance of the first tap in noise variances
-            damped = weight / (1.0 + weight * values)
-            rest = max(power - float(damped @ rotated**2), 1e-12 * power)
-            likelihood = -rows * np.log(rest / rows) - float(np.sum(np.log1p(weight * values)))
-            if best is None or likelihood > best[0]:
-                best = (likelihood, decay, weight, rest / rows)
-    if best is None or not np.isfinite(best[0]):
+    best = (-np.inf, 0.0, 0.0, 0.0)
+    for decay, weight, explained, size in explained_by_priors(inner, cross, shape):
+        rest = max(power - explained, LEAST_REST * power)
+        likelihood = -rows * np.log(rest / rows) - size
+        if likelihood > best[0]:
+            best = (likelihood, decay, weight, rest / rows)
+    likelihood, decay, weight, variance = best
+    refuse_extreme(likelihood)
+    mean, covariance = under_prior(kernel_root(taps, n_u, decay) * np.sqrt(weight), inner, cross)
+    words = f"decay {decay:g} per sample, noise {np.sqrt(variance):.3g} standard deviations of the output"
+    return Posterior(mean, covariance * variance, words)
+
+
+def refuse_extreme(likelihood: float) -> None:
+    """Raises FitError where the best of all priors has no likelihood."""
+    if not np.isfinite(likelihood):
         raise FitError(
             "the impulse response could not be estimated", hint="check the data for extreme values"
         )
-    _, decay, weight, variance = best
-    root = kernel_root(taps, n_u, decay) * np.sqrt(weight)
-    inverse = np.linalg.inv(np.eye(n) + root.T @ inner @ root)
+
+
+def explained_by_priors(
+    inner: FloatArray, cross: FloatArray, shape: tuple[int, int]
+) -> Iterator[tuple[float, float, float, float]]:
+    """(decay, weight, explained, size) of every TC prior of the taps.
+
+    `weight` is the prior variance of the first tap in noise variances, `explained` the part of the output's
+    power that the taps take, `size` the logarithm of the determinant that the marginal likelihood pays.
+    """
+    for decay in DECAYS:
+        root = kernel_root(*shape, decay)
+        values, vectors = np.linalg.eigh(root.T @ inner @ root)
+        values = np.maximum(values, 0.0)
+        rotated = (vectors.T @ (root.T @ cross)) ** 2
+        for weight in SCALES:
+            explained = float((weight / (1.0 + weight * values)) @ rotated)
+            yield decay, weight, explained, float(np.sum(np.log1p(weight * values)))
+
+
+def under_prior(root: FloatArray, inner: FloatArray, cross: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Mean of the taps under a prior covariance root rootᵀ, and their covariance in noise variances."""
+    inverse = np.linalg.inv(np.eye(root.shape[1]) + root.T @ inner @ root)
     covariance = root @ inverse @ root.T
-    words = f"decay {decay:g} per sample, noise {np.sqrt(variance):.3g} standard deviations of the output"
-    return Posterior(covariance @ cross, covariance * variance, words)
+    return covariance @ cross, covariance
 
 
 def kernel_root(taps: int, n_u: int, decay: float) -> FloatArray:

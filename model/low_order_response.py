@@ -19,7 +19,14 @@ from scipy.signal import lfilter
 
 from flysid.dataset import FloatArray
 from flysid.errors import FitError
-from flysid.model.fir import DECAYS, SCALES, Posterior, kernel_root
+from flysid.model.fir import (
+    LEAST_REST,
+    Posterior,
+    explained_by_priors,
+    kernel_root,
+    refuse_extreme,
+    under_prior,
+)
 from flysid.model.refine import levenberg_marquardt
 
 MOST_ORDER = 3
@@ -70,10 +77,7 @@ def averaged_posterior(gram: FloatArray, rows: float, shape: tuple[int, int]) ->
         if found is not None:
             tried += _likelihoods(data, found)
     best = max(likelihood for likelihood, _ in tried)
-    if not np.isfinite(best):
-        raise FitError(
-            "the impulse response could not be estimated", hint="check the data for extreme values"
-        )
+    refuse_extreme(best)
     shares = [(np.exp(0.5 * (likelihood - best)), prior) for likelihood, prior in tried]
     kept = [(share, prior) for share, prior in shares if share > NEGLIGIBLE]
     total = sum(share for share, _ in kept)
@@ -91,19 +95,12 @@ def _likelihoods(data: _Data, directions: FloatArray) -> Iterator[tuple[float, _
     price = directions.shape[1] * np.log1p(data.rows)
     if directions.shape[1]:
         yield _score(data, power) - price, _Prior(directions, 0.0, 0.0)
-    for decay in DECAYS:
-        root = kernel_root(*data.shape, decay)
-        values, vectors = eigh(root.T @ inner @ root)
-        values = np.maximum(values, 0.0)
-        rotated = (vectors.T @ (root.T @ cross)) ** 2
-        for weight in SCALES:
-            rest = power - float((weight / (1.0 + weight * values)) @ rotated)
-            size = float(np.sum(np.log1p(weight * values)))
-            yield _score(data, rest) - size - price, _Prior(directions, decay, weight)
+    for decay, weight, explained, size in explained_by_priors(inner, cross, data.shape):
+        yield _score(data, power - explained) - size - price, _Prior(directions, decay, weight)
 
 
 def _score(data: _Data, rest: float) -> float:
-    return -data.rows * float(np.log(max(rest, 1e-12 * data.power) / data.rows))
+    return -data.rows * float(np.log(max(rest, LEAST_REST * data.power) / data.rows))
 
 
 def _without(data: _Data, directions: FloatArray) -> tuple[FloatArray, FloatArray, float]:
@@ -127,11 +124,8 @@ def _posterior(data: _Data, prior: _Prior) -> Posterior:
         roots.append(one * np.sqrt(data.rows))
     if prior.weight > 0.0:
         roots.append(kernel_root(*data.shape, prior.decay) * np.sqrt(prior.weight))
-    root = np.hstack(roots)
-    inverse = np.linalg.inv(np.eye(root.shape[1]) + root.T @ data.inner @ root)
-    covariance = root @ inverse @ root.T
-    mean = covariance @ data.cross
-    rest = max(data.power - float(data.cross @ mean), 1e-12 * data.power)
+    mean, covariance = under_prior(np.hstack(roots), data.inner, data.cross)
+    rest = max(data.power - float(data.cross @ mean), LEAST_REST * data.power)
     return Posterior(mean, covariance * rest / data.rows, "")
 
 

@@ -102,15 +102,21 @@ class ChannelTransfers:
     def is_looped(self, output: int) -> bool:
         """The input answers this output, and no reference was named: the response need not be the plant's."""
         measured = self.measured[output]
-        view = self.views[output] if self.views else None
+        view = self._view(output)
         seen = view is not None and measured is not None and view.seen(measured)
         return seen or (bool(self.loops) and self.loops[output].closed)
+
+    def _view(self, output: int) -> LoopView | None:
+        """Whose the measured response is, where that can be told."""
+        return self.views[output] if self.views else None
 
     def _follows(self, output: int) -> list[tuple[float, float]]:
         """Bands (rad/s) in which the measured response is -1 / controller; none in open loop."""
         measured = self.measured[output]
-        view = self.views[output] if self.views and self.is_looped(output) else None
-        return [] if view is None or measured is None else view.follows(measured)
+        view = self._view(output)
+        if view is None or measured is None or not self.is_looped(output):
+            return []
+        return view.follows(measured)
 
     def band(self, output: int, source: int) -> tuple[float, float] | None:
         """Where to trust the response, rad/s; None where nowhere."""
@@ -119,7 +125,7 @@ class ChannelTransfers:
             return None
         if not self.is_looped(output):
             return measured.band(source)
-        view = self.views[output] if self.views else None
+        view = self._view(output)
         return None if view is None else measured.band(source, view.plants)
 
     def response(

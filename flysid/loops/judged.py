@@ -190,11 +190,13 @@ KINDS = (
 )
 
 
-Stating = tuple[Any, Mapping[str, Any] | DataError | UsageError]
-"""A log, and its settings or why it has none."""
+Settings = Mapping[str, Any] | DataError | UsageError
+"""What a log states, or why it states nothing that is known."""
+Stating = tuple[Any, Settings]
+"""A log, and what it states."""
 
 
-def _stated(settings: Mapping[str, Any] | DataError | UsageError) -> Mapping[str, Any]:
+def _stated(settings: Settings) -> Mapping[str, Any]:
     if isinstance(settings, Exception):
         raise settings
     return settings
@@ -251,7 +253,7 @@ def _flown_alike(logs: Iterable[Any], axes: Iterable[str]) -> list[tuple[str, li
     return found
 
 
-def _settings(log: Any) -> Mapping[str, Any] | DataError | UsageError:
+def _settings(log: Any) -> Settings:
     """What a log states, or why it states nothing that is known."""
     try:
         return _kind(log).settings(log)
@@ -259,7 +261,7 @@ def _settings(log: Any) -> Mapping[str, Any] | DataError | UsageError:
         return error
 
 
-def _gains_key(log: Any, settings: Mapping[str, Any] | DataError | UsageError, axis: str) -> tuple[Any, ...]:
+def _gains_key(log: Any, settings: Settings, axis: str) -> tuple[Any, ...]:
     """Equal for flights of the same gains."""
     kind = _kind(log)
     if isinstance(settings, Exception):

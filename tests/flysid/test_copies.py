@@ -278,7 +278,8 @@ RATES: dict[str, Recorder] = {
 @pytest.mark.parametrize("case", [*MOVED, *RATES])
 def test_copies_among_very_many_flights_share_a_window(case: str, part: float) -> None:
     rng = np.random.default_rng(len(case))
-    known, held = [], []
+    known = []
+    held = []
     for k in range(8):
         u, y = short(k, 800)
         known.append(Segment(u, y, flight=f"known {k}"))

@@ -59,7 +59,8 @@ def most_telling(comparison: Comparison, trials: Sequence[StructureTrial], outpu
 def different(comparison: Comparison, trials: Sequence[StructureTrial], output: int) -> list[tuple[str, str]]:
     """(model, CSS class) of the models drawn; the first alone where both have one free run."""
     both = drawn(comparison)
-    first, last = both[0][0], both[-1][0]
+    first = both[0][0]
+    last = both[-1][0]
     if all(np.allclose(t.yh[first][:, output], t.yh[last][:, output], atol=0.0) for t in trials):
         return both[:1]
     return both

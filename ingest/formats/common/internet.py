@@ -180,7 +180,8 @@ class Fragments:
         Without its first fragment nothing tells whose a datagram was.
         """
         old = list(islice(self._pending, max(len(self._pending) - most, 0)))
-        given, self._left = [*self._left, *map(self._pending.pop, old)], []
+        given = [*self._left, *map(self._pending.pop, old)]
+        self._left = []
         return [
             (IpPacket(held.first.protocol, held.first.hosts, _beginning(held.parts)), held.place)
             for held in given

@@ -137,7 +137,8 @@ def _is_believed(view: memoryview, at: int, style: _Style) -> bool:
             return False
         if head.end == len(view):
             return True
-        at, last_s = head.end, head.seconds
+        at = head.end
+        last_s = head.seconds
     return True
 
 
@@ -147,21 +148,24 @@ def _recover(view: memoryview, at: int, known: tuple[_Style, int], tally: Tally)
     One near in time comes first, where it lies no further than a record is long: heads read from a wrong
     place may agree with each other, too.
     """
-    style, last_s = known
     last = len(view) - RECORD_HEAD_BYTES + 1
-    near = range(at + 1, min(at + MAX_CAPTURED, last))
-    for places, is_far in ((near, False), (range(at + 1, last), True)):
-        for place in places:
-            head = _record(view, place, style)
-            if head is None or head.end - place < LEAST_RECORD:
-                continue
-            if (
-                _is_followed(view, head, style)
-                if _is_near(head, last_s)
-                else is_far and _is_believed(view, place, style)
-            ):
-                tally.skip(at, place, "no record here")
-                return place
+    near = (place for place in range(at + 1, min(at + MAX_CAPTURED, last)) if _resumes(view, place, known))
+    anywhere = (place for place in range(at + 1, last) if _resumes(view, place, known, far=True))
+    place = next(near, None) or next(anywhere, None)
+    if place is not None:
+        tally.skip(at, place, "no record here")
+        return place
     tally.truncated = True
     tally.skip(at, len(view), "cut off inside a record")
     return len(view)
+
+
+def _resumes(view: memoryview, at: int, known: tuple[_Style, int], *, far: bool = False) -> bool:
+    """Whether a record that others, or the end, follow begins here; with `far` one of another time, too."""
+    style, last_s = known
+    head = _record(view, at, style)
+    if head is None or head.end - at < LEAST_RECORD:
+        return False
+    if _is_near(head, last_s):
+        return _is_followed(view, head, style)
+    return far and _is_believed(view, at, style)

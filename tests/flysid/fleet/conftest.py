@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from itertools import count
 
 import pytest
@@ -12,6 +12,12 @@ from tests.gcsserver import BUCKET, GoogleServer, google
 from tests.s3server import S3Server, seaweedfs
 
 _numbers = count()
+
+
+def _reach(environment: Mapping[str, str], monkeypatch: pytest.MonkeyPatch) -> None:
+    """The variables by which clients find a server and its credentials."""
+    for name, value in environment.items():
+        monkeypatch.setenv(name, value)
 
 
 @pytest.fixture(scope="session")
@@ -33,8 +39,7 @@ def s3_server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[S3Server]:
 @pytest.fixture
 def bucket(s3_server: S3Server, monkeypatch: pytest.MonkeyPatch) -> str:
     """The address of an empty folder, with the environment that reaches it."""
-    for name, value in s3_server.environment.items():
-        monkeypatch.setenv(name, value)
+    _reach(s3_server.environment, monkeypatch)
     return f"s3://tests/{next(_numbers)}"  # one bucket: the server keeps room for each
 
 
@@ -52,8 +57,7 @@ def azure_server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[AzureServ
 @pytest.fixture
 def container(azure_server: AzureServer, monkeypatch: pytest.MonkeyPatch) -> str:
     """The address of an empty folder on Azure, with the environment that reaches it."""
-    for name, value in azure_server.environment.items():
-        monkeypatch.setenv(name, value)
+    _reach(azure_server.environment, monkeypatch)
     return f"az://{CONTAINER}/{next(_numbers)}"
 
 
@@ -69,8 +73,7 @@ def google_server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[GoogleSe
 @pytest.fixture
 def google_bucket(google_server: GoogleServer, monkeypatch: pytest.MonkeyPatch) -> str:
     """The address of an empty folder on Google's, with the environment that reaches it."""
-    for name, value in google_server.environment.items():
-        monkeypatch.setenv(name, value)
+    _reach(google_server.environment, monkeypatch)
     return f"gs://{BUCKET}/{next(_numbers)}"
 
 
