@@ -17,6 +17,7 @@ from socket import IPPROTO_TCP, IPPROTO_UDP
 
 from flysid.ingest.formats.common import pcap, pcapng
 from flysid.ingest.formats.common.internet import Fragments, HeaderError, IpPacket, ip_packet
+from flysid.ingest.formats.common.located import Located
 from flysid.ingest.formats.common.pcap import Packet
 from flysid.ingest.formats.common.tally import Tally
 
@@ -38,6 +39,8 @@ class LinkType(IntEnum):
 
 UDP_BYTES = 8  # of a header
 TCP_BYTES = 20
+SYN = 2  # the flag of a TCP header that opens a connection
+SEQUENCES = 1 << 32  # of the bytes of a TCP stream
 REPEAT_NS = 10 * 10**6  # MAVLink's 256 numbers come round within 10 ms only at 25,600 frames a second
 MOST_SEEN = 4096
 VLAN_TYPES = (0x8100, 0x88A8)
@@ -60,23 +63,28 @@ class Payload:
 
     Attributes
     ----------
-    at : where its (first) record begins in the file.
     time_ns : when it was captured.
     flow : protocol, addresses and ports: who sends to whom.
     source_port, target_port : of these.
-    content : the bytes.
+    body : the bytes, and where in the file they lie.
     sequence : of TCP, the number of the first byte; None of UDP.
+    opens : of TCP, whether a connection begins here.
     identity : of the IP packet, by its sender; b"" where it has none.
     """
 
-    at: int
     time_ns: int
     flow: bytes
     source_port: int
     target_port: int
-    content: bytes
+    body: Located
     sequence: int | None = None
+    opens: bool = False
     identity: bytes = b""
+
+    @property
+    def content(self) -> bytes:
+        """The bytes alone."""
+        return self.body.data
 
 
 def is_capture(head: bytes) -> bool:
@@ -100,7 +108,7 @@ def payloads(view: memoryview, tally: Tally) -> Iterator[Payload]:
     seen = _Seen()
     pending = Fragments()
     for packet in read(view, tally):
-        found = _whole(packet, bytes(view[packet.start : packet.stop]), pending, tally)
+        found = _whole(packet, view, pending, tally)
         for carried in (found, *pending.given_up()):
             yield from seen.first_sights(_carried(carried, tally), tally)
     for cut in pending.given_up(0):
@@ -155,52 +163,55 @@ def _ip_start(frame: bytes, link: int) -> int:
     return at + 2 if frame[at : at + 2] in IP_TYPES else -1
 
 
-def _whole(
-    packet: Packet, frame: bytes, pending: Fragments, tally: Tally
-) -> tuple[IpPacket, tuple[int, int]] | None:
-    """The IP packet of a frame and its place; of fragments, once all are there."""
+def _whole(packet: Packet, view: memoryview, pending: Fragments, tally: Tally) -> tuple[IpPacket, int] | None:
+    """The IP packet of a frame and its time; of fragments, once all are there."""
+    frame = bytes(view[packet.start : packet.stop])
     start = _ip_start(frame, packet.link)
     if start < 0:
         return None
     try:
-        found = ip_packet(frame, start, ONLY_VERSION.get(packet.link, 0))
+        located = Located(frame, ((packet.start, len(frame)),))
+        found = ip_packet(located, start, ONLY_VERSION.get(packet.link, 0))
     except HeaderError as error:
         tally.undecode("packets", 1, str(error))
         return None
     if found is None or found.protocol not in (IPPROTO_UDP, IPPROTO_TCP):
         return None
-    place = (packet.at, packet.time_ns)
     if not found.number:
-        return found, place
+        return found, packet.time_ns
     try:
-        return pending.add(found, place)
+        return pending.add(found, packet.time_ns)
     except HeaderError as error:
         tally.undecode("packets", 1, str(error))
         return None
 
 
-def _carried(found: tuple[IpPacket, tuple[int, int]] | None, tally: Tally) -> Iterator[Payload]:
+def _carried(found: tuple[IpPacket, int] | None, tally: Tally) -> Iterator[Payload]:
     """The payload of a packet; none where it carries nothing."""
     if found is None:
         return
-    packet, place = found
+    packet, time_ns = found
     body = packet.body
-    if len(body) < (UDP_BYTES if packet.protocol == IPPROTO_UDP else TCP_BYTES):
+    head = body.data[:TCP_BYTES]
+    if len(head) < (UDP_BYTES if packet.protocol == IPPROTO_UDP else TCP_BYTES):
         tally.undecode("packets", 1, "a packet that ends in its header")
         return
-    source, target = struct.unpack_from(">2H", body)
-    flow = bytes([packet.protocol]) + packet.hosts + body[:4]
+    source, target = struct.unpack_from(">2H", head)
+    flow = bytes([packet.protocol]) + packet.hosts + head[:4]
     if packet.protocol == IPPROTO_UDP:
-        size = int.from_bytes(body[4:6], "big")
+        size = int.from_bytes(head[4:6], "big")
         if size < UDP_BYTES:
             tally.undecode("packets", 1, "the length of the UDP datagram is less than its header")
             return
-        yield Payload(*place, flow, source, target, body[UDP_BYTES:size], identity=packet.identity)
+        content = body.cut(UDP_BYTES, size)
+        yield Payload(time_ns, flow, source, target, content, identity=packet.identity)
         return
-    start = 4 * (body[12] >> 4)
+    start = 4 * (head[12] >> 4)
     if start < TCP_BYTES:
         tally.undecode("packets", 1, "the length of the TCP header is less than its fields")
         return
-    content = body[start:]
-    if content:
-        yield Payload(*place, flow, source, target, content, int.from_bytes(body[4:8], "big"))
+    content = body.cut(start, len(body))
+    opens = bool(head[13] & SYN)
+    first = (int.from_bytes(head[4:8], "big") + opens) % SEQUENCES  # the opening itself counts as a byte
+    if opens or len(content):
+        yield Payload(time_ns, flow, source, target, content, first, opens)

@@ -10,6 +10,8 @@ from dataclasses import dataclass, field
 from enum import IntEnum
 from itertools import islice
 
+from flysid.ingest.formats.common.located import Located
+
 MAX_PENDING = 64
 MAX_BYTES = 65_535  # of a datagram
 WAIT_NS = 60 * 10**9  # for a missing fragment (RFC 8200, section 4.5)
@@ -45,7 +47,7 @@ class IpPacket:
 
     protocol: int
     hosts: bytes
-    body: bytes
+    body: Located
     offset: int = 0
     more: bool = False
     number: bytes = b""
@@ -56,12 +58,12 @@ class HeaderError(ValueError):
     """A header that is cut, whose checksum or length is wrong, or fragments that overlap."""
 
 
-def ip_packet(frame: bytes, start: int, only: int = 0) -> IpPacket | None:
+def ip_packet(frame: Located, start: int, only: int = 0) -> IpPacket | None:
     """The IP packet that begins at `start`; None where there is none. Raises HeaderError.
 
     `only` : the version that it must be of; 0 where both may be.
     """
-    version = frame[start] >> 4 if len(frame) > start else 0
+    version = frame.data[start] >> 4 if len(frame) > start else 0
     if only and version != only:
         raise HeaderError(f"no IP packet of version {only}")
     if len(frame) < start + {4: V4_BYTES, 6: V6_BYTES}.get(version, 0):
@@ -71,20 +73,21 @@ def ip_packet(frame: bytes, start: int, only: int = 0) -> IpPacket | None:
     return _version_6(frame, start) if version == 6 else None
 
 
-def _version_4(frame: bytes, start: int) -> IpPacket:
-    size = 4 * (frame[start] & 15)
-    if not _is_sound(frame[start : start + size], size):
+def _version_4(frame: Located, start: int) -> IpPacket:
+    size = 4 * (frame.data[start] & 15)
+    head = frame.data[start : start + size]
+    if not _is_sound(head, size):
         raise HeaderError("the checksum of the IP header is wrong")
-    total = int.from_bytes(frame[start + 2 : start + 4], "big") or len(frame) - start  # 0: cut by the card
+    total = int.from_bytes(head[2:4], "big") or len(frame) - start  # 0: cut by the card
     if total < size:
         raise HeaderError("the length of the IP packet is less than its header")
-    flags = int.from_bytes(frame[start + 6 : start + 8], "big")
+    flags = int.from_bytes(head[6:8], "big")
     is_part = flags & 0x3FFF  # more to come, or not the first
-    number = frame[start + 4 : start + 6]
+    number = head[4:6]
     return IpPacket(
-        frame[start + 9],
-        frame[start + 12 : start + 20],
-        frame[start + size : start + total],
+        head[9],
+        head[12:20],
+        frame.cut(start + size, start + total),
         (flags & 0x1FFF) * 8,
         bool(flags & 0x2000),
         number if is_part else b"",
@@ -100,29 +103,30 @@ def _is_sound(head: bytes, size: int) -> bool:
     return bool(words[5] == 0 or sum(words) % 0xFFFF == 0)
 
 
-def _version_6(frame: bytes, start: int) -> IpPacket:
+def _version_6(frame: Located, start: int) -> IpPacket:
     """An IPv6 packet behind its extension headers; it has no checksum of its own."""
-    length = int.from_bytes(frame[start + 4 : start + 6], "big")
-    end = start + V6_BYTES + length if length else len(frame)  # 0: cut by the card
-    kind = frame[start + 6]
+    data = frame.data
+    length = int.from_bytes(data[start + 4 : start + 6], "big")
+    end = start + V6_BYTES + length if length else len(data)  # 0: cut by the card
+    kind = data[start + 6]
     at = start + V6_BYTES
     offset = 0
     more = False
     number = b""
-    while kind in EXTENSIONS and at + 8 <= min(end, len(frame)):
-        following = frame[at]
+    while kind in EXTENSIONS and at + 8 <= min(end, len(data)):
+        following = data[at]
         if kind == NextHeader.FRAGMENT:
-            place = int.from_bytes(frame[at + 2 : at + 4], "big")
+            place = int.from_bytes(data[at + 2 : at + 4], "big")
             offset = place & 0xFFF8
             more = bool(place & 1)
-            number = frame[at + 4 : at + 8] if offset or more else b""
+            number = data[at + 4 : at + 8] if offset or more else b""
             at += 8
         else:
-            at += 8 * (1 + frame[at + 1])
+            at += 8 * (1 + data[at + 1])
         kind = following
         if offset:
             break  # what follows lies in the first fragment
-    return IpPacket(kind, frame[start + 8 : start + V6_BYTES], frame[at:end], offset, more, number)
+    return IpPacket(kind, data[start + 8 : start + V6_BYTES], frame.cut(at, end), offset, more, number)
 
 
 @dataclass
@@ -130,14 +134,14 @@ class _Pending:
     """A datagram of which fragments are missing: their bytes by offset, and its whole size once known."""
 
     first: IpPacket
-    place: tuple[int, int]
-    parts: dict[int, bytes] = field(default_factory=dict)
+    time_ns: int
+    parts: dict[int, Located] = field(default_factory=dict)
     total: int = -1
     size: int = 0
 
     def take(self, packet: IpPacket) -> None:
         """Another fragment; of two with one offset the last."""
-        self.size += len(packet.body) - len(self.parts.get(packet.offset, b""))
+        self.size += len(packet.body) - len(self.parts.get(packet.offset, Located()))
         self.parts[packet.offset] = packet.body
         if not packet.more:
             self.total = packet.offset + len(packet.body)
@@ -150,18 +154,18 @@ class Fragments:
     _pending: dict[bytes, _Pending] = field(default_factory=dict)
     _left: list[_Pending] = field(default_factory=list)
 
-    def add(self, packet: IpPacket, place: tuple[int, int]) -> tuple[IpPacket, tuple[int, int]] | None:
-        """The whole datagram and its first place, once its last missing piece has come.
+    def add(self, packet: IpPacket, time_ns: int) -> tuple[IpPacket, int] | None:
+        """The whole datagram and the time of its first piece, once its last missing one has come.
 
         Raises HeaderError where fragments overlap: which of them is right cannot be known.
         """
         key = bytes([packet.protocol]) + packet.hosts + packet.number
         held = self._pending.get(key)
-        if held is not None and place[1] - held.place[1] > WAIT_NS:
+        if held is not None and time_ns - held.time_ns > WAIT_NS:
             self._left.append(self._pending.pop(key))  # numbers are used again
             held = None
         if held is None:
-            held = self._pending[key] = _Pending(packet, place)
+            held = self._pending[key] = _Pending(packet, time_ns)
         held.take(packet)
         if held.size > MAX_BYTES:
             del self._pending[key]
@@ -172,9 +176,9 @@ class Fragments:
         body = _beginning(held.parts)
         if len(body) != held.total:
             raise HeaderError("its fragments overlap")
-        return IpPacket(packet.protocol, packet.hosts, body, identity=packet.number), held.place
+        return IpPacket(packet.protocol, packet.hosts, body, identity=packet.number), held.time_ns
 
-    def given_up(self, most: int = MAX_PENDING) -> list[tuple[IpPacket, tuple[int, int]]]:
+    def given_up(self, most: int = MAX_PENDING) -> list[tuple[IpPacket, int]]:
         """The beginnings of datagrams that cannot be completed: all but the `most` that came last.
 
         Without its first fragment nothing tells whose a datagram was.
@@ -183,15 +187,15 @@ class Fragments:
         given = [*self._left, *map(self._pending.pop, old)]
         self._left = []
         return [
-            (IpPacket(held.first.protocol, held.first.hosts, _beginning(held.parts)), held.place)
+            (IpPacket(held.first.protocol, held.first.hosts, _beginning(held.parts)), held.time_ns)
             for held in given
             if 0 in held.parts
         ]
 
 
-def _beginning(parts: dict[int, bytes]) -> bytes:
+def _beginning(parts: dict[int, Located]) -> Located:
     """The bytes from the first on that are known without a gap."""
-    body = bytearray()
-    while len(body) in parts and parts[len(body)]:
+    body = Located()
+    while len(body) in parts and len(parts[len(body)]):
         body += parts[len(body)]
-    return bytes(body)
+    return body

@@ -29,13 +29,11 @@ class Packet:
 
     Attributes
     ----------
-    at : where its record begins in the file.
     time_ns : when it was captured, UTC.
     link : what kind of frame it is (LINKTYPE).
     start, stop : its bytes in the file.
     """
 
-    at: int
     time_ns: int
     link: int
     start: int
@@ -83,7 +81,7 @@ def packets(view: memoryview, tally: Tally) -> Iterator[Packet]:
             at = _recover(view, at, (style, last_s), tally)
             continue
         last_s = head.seconds
-        yield Packet(at, head.time_ns, style.link, at + RECORD_HEAD_BYTES, head.end)
+        yield Packet(head.time_ns, style.link, at + RECORD_HEAD_BYTES, head.end)
         at = head.end
 
 

@@ -148,7 +148,7 @@ def _packet(
     at, end = span
     if kind == BlockKind.SIMPLE:
         link = section.interfaces[0][0] if section.interfaces else None
-        return None if link is None else Packet(at, last_ns, link, at + 12, end - 4)
+        return None if link is None else Packet(last_ns, link, at + 12, end - 4)
     if end - at < 32:
         return None
     number, high, low, captured = struct.unpack_from(section.order + "4I", view, at + 8)
@@ -158,4 +158,4 @@ def _packet(
         return None
     link, ticks, offset_s = section.interfaces[number]
     time_ns = (high << 32 | low) * 10**9 // ticks + offset_s * 10**9
-    return Packet(at, time_ns if time_ns >= 0 else MAX_NS, link, at + 28, at + 28 + captured)
+    return Packet(time_ns if time_ns >= 0 else MAX_NS, link, at + 28, at + 28 + captured)

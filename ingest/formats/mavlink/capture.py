@@ -7,22 +7,23 @@ packet in which it ends. What was captured twice, or sent again, is read once an
 
 from __future__ import annotations
 
+import re
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from flysid.flight import Damage, Region
-from flysid.ingest.formats.common.capture import Payload, is_capture, payloads
+from flysid.ingest.formats.common.capture import SEQUENCES, Payload, is_capture, payloads
 from flysid.ingest.formats.common.clock import IntArray
 from flysid.ingest.formats.common.columns import as_array
+from flysid.ingest.formats.common.located import Located
 from flysid.ingest.formats.common.tally import Tally
-from flysid.ingest.formats.mavlink.frames import Frames, Scanner, is_checked, read_header
+from flysid.ingest.formats.mavlink.frames import MARKER, Frames, Scanner, is_checked, read_header
 
 LONGEST_FRAME = 280 + 13
-SEQUENCES = 1 << 32
 MAX_EARLY = 64  # segments that wait for one ahead of them
 MAX_STREAMS = 1024  # of those that spoke last
 
@@ -34,17 +35,19 @@ class _Stream:
     Attributes
     ----------
     expected : the next byte's number.
-    waiting : the beginning of a frame.
+    opened : the first byte's, where the capture holds the opening; -1 where it does not.
+    waiting : the beginning of a frame, and the segment in which it stands.
     early : segments that came ahead of others, by number.
     """
 
     expected: int
-    waiting: bytes = b""
+    opened: int = -1
+    waiting: Located = field(default_factory=Located)
     early: dict[int, Payload] = field(default_factory=dict)
 
     def knows(self, found: Payload) -> bool:
         """Whether all of a segment was there before."""
-        ends = ((found.sequence or 0) + len(found.content) - self.expected) % SEQUENCES
+        ends = ((found.sequence or 0) + len(found.body) - self.expected) % SEQUENCES
         return ends == 0 or ends >= SEQUENCES // 2 or (found.sequence or 0) in self.early
 
     def in_order(self, found: Payload) -> Iterator[Payload]:
@@ -66,33 +69,35 @@ class _Stream:
                 return self._taken(number)
         if len(ahead) <= most:
             return None
-        self.waiting = b""
         self.expected = min(ahead, key=lambda number: ahead[number])
         return self._taken(self.expected)
 
     def _taken(self, number: int) -> Payload:
         found = self.early.pop(number)
         known = (self.expected - number) % SEQUENCES
-        content = found.content[known:]
-        self.expected = (self.expected + len(content)) % SEQUENCES
-        return replace(found, content=content)
+        body = found.body.cut(known, len(found.body))
+        self.expected = (self.expected + len(body)) % SEQUENCES
+        return replace(found, body=body)
 
 
 @dataclass
 class Batch:
-    """Payloads one after the other: their bytes, where each begins, its place in the file and its time."""
+    """Pieces of payloads one after the other: their bytes; of each its start, place in the file and time."""
 
     data: bytearray = field(default_factory=bytearray)
     starts: list[int] = field(default_factory=list)
     places: list[int] = field(default_factory=list)
     times_us: list[int] = field(default_factory=list)
 
-    def add(self, payload: bytes, found: Payload) -> None:
-        """Take in a payload, or a part of one."""
-        self.starts.append(len(self.data))
-        self.places.append(found.at)
-        self.times_us.append(found.time_ns // 1000)
-        self.data += payload
+    def add(self, carried: Located, time_ns: int) -> None:
+        """Take in what came at one time."""
+        at = len(self.data)
+        for place, size in carried.spans:
+            self.starts.append(at)
+            self.places.append(place)
+            self.times_us.append(time_ns // 1000)
+            at += size
+        self.data += carried.data
 
     def stamped(self, frames: Frames) -> Frames:
         """Frames of these bytes with the times of their payloads."""
@@ -116,19 +121,22 @@ class Capture:
         default_factory=Counter
     )  # datagrams of flows that may prove to be MAVLink
     _streams: dict[bytes, _Stream] = field(default_factory=dict)
+    _cut: list[Located] = field(default_factory=list)  # beginnings of frames whose rest is not there
     _places: list[tuple[IntArray, IntArray]] = field(default_factory=list)
     _base: int = 0
 
     def batches(self, view: memoryview, size: int) -> Iterator[tuple[Batch, int]]:
         """Batches of at least `size` bytes, and how many bytes came before each."""
         batch = Batch()
+        time_ns = 0
         for found in self._in_order(view):
-            content = self._of_tcp(found) if found.sequence is not None else self._of_udp(found)
-            if content:
-                batch.add(content, found)
+            time_ns = found.time_ns
+            batch.add(self._of_tcp(found) if found.sequence is not None else self._of_udp(found), time_ns)
             if len(batch.data) >= size:
                 yield self._closed(batch)
                 batch = Batch()
+        for cut in self._cut:
+            batch.add(cut, time_ns)
         if batch.data:
             yield self._closed(batch)
 
@@ -140,14 +148,23 @@ class Capture:
                 continue
             stream = self._streams.pop(found.flow, None) or _Stream(found.sequence)
             self._streams[found.flow] = stream  # the last that spoke
-            self.tally.repeats += stream.knows(found)
-            yield from stream.in_order(found)
+            if found.opens and found.sequence != stream.opened:  # ports are used again
+                yield from self._ended(found.flow)
+                stream = self._streams[found.flow] = _Stream(found.sequence, found.sequence)
+            if len(found.body):
+                self.tally.repeats += stream.knows(found)
+                yield from stream.in_order(found)
             if len(self._streams) > MAX_STREAMS:
-                flow, silent = next(iter(self._streams.items()))
-                yield from silent.rest()
-                del self._streams[flow]
-        for stream in self._streams.values():
-            yield from stream.rest()
+                yield from self._ended(next(iter(self._streams)))
+        for flow in list(self._streams):
+            yield from self._ended(flow)
+
+    def _ended(self, flow: bytes) -> Iterator[Payload]:
+        """What still waits of a stream, before it is forgotten; the beginning of a frame is kept apart."""
+        yield from self._streams[flow].rest()
+        stream = self._streams.pop(flow)
+        if flow in self._flows:
+            self._cut.append(stream.waiting)
 
     def _closed(self, batch: Batch) -> tuple[Batch, int]:
         base = self._base
@@ -155,61 +172,73 @@ class Capture:
         self._places.append((np.array(batch.starts) + base, np.array(batch.places)))
         return batch, base
 
-    def _of_udp(self, found: Payload) -> bytes:
-        """The datagram where it is MAVLink; b"" where it is something else."""
+    def _of_udp(self, found: Payload) -> Located:
+        """The datagram where it is MAVLink; nothing where it is something else."""
         is_whole = whole_frames(found.content) == len(found.content)
         if is_whole and (found.flow in self._flows or is_checked(found.content, 0, self.crc_extra)):
             self._flows.add(found.flow)
             self._count(self._passed.pop(found.flow, 0))
-            return found.content
+            return found.body
         if found.flow in self._flows:
             self._count(1)
         else:
             self._passed[found.flow] += 1
-        return b""
+        return Located()
 
     def _count(self, datagrams: int) -> None:
         self.tally.undecode("datagrams", datagrams, "not whole MAVLink frames")
 
-    def _of_tcp(self, found: Payload) -> bytes:
-        """The frames that end in this segment."""
+    def _of_tcp(self, found: Payload) -> Located:
+        """The frames that end in this segment, and what stands ahead of them and is none: that is counted."""
         stream = self._streams[found.flow]
-        held = stream.waiting + found.content
-        start = 0 if found.flow in self._flows else self._first_frame(held)
-        if start < 0:
-            stream.waiting = held[-LONGEST_FRAME:]
-            return b""
+        held = stream.waiting + found.body
+        is_known = found.flow in self._flows
+        ready = self._ready(held.data, whole_frames(held.data) if is_known else 0)
+        old = max(ready, len(held) - LONGEST_FRAME)
+        stream.waiting = held.cut(old, len(held))
+        if not (is_known or ready):
+            return Located()
         self._flows.add(found.flow)
-        end = start + whole_frames(held[start:])
-        if len(held) - end > LONGEST_FRAME:  # what stands there is no frame: the reader counts it
-            end = len(held) - LONGEST_FRAME
-        stream.waiting = held[end:]
-        return held[start:end]
+        return held.cut(0, old)
 
-    def _first_frame(self, content: bytes) -> int:
-        """Where the first checked frame begins; -1 where there is none."""
-        return next((at for at in range(len(content)) if is_checked(content, at, self.crc_extra)), -1)
+    def _ready(self, content: bytes, end: int) -> int:
+        """Where the last frame ends that is chained to a checked one; `end` where none begins behind it."""
+        while match := next((m for m in MARKER.finditer(content, end) if self._is_frame(content, m)), None):
+            end = match.start() + whole_frames(content[match.start() :])
+        return end
+
+    def _is_frame(self, content: bytes, marker: re.Match[bytes]) -> bool:
+        return is_checked(content, marker.start(), self.crc_extra)
 
     def located(self, damage: Damage) -> Damage:
         """The damage to the frames as damage to the file, with that to the capture itself."""
         own = self.tally.freeze()
-        regions = sorted((*own.regions, *map(self._in_file, damage.regions)), key=lambda r: r.start)
+        pieces = self._in_file(damage.regions)
+        regions = sorted((*own.regions, *pieces), key=lambda r: r.start)
         return replace(
             damage,
             bytes_skipped=damage.bytes_skipped + own.bytes_skipped,
             regions=tuple(regions[: Damage.MAX_REGIONS]),
-            region_count=damage.region_count + own.region_count,
+            region_count=damage.region_count - len(damage.regions) + len(pieces) + own.region_count,
             truncated=own.truncated,
             undecoded={**damage.undecoded, **own.undecoded},
             time_outliers={**damage.time_outliers, **own.time_outliers},
             reasons={**damage.reasons, **own.reasons},
         )
 
-    def _in_file(self, region: Region) -> Region:
-        """A region of the payloads as one of the file: it begins in the record of its payload."""
-        starts, places = next(p for p in reversed(self._places) if p[0][0] <= region.start)
-        place = int(places[int(np.searchsorted(starts, region.start, side="right")) - 1])
-        return Region(place, place + region.size, region.reason)
+    def _in_file(self, regions: Sequence[Region]) -> list[Region]:
+        """Regions of the payloads where they lie in the file: in as many pieces as packets carried them."""
+        starts, places = (np.concatenate(part) for part in zip(*self._places, strict=True))
+        ends = np.append(starts[1:], self._base)
+        found = []
+        for region in regions:
+            first = int(np.searchsorted(starts, region.start, side="right")) - 1
+            for k in range(first, int(np.searchsorted(starts, region.end))):
+                moved = int(places[k] - starts[k])
+                begin = max(region.start, int(starts[k]))
+                end = min(region.end, int(ends[k]))
+                found.append(Region(begin + moved, end + moved, region.reason))
+        return found
 
 
 def whole_frames(content: bytes) -> int:
