@@ -8,6 +8,7 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 from flysid.ingest.formats.common.units import is_known
 
@@ -71,24 +72,56 @@ _TIME_UNITS = {
     "seconds": "s",
     "ms": "ms",
     "msec": "ms",
+    "msecs": "ms",
     "millis": "ms",
+    "millisecond": "ms",
+    "milliseconds": "ms",
     "us": "us",
+    "\u00b5s": "us",  # micro sign
+    "\u03bcs": "us",  # mu
     "usec": "us",
+    "usecs": "us",
     "micros": "us",
+    "microsecond": "us",
+    "microseconds": "us",
     "ns": "ns",
     "nsec": "ns",
+    "nsecs": "ns",
+    "nanos": "ns",
+    "nanosec": "ns",
+    "nanosecs": "ns",
+    "nanosecond": "ns",
+    "nanoseconds": "ns",
     "min": "min",
     "mins": "min",
     "minutes": "min",
     "h": "h",
     "hours": "h",
 }
-_TIME_NAME = re.compile(
-    r"^_*(t|time|(time)?stamp|seconds|elapsed([ _]?time)?|date([ _]?time)?|utc|time[ _]?boot"
-    r"|tempo|temps|tiempo|zeit)"
-    rf"([ _.]({'|'.join(_TIME_UNITS)}))?$"
+_NO_NAMES = frozenset({"s", "h", "min", "mins", "hours", "minutes"})  # alone they may be anything
+_WORDS = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+")
+_TIME_WORDS = frozenset(
+    {"time", "timestamp", "stamp", "datetime", "clock", "epoch", "unixtime", "tempo", "temps", "tiempo"}
+    | {"zeit", "zeitstempel"}
 )
-_TIME_JOINED = re.compile(r"^time(us|ms|ns)$|^(millis|micros)$")
+_TIME_NAMES = (_TIME_WORDS - {"clock"}) | {
+    *("t", "utc", "date", "unix", "elapsed", "elapsedtime", "timeboot", "utctime", "timeutc", "epochtime"),
+    *("timeus", "timems", "timens"),
+}
+
+
+@dataclass(frozen=True)
+class TimeName:
+    """What the name of a time says.
+
+    Attributes
+    ----------
+    unit : "" where it states none.
+    is_plain : "time", "t_ms"; not "sim_time" or "time_since_start", which may be another time than the rows'.
+    """
+
+    unit: str
+    is_plain: bool
 
 
 def named_and_measured(header: str, index: int) -> tuple[str, str]:
@@ -100,8 +133,8 @@ def named_and_measured(header: str, index: int) -> tuple[str, str]:
     (('v_x', 'm/s'), ('vx_m_s', 'm/s'), ('c3', ''))
     """
     match = _BRACKETS.match(header)
-    if match and match[1] and is_known(match[2].strip()):
-        return match[1], match[2].strip()
+    if match and match[1] and (unit := unit_in(match[2])) is not None:
+        return match[1], unit
     return header or f"c{index + 1}", unit_behind(header)
 
 
@@ -114,13 +147,52 @@ def unit_behind(name: str) -> str:
     return ""
 
 
-def time_unit_of(name: str) -> str | None:
-    """None where a column is not called a time; else the unit that its name states, or ""."""
-    lower = name.lower()
-    if joined := _TIME_JOINED.match(lower):
-        return _TIME_UNITS[joined[1] or joined[2]]
-    match = _TIME_NAME.match(lower)
-    return None if match is None else _TIME_UNITS.get(match[6] or "", "s" if lower == "seconds" else "")
+def unit_in(cell: str) -> str | None:
+    """The unit that a cell or brackets hold; None where they hold something else."""
+    bare = cell.strip()
+    bare = bare[1:-1].strip() if bare[:1] + bare[-1:] in ("[]", "()") else bare
+    return bare if is_known(bare) else _TIME_UNITS.get(bare.lower())
+
+
+def time_name(name: str) -> TimeName | None:
+    """What a column's name says of time; None where it is not called one.
+
+    Examples
+    --------
+    >>> time_name("t_ms"), time_name("GPSTime"), time_name("thrust")
+    (TimeName(unit='ms', is_plain=True), TimeName(unit='', is_plain=False), None)
+    """
+    words = [word.lower() for word in _WORDS.findall(name)]
+    if not words:
+        return None
+    unit = _TIME_UNITS.get(words[-1], "")
+    if len(words) == 1 and unit and words[0] not in _NO_NAMES:
+        return TimeName(unit, is_plain=True)
+    if len(words) > 1 and unit:
+        words.pop()
+    joined = "".join(words)
+    if joined in _TIME_NAMES:
+        return TimeName(unit or _TIME_UNITS.get(joined.removeprefix("time"), ""), is_plain=True)
+    is_time = words[0] in _TIME_WORDS or words[-1] in _TIME_WORDS
+    return TimeName(unit, is_plain=False) if is_time else None
+
+
+def fraction_beside(name: str, others: Sequence[str]) -> str:
+    """The column of nanoseconds that belongs to one of whole seconds, as ROS splits times; "" for none.
+
+    Examples
+    --------
+    >>> fraction_beside("header.stamp.secs", ["header.stamp.secs", "header.stamp.nsecs", "x"])
+    'header.stamp.nsecs'
+    """
+    words = [word.lower() for word in _WORDS.findall(name)]
+    if not words or words[-1] not in ("sec", "secs", "seconds"):
+        return ""
+    for other in others:
+        its = [word.lower() for word in _WORDS.findall(other)]
+        if its[:-1] == words[:-1] and its and _TIME_UNITS.get(its[-1]) == "ns":
+            return other
+    return ""
 
 
 def once_each(names: Sequence[str]) -> list[str]:

@@ -30,6 +30,8 @@ UNUSED = (
     "called a time, and none that can be used: numbers or stamps that rise, in at least half of the rows; "
     "rows count as 1 s each"
 )
+MOSTLY = 0.9  # of the steps of a time go forwards, or none
+MOVING = 0.25  # of them go forwards: several rows may share a time, but not many
 YEARS_S = (946_684_800.0, 4_102_444_800.0)  # 2000 to 2100
 
 
@@ -65,6 +67,12 @@ def time_unit(name: str, times: FloatArray, last: float, told: str, path: str) -
         path=path,
         hint=f"{asked} (in Python: time_unit=), or a name that states it, such as {name}_ms",
     )
+
+
+def rises(values: FloatArray, least: float = MOVING) -> bool:
+    """Whether values go forwards as the time of every row does: `least` of the steps, and hardly one back."""
+    steps = np.diff(values, append=np.inf)
+    return len(values) > 0 and bool(np.mean(steps >= 0) >= MOSTLY and np.mean(steps > 0) >= least)
 
 
 def plausible_units(

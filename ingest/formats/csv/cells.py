@@ -17,7 +17,7 @@ from flysid.ingest.formats.common.arrow_arrays import numeric
 from flysid.ingest.formats.common.clock import IntArray
 from flysid.ingest.formats.common.columns import as_array, numbers
 from flysid.ingest.formats.common.table_times import to_ns
-from flysid.ingest.formats.csv.layouts import CLOCK, CLOCKED, MISSING, NUMBER, STAMP, ZONE, Layout
+from flysid.ingest.formats.csv.layouts import BLANKS, CLOCK, CLOCKED, MISSING, NUMBER, STAMP, ZONE, Layout
 
 BoolArray = npt.NDArray[np.bool_]
 LINE_END = 10
@@ -78,6 +78,9 @@ def stated_times(lines: Lines, rows: IntArray, layout: Layout) -> tuple[IntArray
     if layout.time.unit_ns == 0:
         return stamps(text, layout.time.unit)
     time_ns, known = counted(_floats(text, layout.decimal_comma)[0], layout.time.unit_ns)
+    if layout.time.nanoseconds >= 0:
+        beside = _floats(_text(lines, rows, layout, layout.time.nanoseconds), layout.decimal_comma)[0]
+        return with_fraction(time_ns, known, beside)
     if layout.time.unit_ns == 1:
         exact = known & _bools(pc.match_substring_regex(text, WHOLE))
         time_ns[exact] = as_int64(text.filter(numeric(exact)).cast(pa.int64()))
@@ -87,6 +90,12 @@ def stated_times(lines: Lines, rows: IntArray, layout: Layout) -> tuple[IntArray
 def counted(values: pa.Array, unit_ns: int) -> tuple[IntArray, BoolArray]:
     """(n,) numbers of a unit as ns, and which of them are times."""
     return to_ns(np.asarray(values.to_numpy(zero_copy_only=False), dtype=np.float64), unit_ns)
+
+
+def with_fraction(time_ns: IntArray, known: BoolArray, beside: pa.Array) -> tuple[IntArray, BoolArray]:
+    """(n,) whole seconds with the nanoseconds of a column of their own, and which of them are times."""
+    fraction, told = counted(beside, 1)
+    return time_ns + fraction, known & told
 
 
 def as_int64(values: pa.Array) -> IntArray:
@@ -135,14 +144,25 @@ def _cast_stamps(text: pa.Array, kind: pa.DataType) -> pa.Array:
 def _borders(buffer: npt.NDArray[np.uint8], separator: int) -> tuple[IntArray, IntArray]:
     """Places of the bytes that end a cell, and of those among them that end a line."""
     is_end = buffer == LINE_END
-    splits = buffer == separator
     ends = np.flatnonzero(is_end)
+    splits = buffer == separator if separator != BLANKS[0] else _between_words(buffer, ends)
     if (buffer == QUOTE).any():
         quotes = np.cumsum(buffer == QUOTE)
         before = np.concatenate([[0], quotes[ends[:-1]]])  # quotes before each line
         inside = (quotes - np.repeat(before, np.diff(ends, prepend=-1))) % 2 == 1
         splits &= ~inside
     return np.flatnonzero(splits | is_end), ends
+
+
+def _between_words(buffer: npt.NDArray[np.uint8], ends: IntArray) -> BoolArray:
+    """The last blank of every run between two words of one line."""
+    is_ink = ~np.isin(buffer, _WHITE)
+    ink = np.cumsum(is_ink)
+    before = np.repeat(
+        np.concatenate([[0], ink[ends[:-1]]]), np.diff(ends, prepend=-1)
+    )  # ink above each line
+    found = ~is_ink & np.append(is_ink[1:], False) & (ink > before) & (buffer != LINE_END)
+    return np.asarray(found, dtype=bool)
 
 
 def _is_text(data: bytes, starts: IntArray, ends: IntArray) -> BoolArray:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from flysid.ingest.formats.csv.layouts import cells_of
+from flysid.ingest.formats.csv.layouts import BLANKS, cells_of
 
 
 def last_line(line: bytes, others: Sequence[bytes], separator: bytes, cells: int) -> tuple[bytes, bool]:
@@ -19,20 +19,23 @@ def last_line(line: bytes, others: Sequence[bytes], separator: bytes, cells: int
     Parameters
     ----------
     others : the lines above.
-    cells : that the table has. A line with fewer gives b"".
+    cells : that the table has. A line with fewer gives b"", and so does one whose last cell would be left
+        empty between blanks.
     """
     text = line.decode("utf-8", "replace")
     if line.endswith(b"\r"):
         return line + b"\n", True
     if len(cells_of(text, separator)) != cells or text.count('"') % 2:
         return b"", False
+    if separator == BLANKS:
+        line, others = line.rstrip().replace(b"\t", b" "), [each.replace(b"\t", b" ") for each in others]
     head, mark, last = line.rpartition(separator)
     if last.endswith(b'"'):
         return line + b"\n", True
     shapes = {_shape(other.strip().rpartition(separator)[2]) for other in others if other.strip()}
     if last.strip() and shapes == {_shape(last.strip())}:
         return line + b"\n", True
-    return head + mark + b"\n", False
+    return (head + mark + b"\n" if separator != BLANKS else b""), False
 
 
 def _shape(cell: bytes) -> int:

@@ -11,6 +11,7 @@ A batch of sound lines is parsed by Arrow at once; only where it balks are lines
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, field, replace
 from functools import partial
 
@@ -35,21 +36,28 @@ from flysid.ingest.formats.csv.cells import (
     split_lines,
     stamps,
     stated_times,
+    with_fraction,
 )
 from flysid.ingest.formats.csv.endings import last_line
 from flysid.ingest.formats.csv.layouts import (
+    BLANKS,
+    COMMENT,
     MISSING,
     Column,
     Layout,
     cells_of,
+    is_instruction,
     is_printable,
     layout_of,
     numbers_in,
+    text_of,
 )
 
 STREAM = "table"
 MAX_LINE_BYTES = 1 << 20
 BATCH_BYTES = 1 << 22
+_AROUND = re.compile(rb"(?m)^[ \t]+|[ \t]+(?=\r?$)")
+_BETWEEN = re.compile(rb"[ \t]+")
 BLOCK_BYTES = 1 << 19  # stays in a processor's cache while Arrow takes it apart
 
 
@@ -77,7 +85,7 @@ def read(view: memoryview, name: str, limits: Limits) -> Parts:
             "no table of numbers: too few lines have the same number of cells",
             path=name,
             byte=0,
-            hint="columns between commas, semicolons or tabs, one line a row, names in the first line",
+            hint="columns between commas, semicolons, tabs or blanks; one line a row, names in the first",
         )
     layout = _with_time_unit(layout, view, name, limits.time_unit)
     reader = _Reader(layout, _schema(layout))
@@ -128,13 +136,13 @@ def _trimmed(values: pa.Array) -> pa.Array:
 def _preamble(reader: _Reader, before: bytes) -> None:
     """Lines before the first row: comments, header and units are understood, others are counted."""
     at = 0
-    cells = len(reader.layout.columns)
     for raw in before.splitlines(keepends=True):
         line = raw.removeprefix(b"\xef\xbb\xbf").strip()
-        extra = line.count(reader.layout.separator) - (cells - 1)
-        quotes = line.count(b'"')
-        is_row = quotes % 2 == 0 and (extra == 0 or (extra > 0 and quotes > 0))
-        if line and not (is_printable(line) and (is_row or line[:1] in b"#%")):
+        text = text_of(line)
+        cells = cells_of(text, reader.layout.separator)
+        is_row = len(cells) == len(reader.layout.columns) and text.count('"') % 2 == 0
+        is_read = is_row or text.startswith(COMMENT) or is_instruction(text)
+        if line and not (is_read and is_printable(line)):
             reader.tally.skip(at, at + len(raw), "a line above the table")
         at += len(raw)
 
@@ -153,6 +161,8 @@ def _sound(reader: _Reader, data: bytes) -> tuple[list[pa.Array], IntArray] | No
     if b'"' in data:
         return None
     worded = b"n" in data or b"N" in data  # as all words for missing and infinite values are
+    if layout.separator == BLANKS:
+        data = _BETWEEN.sub(b" ", _AROUND.sub(b"", data))
     names = [str(i) for i in range(len(layout.columns))]
     kinds = {n: _kind(c) for n, c in zip(names, layout.columns, strict=True)}
     if layout.time is not None and layout.time.unit_ns == 1:
@@ -190,6 +200,8 @@ def _sound_times(reader: _Reader, columns: list[pa.Array]) -> IntArray | None:
         known = ~np.asarray(values.is_null())
     elif stated.unit_ns:
         time_ns, known = counted(values, stated.unit_ns)
+        if stated.nanoseconds >= 0:
+            time_ns, known = with_fraction(time_ns, known, columns[stated.nanoseconds])
     else:
         time_ns, known = stamps(pc.utf8_trim_whitespace(values), stated.unit)
     return time_ns if known.all() and not is_outlier(time_ns).any() else None

@@ -14,8 +14,8 @@ import pyarrow.compute as pc
 
 from flysid.flight import BOOT, TIME
 from flysid.ingest.formats.common.arrow_arrays import free_name
-from flysid.ingest.formats.common.table_columns import named_and_measured, time_unit_of
-from flysid.ingest.formats.common.table_times import TIME_UNITS_NS
+from flysid.ingest.formats.common.table_columns import fraction_beside, named_and_measured, time_name
+from flysid.ingest.formats.common.table_times import MOSTLY, MOVING, TIME_UNITS_NS
 from flysid.stretch import FloatArray
 
 UNNAMED = "__index_level_"  # what pandas calls an index without a name
@@ -23,7 +23,6 @@ UNIT_KEYS = (b"unit", b"units", b"Unit", b"Units")
 KEPT_KEYS = (b"scale", b"enum", b"description")  # of flysid's own tables
 DATES = "date and time"
 DEEPEST = 8  # structs in structs
-MOSTLY = 0.9  # of the steps of a time go forwards
 
 
 @dataclass(frozen=True)
@@ -48,12 +47,14 @@ class TimeColumn:
     ----------
     unit : of its numbers; "" where nothing states it, DATES for stamps.
     ticks : (first, step) of an index that pandas stored as a rule instead of a column.
+    moving : the share of its steps that must go forwards for it to be the rows' time.
     """
 
     name: str
     unit: str
     why: str = "stated"
     ticks: tuple[int, int] | None = None
+    moving: float = MOVING
 
     @property
     def shown(self) -> str:
@@ -151,32 +152,39 @@ def plain(column: pa.Array, wanted: pa.DataType) -> pa.Array:
 
 
 def time_candidates(schema: pa.Schema) -> list[TimeColumn]:
-    """The columns that may tell the time, the likeliest first: the index, then names, then other stamps."""
+    """The columns that may tell the time, the likeliest first: the index, then names, then other stamps.
+
+    Seconds whose fractions stand in another column are none.
+    """
     told = _index_of_pandas(schema)
     index = [name for name in told if isinstance(name, str) and name in schema.names]
     others = [name for name in schema.names if name not in index]
     found = [time for rule in told if isinstance(rule, dict) and (time := _time_by_rule(rule))]
     late: list[TimeColumn] = []
     for name in [*index, *others]:
-        if schema.names.count(name) != 1:
+        if schema.names.count(name) != 1 or fraction_beside(name, schema.names):
             continue
         field = schema.field(name)
         kind = field.type
-        named = time_unit_of(named_and_measured(name, 0)[0])
+        bare, unit = named_and_measured(name, 0)
+        says = time_name(bare)
+        is_plain = name in index or (says is not None and says.is_plain)
         if pa.types.is_timestamp(kind) or pa.types.is_duration(kind) or pa.types.is_time64(kind):
-            (found if name in index or named is not None else late).append(TimeColumn(name, DATES))
+            (found if is_plain else late).append(TimeColumn(name, DATES))
         elif not (pa.types.is_integer(kind) or pa.types.is_floating(kind)):
             continue
-        elif named is not None or (name.startswith(UNNAMED) and pa.types.is_floating(kind)):
-            metadata = _metadata(field, named_and_measured(name, 0)[1]) or {}
-            stated = metadata.get(b"unit", b"").decode("utf-8", "replace")
-            found.append(TimeColumn(name, stated if stated in TIME_UNITS_NS else named or ""))
+        elif says is not None or (name.startswith(UNNAMED) and pa.types.is_floating(kind)):
+            stated = (_metadata(field, unit) or {}).get(b"unit", b"").decode("utf-8", "replace")
+            own = stated if stated in TIME_UNITS_NS else says.unit if says else ""
+            time = TimeColumn(name, own, moving=MOVING if is_plain else MOSTLY)
+            (found if is_plain or says is None else late).append(time)
     return found + late
 
 
 def called_times(schema: pa.Schema) -> list[str]:
     """The columns that are called a time, whether they can tell it or not."""
-    return [name for name in schema.names if time_unit_of(named_and_measured(name, 0)[0]) is not None]
+    named = [(name, time_name(named_and_measured(name, 0)[0])) for name in schema.names]
+    return [name for name, says in named if says and says.is_plain]
 
 
 def _index_of_pandas(schema: pa.Schema) -> list[Any]:
@@ -193,17 +201,12 @@ def _time_by_rule(rule: dict[str, Any]) -> TimeColumn | None:
     name = rule.get("name")
     first = rule.get("start")
     step = rule.get("step")
-    unit = time_unit_of(name) if isinstance(name, str) else None
-    if unit is None or not isinstance(first, int) or not isinstance(step, int) or step <= 0:
+    says = time_name(name) if isinstance(name, str) else None
+    if says is None or not isinstance(first, int) or not isinstance(step, int) or step <= 0:
         return None
-    return TimeColumn(str(name), unit, ticks=(first, step))
+    return TimeColumn(str(name), says.unit, ticks=(first, step))
 
 
 def as_floats(column: pa.Array) -> FloatArray:
     """(n,) values of a column of numbers, without its gaps."""
     return np.asarray(pc.drop_null(column).cast(pa.float64(), safe=False).to_numpy(zero_copy_only=False))
-
-
-def rises(values: FloatArray) -> bool:
-    """Whether values go forwards as a time does."""
-    return len(values) > 0 and bool(np.mean(np.diff(values, append=np.inf) >= 0) >= MOSTLY)

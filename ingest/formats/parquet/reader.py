@@ -20,7 +20,14 @@ from flysid.flight import BOOT, ROW_NUMBER, TIME
 from flysid.ingest.formats.base import Limits, Parts, StreamPart, Summary
 from flysid.ingest.formats.common.arrow_arrays import numeric
 from flysid.ingest.formats.common.clock import SECOND_NS, BoolArray, IntArray, is_outlier
-from flysid.ingest.formats.common.table_times import TIME_UNITS_NS, UNUSED, TableClock, time_unit, to_ns
+from flysid.ingest.formats.common.table_times import (
+    TIME_UNITS_NS,
+    UNUSED,
+    TableClock,
+    rises,
+    time_unit,
+    to_ns,
+)
 from flysid.ingest.formats.common.tally import Tally
 from flysid.ingest.formats.parquet.columns import (
     DATES,
@@ -30,7 +37,6 @@ from flysid.ingest.formats.parquet.columns import (
     called_times,
     columns_of,
     plain,
-    rises,
     time_candidates,
 )
 from flysid.stretch import FloatArray
@@ -191,7 +197,7 @@ def _time_of(
         else:
             ends = [_ticks(time.ticks, file.metadata.num_rows, 0).astype(np.float64)]
         readable = [values for values in ends if len(values)]
-        if not readable or not rises(readable[0]):
+        if not readable or not rises(readable[0], time.moving):
             continue
         if time.unit:
             return time

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +31,83 @@ def column(flight: Flight, name: str) -> list[object]:
 
 def seconds(flight: Flight) -> list[float]:
     return [ns / 1e9 for ns in flight["table"]["time_ns"].to_pylist()]
+
+
+STAMPS = [1_700_000_000_000_000_000 + 20_000_000 * k for k in range(12)]
+
+
+@pytest.mark.parametrize(
+    ("header", "shape", "separator"),
+    [
+        ("%time,field.a,field.b\n", "{t},{a},{b}\n", ","),  # rostopic echo -p
+        ("#timestamp [ns],w_x [rad s^-1],a_y [m s^-2]\n", "{t},{a},{b}\n", ","),  # EuRoC
+        ("# made by hand\n# t,x,y\n", "{s:.18e},{a:.18e},{b:.18e}\n", ","),  # numpy.savetxt
+        ("# t x y\n", "{s:.18e} {a:.18e} {b:.18e}\n", r"\s+"),
+        ("# a trajectory\n# timestamp tx ty\n", "{e:.2f} {a} {b}\n", r"\s+"),  # TUM
+        ("% t\tx\ty\n% s\tdeg\tm\n", "{s:.2f}\t{a}\t{b}\n", "\t"),
+        ("   time     x       y\n", "{s:8.2f}  {a:8.3f} {b:9.3f} \n", r"\s+"),
+        ("epoch,x,y\n", "{e:.2f},{a},{b}\n", ","),
+        ("epoch,x,y\n", "{ms},{a},{b}\n", ","),
+        ("Unix Time,x,y\n", "{us},{a},{b}\n", ","),
+        ("rosbagTimestamp,x,y\n", "{t},{a},{b}\n", ","),
+        ("SimTime,x,y\n", "{s:.2f},{a},{b}\n", ","),
+        ("Time (msec),x,y\n", "{m},{a},{b}\n", ","),
+        ("time(millisecond),datetime(utc),x\n", "{m},2023-11-14 22:13:20,{a}\n", ","),  # AirData
+        ("sep=;\nZeit [s];Winkel [\u00b0];y\n", "{s:.2f};{a};{b}\n", ";"),
+        (",x,y\n", "2023-11-14 22:13:20.{h:02d},{a},{b}\n", ","),  # pandas, an index without a name
+        ("stamp.secs,stamp.nsecs,y\n", "{sec},{nsec},{b}\n", ","),
+        ("sec,nanosec,y\n", "{sec},{nsec},{b}\n", ","),
+        ("'time','x','y'\n", "{s:.2f},{a},{b}\n", ","),
+    ],
+)
+@pytest.mark.parametrize("wrong", [False, True])
+def test_headers_as_programs_write_them(header: str, shape: str, separator: str, wrong: bool) -> None:
+    """Times and values are those that pandas reads; a row that is none costs itself only."""
+    rows = [
+        shape.format(
+            **{"t": ns, "us": ns // 1000, "ms": ns // 10**6, "m": ns % 10**9 // 10**6, "s": ns % 10**9 / 1e9},
+            **{"e": ns / 1e9, "h": ns % 10**9 // 10**7, "sec": ns // 10**9, "nsec": ns % 10**9},
+            **{"a": k * 1.5 + 100, "b": 0.25 * k},
+        )
+        for k, ns in enumerate(STAMPS)
+    ]
+    if wrong:
+        rows.insert(7, "?\n")
+    flight = read(header + "".join(rows))
+    times = np.array(flight["table"]["time_ns"].to_pylist())
+    assert (times - times[0]).tolist() == pytest.approx([20_000_000 * k for k in range(12)])
+    assert flight.damage.bytes_skipped == 2 * wrong
+    plain = StringIO("".join(row for row in rows if row != "?\n"))
+    table = pd.read_csv(plain, sep=separator, header=None, skipinitialspace=True)
+    ours = flight["table"].drop_columns(["time_ns", "boot"])
+    assert not {"c1", "c2", "c3"} & set(ours.column_names[1:])
+    for k in range(1, 3):
+        assert ours[ours.column_names[k]].to_pylist() == table[k].tolist()
+
+
+def test_units_of_headers_in_comments() -> None:
+    text = "# time, roll, h\n# s, deg, m\n0.0, 1, 2\n0.1, 3, 4\n0.2, 5, 6\n"
+    schema = read(text)["table"].schema
+    assert [(field.name, field_unit(field)) for field in schema][2:] == [
+        ("time", "s"),
+        ("roll", "deg"),
+        ("h", "m"),
+    ]
+
+
+@pytest.mark.parametrize("header", ["time,x\n", "sec,x\n", "date,x\n"])
+def test_a_time_that_stands_still_in_most_rows_is_said(header: str) -> None:
+    """Whole seconds in a log at 10 Hz are not the rows' times."""
+    cell = "2023-05-01 10:00:{:02d}" if header.startswith("date") else "{}"
+    flight = read(header + "".join(f"{cell.format(k // 10)},{k}\n" for k in range(60)))
+    assert flight.damage.undecoded == {f"table.{header[:-3]}": 60}
+
+
+def test_a_name_with_a_time_in_it_yields_to_the_time_itself() -> None:
+    rows = "".join(f"{k * 3},{k / 50},{k}\n" for k in range(30))
+    assert seconds(read("gps time,time_s,x\n" + rows)) == pytest.approx([k / 50 for k in range(30)])
+    idle = "".join(f"{k // 9},{k}\n" for k in range(30))
+    assert not read("idle_time,x\n" + idle).damage.lossy  # no time of rows, and none that is missed
 
 
 @pytest.mark.parametrize(
@@ -283,7 +361,7 @@ GPS = "$GPGGA,123519,4807.038,N,01131.000,E,1,08,0.9,545.4,M,46.9,M,,*47\n"
         "hello\nworld\n",
         "a,b\n",
         "a,b\nc,d\ne,f\n",
-        "1 2\n3 4\n",
+        "1 2 and\n3 4 not\n",
         "\n",
         GPS * 40,
         "[1, 2, 3]\n" * 40,
