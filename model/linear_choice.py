@@ -111,7 +111,19 @@ def choose_baseline(train: Dataset, candidates: Mapping[str, Estimator]) -> Base
     return _chosen(errors)
 
 
-def _chosen(errors: Mapping[str, FloatArray]) -> BaselineChoice:
+def best_fitted(models: Mapping[str, Fitted], data: Dataset) -> BaselineChoice:
+    """Of fitted models the one whose free run follows `data` best; ARX unless another is clearly better.
+
+    Raises
+    ------
+    DataError : no segment is long enough.
+    """
+    over = f"free-run RMSE over {len(data):,} training samples"
+    return _chosen(_of_the_bounded(models, data), over)
+
+
+def _chosen(errors: Mapping[str, FloatArray], over: str = "validation free-run RMSE") -> BaselineChoice:
+    """`over`: what the errors are, in words."""
     label = _first(errors)
     for name, e in errors.items():
         if clearly_better(e, errors[label]):
@@ -120,9 +132,7 @@ def _chosen(errors: Mapping[str, FloatArray]) -> BaselineChoice:
     said = ", ".join(f"{name.upper()} {value:.3g}" for name, value in rmse.items())
     if rmse[label] > min(rmse.values()):
         said += f"; none is clearly better than {label.upper()}"
-    return BaselineChoice(
-        label, rmse, f"validation free-run RMSE, in standard deviations of the output: {said}"
-    )
+    return BaselineChoice(label, rmse, f"{over}, in standard deviations of the output: {said}")
 
 
 def confirmed(choice: BaselineChoice, models: Mapping[str, Fitted], train: Dataset) -> BaselineChoice:

@@ -17,6 +17,7 @@ import numpy as np
 from flysid.dataset import Dataset, FloatArray, Segment
 from flysid.errors import DataError, UsageError
 from flysid.model.base import Fitted, kind_of
+from flysid.model.linear_choice import FIRST, best_fitted
 from flysid.validate.comparison import Comparison, Entry, ModelInfo, ModelScore, Pair, SegmentScore
 from flysid.validate.intervals import Interval, change, holm
 from flysid.validate.metrics import pooled, resolution_of, scores
@@ -47,7 +48,7 @@ def compare(
     test: Dataset,
     *,
     horizons: Sequence[str | int] = HORIZONS,
-    baseline: str | None = "arx",
+    baseline: str | None = None,
     contender: str | None = None,
     train: Dataset | None = None,
     seen: Collection[str] = (),
@@ -64,7 +65,9 @@ def compare(
     models : by name, or a list (named by structure: "arx", "ts", "ts-2", ...).
     test : the held-out part; nothing is fitted to it.
     horizons : "free_run" and numbers of steps.
-    baseline : the model the others are compared with; the first one where there is no "arx" or it is None.
+    baseline : the model the others are compared with. When None, the linear one whose free run follows
+        `train` best (ARX unless another is clearly better); without `train` ARX, else the first model.
+        `flysid validate` names the one that the run's fit chose.
     contender : the model the headline speaks of; when None, the first of CONTENDERS, else the first model
         that is no reference, a line last.
     train : training data; with it the mean and persistence stand beside the models, as lines to stay below.
@@ -90,7 +93,7 @@ def compare(
         named = with_references(named, train)
         seen = {*seen, *_in_both(train, test), *(set(train.flights) - set(test.flights))}
     check_models(named, test)
-    sides = sides_of(named, baseline, contender, seen)
+    sides = sides_of(named, baseline or _best_linear(named, contender, train), contender, seen)
     names = [horizon_name(h) for h in dict.fromkeys(horizons)]
     if not names:
         raise UsageError("no horizon given", hint="use 'free_run', 10 and 1")
@@ -158,6 +161,11 @@ def _with_pairs(entry: Entry, corrected: Mapping[int, Pair]) -> Entry:
     return replace(entry, pairs=pairs, rivals=rivals)
 
 
+def headline(labels: Collection[str], baseline: str) -> str:
+    """The model that a run is about: its fuzzy one, or where there is none its baseline."""
+    return next((label for label in CONTENDERS if label in labels), baseline)
+
+
 def sides_of(
     models: Mapping[str, Fitted],
     baseline: str | None,
@@ -178,7 +186,7 @@ def sides_of(
     fuzzy = contender is not None and (
         contender in one_rule or kind_of(models[contender].structure) == "rules"
     )
-    linear = {n for n, m in models.items() if kind_of(m.structure) == "linear"} | one_rule
+    linear = _linear(models)
     rivals = [n for n in models if fuzzy and n in linear and n not in (base, contender)]
     return Sides(base, contender, tuple(rivals), one_rule, frozenset(seen))
 
@@ -187,6 +195,10 @@ def _one_rule(models: Mapping[str, Fitted]) -> frozenset[str]:
     """Fuzzy models that are linear ones: of one rule, or what the search for rules took instead of them."""
     alone = {n: m for n, m in models.items() if len(m.rules()) == 1}
     return frozenset(n for n, m in alone.items() if kind_of(m.structure) == "rules" or n in CONTENDERS)
+
+
+def _linear(models: Mapping[str, Fitted]) -> frozenset[str]:
+    return _one_rule(models) | {n for n, m in models.items() if kind_of(m.structure) == "linear"}
 
 
 def with_references(models: Mapping[str, Fitted], train: Dataset) -> dict[str, Fitted]:
@@ -231,11 +243,19 @@ def _named(models: Sequence[Fitted]) -> dict[str, Fitted]:
 
 
 def _baseline(models: Mapping[str, Fitted], wanted: str | None) -> str:
-    if wanted in models:
-        return str(wanted)
-    if wanted not in (None, "arx"):
+    if wanted is not None and wanted not in models:
         raise UsageError(f"the baseline {wanted!r} is not among the models {sorted(models)}")
-    return next(iter(models))
+    return wanted or (FIRST if FIRST in models else next(iter(models)))
+
+
+def _best_linear(models: Mapping[str, Fitted], contender: str | None, train: Dataset | None) -> str | None:
+    """The linear model that follows `train` best; None where there is none to tell by."""
+    linear = _linear(models) - {contender, *CONTENDERS}
+    if train is None or not linear:
+        return None
+    with suppress(DataError):
+        return best_fitted({n: m for n, m in models.items() if n in linear}, train).label
+    return None
 
 
 def _contender(models: Mapping[str, Fitted], base: str) -> str | None:

@@ -22,14 +22,12 @@ from flysid.ingest.lake.lake import open as open_lake
 from flysid.model.base import Fitted, kind_of
 from flysid.progress import tell
 from flysid.split import Piece, Split, refuse_copies
-from flysid.validate.compare_models import Comparison, across_channels, compare, sides_of
+from flysid.validate.compare_models import Comparison, across_channels, compare, headline, sides_of
 from flysid.validate.expected import expected_document
 from flysid.validate.judge import Judgement, by_reason, fit_command, split_words
 from flysid.validate.judgedparts import chosen_lake, restricted
 from flysid.validate.report.context import ReportContext
 from flysid.validate.run import HeldOut, Run, held_out, models_of
-
-PREFERRED = ("ts", "arx")
 
 
 @dataclass(frozen=True)
@@ -47,7 +45,8 @@ def judge_runs(
 
     Parameters
     ----------
-    label : the model the headline speaks of, in both runs; "ts" where both have it, else "arx".
+    label : the model the headline speaks of, in both runs; the fuzzy one where both have it, else run B's
+        baseline.
     only : compare on these of run B's held-out flights and stretches alone; flights of several vehicles are
         put together only where it says `pool`.
 
@@ -121,7 +120,7 @@ def expected_of_runs(a: Run, b: Run, label: str | None = None) -> dict[str, Any]
     theirs = {c.name: c for c in a.channels}
     channels = {}
     for name in (name for name in ours if name in theirs):
-        models, head = _both(models_of(a, theirs[name]), models_of(b, ours[name]), label)
+        models, head = _both(models_of(a, theirs[name]), models_of(b, ours[name]), ours[name].baseline, label)
         channels[name] = models, sides_of(models, f"a:{head}", f"b:{head}")
     return expected_document(channels, {})
 
@@ -182,38 +181,47 @@ def _check_alike(a: Dataset, b: Dataset) -> None:
 
 def _compare(a: HeldOut, b: HeldOut, label: str | None) -> Comparison:
     test = unseen(a, b)
-    models, head = _both(a.models, b.models, label)
+    models, head = _both(a.models, b.models, b.channel.baseline, label)
     return compare(models, test, baseline=f"a:{head}", contender=f"b:{head}", seen={*a.seen, *b.seen})
 
 
 def _both(
-    a: Mapping[str, Fitted], b: Mapping[str, Fitted], label: str | None
+    a: Mapping[str, Fitted], b: Mapping[str, Fitted], baseline: str, label: str | None
 ) -> tuple[dict[str, Fitted], str]:
-    """The models of both runs under the names they are compared by, and the headline's label."""
-    head = _headline(a, b, label)
-    models = {f"a:{name}": m for name, m in a.items() if kind_of(m.structure) != "reference"}
-    models |= {f"b:{name}": m for name, m in b.items() if kind_of(m.structure) != "reference"}
-    return models | {name: m for name, m in b.items() if kind_of(m.structure) == "reference"}, head
+    """The models of both runs under the names they are compared by, and the headline's label.
+
+    `baseline`: run B's.
+    """
+    head = _headline(a, b, baseline, label)
+    models = {f"a:{name}": m for name, m in a.items() if not _is_reference(m)}
+    models |= {f"b:{name}": m for name, m in b.items() if not _is_reference(m)}
+    return models | {name: m for name, m in b.items() if _is_reference(m)}, head
 
 
-def _headline(a: Mapping[str, Fitted], b: Mapping[str, Fitted], label: str | None) -> str:
-    shared = [name for name in a if name in b]
+def _headline(a: Mapping[str, Fitted], b: Mapping[str, Fitted], baseline: str, label: str | None) -> str:
+    shared = [name for name, m in b.items() if name in a and not _is_reference(m)]
     if label is not None and label not in shared:
         raise UsageError(f"only one of the runs has a model {label!r}", hint=f"one of {', '.join(shared)}")
     if not shared:
         raise DataError(f"the runs share no model: {_names(a)} and {_names(b)}")
-    return label or next((name for name in PREFERRED if name in shared), shared[0])
+    wanted = label or headline(shared, baseline)
+    return wanted if wanted in shared else shared[0]
+
+
+def _is_reference(model: Fitted) -> bool:
+    return kind_of(model.structure) == "reference"
 
 
 def _context(
     a: Run, b: Run, comparisons: Mapping[str, Comparison], sides: Mapping[str, tuple[HeldOut, HeldOut]]
 ) -> ReportContext:
-    label = next(iter(comparisons.values())).baseline.removeprefix("a:")
+    labels = {c.baseline.removeprefix("a:") for c in comparisons.values()}
+    model = f" --model {labels.pop()}" if len(labels) == 1 else ""
     return ReportContext(
         comparisons=comparisons,
         train={name: ours.train for name, (_, ours) in sides.items()},
         command=f"{fit_command(a)} -o RUN_A && {fit_command(b)} -o RUN_B && "
-        f"flysid compare RUN_A RUN_B --model {label}",
+        f"flysid compare RUN_A RUN_B{model}",
         provenance=_provenance(a, b, comparisons, sides),
         remark="two runs, on flights held out by run B that run A has not trained on",
     )

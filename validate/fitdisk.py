@@ -10,14 +10,9 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
-import numpy as np
-
-from flysid.dataset import Dataset
 from flysid.datasetfile import DatasetFile
 from flysid.ingest.excitation.dead_time import dead_times, delays_to_try
-from flysid.model.base import Fitted
-from flysid.model.linear_choice import BaselineChoice, free_run_errors
-from flysid.model.selection import clearly_better
+from flysid.model.linear_choice import best_fitted
 from flysid.progress import tell
 from flysid.validate.channeljob import ChannelJob, Fits
 from flysid.validate.diskparts import LOOK_ROWS, FilePart, plan_held_on_disk, plan_on_disk
@@ -71,8 +66,10 @@ class DiskJob(ChannelJob[DatasetFile]):
             with plan.model(label):
                 self.fit_into(fits, label, estimator, train)
                 linear = {label: model for label, model in fits.models.items() if label in STREAMED}
-                if linear:
-                    told = replace(self.told(fits, _baseline(linear, look), split, look, late), on_disk=True)
+                if linear:  # all were fitted to many more samples than these: none knows them by heart
+                    told = replace(
+                        self.told(fits, best_fitted(linear, look), split, look, late), on_disk=True
+                    )
                 tell("could not be fitted" if label in fits.failed else "fitted", share=1.0, result=told)
         return told or fits.reasons
 
@@ -81,18 +78,3 @@ class DiskJob(ChannelJob[DatasetFile]):
             f"needs its data in memory, and these {len(self.data):,} samples were fitted from disk (allow "
             "more with --memory, or fit some of the flights)"
         )
-
-
-def _baseline(models: dict[str, Fitted], look: Dataset) -> BaselineChoice:
-    """ARX, unless another model free-runs the first training samples better.
-
-    All were fitted to many more samples than these, so that none knows them by heart.
-    """
-    errors = free_run_errors(models, look)
-    label = "arx" if "arx" in errors else next(iter(errors))
-    for name, e in errors.items():
-        label = name if clearly_better(e, errors[label]) else label
-    rmse = {name: float(np.sqrt(e.mean())) for name, e in errors.items()}
-    said = ", ".join(f"{name.upper()} {value:.3g}" for name, value in rmse.items())
-    words = f"free-run RMSE over the first {len(look):,} training samples, in standard deviations: {said}"
-    return BaselineChoice(label, rmse, words)

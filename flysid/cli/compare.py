@@ -22,7 +22,12 @@ FOLDER = click.Path(path_type=Path)
 @click.argument("run_a", type=FOLDER)
 @click.argument("run_b", type=FOLDER)
 @click.option("--output", "-o", type=FOLDER, help="Folder of the report; none is written when not given.")
-@click.option("--model", "-m", "label", help="Model of the headline, in both runs [default: ts, else arx].")
+@click.option(
+    "--model",
+    "-m",
+    "label",
+    help="Model of the headline, in both runs [default: ts, else the baseline of RUN_B].",
+)
 @click.option("--data-a", type=FOLDER, help="The ingested folder of RUN_A, if it has moved since the fit.")
 @click.option("--data-b", type=FOLDER, help="The ingested folder of RUN_B, if it has moved since the fit.")
 @click.option("--fail-if", "condition", help="Exit with 4 if this holds, e.g. 'free_run.change_pct > 5'.")

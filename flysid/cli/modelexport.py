@@ -63,6 +63,7 @@ def find_model(wanted: Wanted) -> Found:
     """
     from flysid.export.csource import identifier
     from flysid.model.base import load
+    from flysid.validate.compare_models import headline
     from flysid.validate.run import models_of, open_run
 
     if not wanted.source.is_dir():
@@ -85,13 +86,6 @@ def find_model(wanted: Wanted) -> Found:
         others = ", ".join(sorted({*models} - {label}))
         say(f"{channel.name}: the model {label!r}; others with --model: {others}")
     return Found(identifier(channel.name), models[label], run, channel)
-
-
-def headline(models: dict[str, Fitted], baseline: str) -> str:
-    """The model that the verdict speaks of; the linear baseline where no fuzzy one was fitted."""
-    from flysid.validate.compare_models import CONTENDERS
-
-    return next((label for label in CONTENDERS if label in models), baseline)
 
 
 def write_c(wanted: Wanted, folder: Path, *, single: bool, force: bool) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -24,6 +24,7 @@ from flysid.validate.terminal import summary, table
 from tests.fakes import FirstOrder, flown
 
 TRUTH = FirstOrder(a=0.9, b=0.1)
+TWO_RULES = FirstOrder(a=0.9, b=0.1, structure="ts", labels=("R1", "R2"))
 TRAIN = flown(TRUTH, [300] * 6, noise=0.02)
 TEST = flown(TRUTH, [300] * 6, noise=0.02, seed=5)
 
@@ -79,6 +80,17 @@ def test_a_winner_by_luck_is_not_kept() -> None:
     assert kept.label == "arx"
     assert "OE was not kept" in kept.words
     assert confirmed(choice, {"arx": TRUTH}, TRAIN).label == "arx"  # its last fit failed
+
+
+def test_compare_holds_models_against_the_linear_one_that_follows_training_best() -> None:
+    models = {"arx": FirstOrder(a=0.9, b=0.08), "oe": TRUTH, "ts": TWO_RULES}
+    assert compare(models, TEST, train=TRAIN).baseline == "oe"
+    assert compare(models, TEST).baseline == "arx"  # nothing tells which is better
+    near = {**models, "arx": FirstOrder(a=0.9, b=0.0999)}
+    assert compare(near, TEST, train=TRAIN).baseline == "arx"
+    assert compare({"ts": TWO_RULES, "mean": Mean().fit(TRAIN)}, TEST, train=TRAIN).baseline == "ts"
+    one_rule = {"arx": FirstOrder(a=0.9, b=0.08), "ts": replace(TRUTH, structure="ts", labels=("R1",))}
+    assert compare(one_rule, TEST, train=TRAIN).baseline == "arx"  # what is judged judges nothing
 
 
 def test_data_too_short_to_choose_on_leave_arx() -> None:

@@ -22,6 +22,7 @@ from flysid.split import plan_split
 from flysid.validate import crossrun
 from flysid.validate.crossrun import RunSource, expected_of_runs, judge_runs, unseen
 from flysid.validate.fitting import fit_run
+from flysid.validate.judge import judge_run
 from flysid.validate.report.narrative import called
 from flysid.validate.run import ChannelRun, FitSettings, HeldOut, Run, held_out
 from tests.contest import linear_side
@@ -107,6 +108,16 @@ def test_two_runs_are_compared_like_with_like(runs: tuple[Run, Run]) -> None:
     assert fields_of(expected["channels"]) == fields_of(judgement.document["channels"])
     with pytest.raises(UsageError, match="model 'bj'"):
         expected_of_runs(a.run, a.run, "bj")
+
+
+def test_runs_without_rules_meet_in_the_baseline_that_validate_names(runs: tuple[Run, Run]) -> None:
+    (channel,) = runs[0].channels
+    linear = {label: file for label, file in channel.models.items() if label != "ts"}
+    for chosen in ("oe", "arx"):
+        a = replace(runs[0], channels=(replace(channel, models=linear, baseline=chosen),))
+        assert judge_run(a).comparisons[CHANNEL].baseline == chosen
+        c = judge_runs(RunSource(a), RunSource(a)).comparisons[CHANNEL]
+        assert (c.baseline, c.contender) == (f"a:{chosen}", f"b:{chosen}")
 
 
 def test_the_page_of_two_runs_says_how_to_make_both_again(runs: tuple[Run, Run]) -> None:
