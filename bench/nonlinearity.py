@@ -5,6 +5,10 @@ called nonlinear, how often a nonlinear one is found, and the share found beside
 simulated vehicle of docs/vehicle.md, noise of 0.02 m/s, all axes moved at once and one alone: the share
 beside the error that the best linear model leaves on the same flights without noise.
 
+`python -m bench.nonlinearity table [SETS] [SEED]`: flights as those of the table in docs/vehicle.md, flown
+anew: the error that the table states, of a linear model on a pilot's flight that it has not seen, over the
+share that is stated from the flights alone, with the noise. A set is steps, two multisines and a pilot.
+
 `python -m bench.nonlinearity verdict [PLANTS] [SEED]`: half as many plants of either kind, fitted and judged
 as `flysid fit` does it: whether the answer, from the training flights alone, foretells that rules are better.
 """
@@ -17,7 +21,7 @@ from collections.abc import Callable
 import numpy as np
 
 import flysid
-from bench.vehicle import PERIOD_S, STARTED, flight
+from bench.vehicle import PERIOD_S, STARTED, flight, linear_floor, table_flights
 from bench.verdict_fairness import (
     TRAIN,
     Outcome,
@@ -94,6 +98,29 @@ def vehicle(axis_alone: bool) -> None:
             print(f"| {loop} | {100 * share:g} % | {100 * true:.1f} % | {said} |", flush=True)
 
 
+def table(sets: int, seed: int) -> None:
+    """The longitudinal loop: the table's error, the stated share, and their ratio."""
+    output = LOOPS["longitudinal"].output
+    for share in SHARES:
+        rows = []
+        for k in range(seed, seed + sets):
+            flights = table_flights(share, 4 * k + 1)
+            rmse, spread = linear_floor(flights, 0, output)
+            rng = np.random.default_rng(k)
+            noisy = [y[output] + NOISE_M_S * rng.standard_normal(len(u)) for u, y in flights]
+            answer = asked(Dataset.from_arrays([u[:, 0] for u, _ in flights], noisy, PERIOD_S))[1]
+            rows.append((rmse / spread, answer.share))
+            print(f"{share:g}, set {k}: {rows[-1][0]:.3f}, stated {rows[-1][1]:.3f}", flush=True)
+        error, stated = np.array(rows).T
+        ratio = error / stated
+        print(
+            f"{100 * share:g} %: table {100 * np.median(error):.1f} ({100 * error.min():.1f} to "
+            f"{100 * error.max():.1f}), stated {100 * np.median(stated):.1f}; ratio {np.median(ratio):.2f}, "
+            f"{ratio.min():.2f} to {ratio.max():.2f}, within 1.5 in "
+            f"{np.sum(np.abs(np.log(ratio)) <= np.log(1.5))} of {sets}"
+        )
+
+
 def foretold(kind: str, seed: int) -> tuple[bool, Outcome | str]:
     """Whether a plant's training flights look nonlinear, and what is then said of it."""
     rng = np.random.default_rng(seed)
@@ -116,11 +143,12 @@ def verdicts(count: int, seed: int) -> None:
 
 def main() -> None:
     """Print everything."""
-    judged = sys.argv[1:2] == ["verdict"]
-    given = [int(a) for a in sys.argv[1 + judged :]]
-    count, seed = (given + ([60, 3000] if judged else [200, 700])[len(given) :])[:2]
-    if judged:
-        verdicts(count, seed)
+    part = sys.argv[1] if sys.argv[1:2] and not sys.argv[1].isdigit() else ""
+    given = [int(a) for a in sys.argv[1 + bool(part) :]]
+    usual = {"verdict": [60, 3000], "table": [20, 100], "": [200, 700]}[part]
+    count, seed = (given + usual[len(given) :])[:2]
+    if part:
+        {"verdict": verdicts, "table": table}[part](count, seed)
         return
     plants(linear_plant, count, seed)
     plants(nonlinear_plant, count, seed + 1)

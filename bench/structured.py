@@ -31,13 +31,15 @@ from flysid.model.structured.plan_file import Plan
 from flysid.model.structured.structured_state_space import StructuredStateSpace
 
 FILE = Path("docs/hover.toml")
-STEP_S = 0.00025
+STEP_S = 0.0005
 """Of commands and integration."""
 DT_S = 0.02
 SECONDS = 180.0
+SETTLED_S = 60.0
+"""Of the same multisine, flown before: nine time constants of the slowest mode."""
 BAND_HZ = (0.05, 8.0)
-BAND_RAD_S = (0.6, 50.0)
-PEAKS = (4.0, 4.0, 0.6)
+BAND_RAD_S = (0.8, 50.0)
+PEAKS = (3.0, 3.0, 0.69)
 """Of theta_in, phi_in (deg), vz_in (m/s)."""
 CLIPS = 300
 FINE_HZ = 64.0
@@ -52,32 +54,33 @@ PLANTED = ("M_u", "L_p")
 
 
 def flown(seed: int, effects: Effects = PLAIN) -> Dataset:
-    """Three flights, a multisine on one axis each; of two periods the second."""
+    """Three flights, a multisine on one axis each, one period in its steady state."""
     vehicle = Vehicle(effects=effects)
     rng = np.random.default_rng(seed)
     rows = round(SECONDS / DT_S)
+    each = round(DT_S / STEP_S)
     us = []
     ys = []
     for axis, peak in enumerate(PEAKS):
-        commands = np.zeros((2 * round(SECONDS / STEP_S), 3))
+        commands = np.zeros((round((SETTLED_S + SECONDS) / STEP_S), 3))
         commands[:, axis] = peak * multisine(rng)
-        air = wind_field(Wind(WIND_M_S), 2 * rows, DT_S, 20.0, rng)
-        wind = np.repeat(air, round(DT_S / STEP_S), axis=0)
+        air = wind_field(Wind(WIND_M_S), len(commands) // each, DT_S, 20.0, rng)
+        wind = np.repeat(air, each, axis=0)
         flight = fly_vehicle(
             vehicle, commands, period_s=STEP_S, record_s=DT_S, wind_m_s=wind, step_s=STEP_S
         ).series()
-        asked = commands[:: round(DT_S / STEP_S)]
+        asked = commands[::each]
         told = np.column_stack([flight[name] for name, _ in INPUTS[:3]]) - jumps(vehicle, commands) / 2.0
-        us.append(np.column_stack([told, asked])[rows:])
+        us.append(np.column_stack([told, asked])[-rows:])
         noise = [size * rng.standard_normal(len(asked)) for *_, size in OUTPUTS]
-        ys.append((np.column_stack([flight[name] for name, *_ in OUTPUTS]) + np.column_stack(noise))[rows:])
+        ys.append((np.column_stack([flight[name] for name, *_ in OUTPUTS]) + np.column_stack(noise))[-rows:])
     inputs = [Signal(name, unit) for name, unit in INPUTS]
     outputs = [Signal(name, unit) for name, unit, _ in OUTPUTS]
     return Dataset.from_arrays(us, ys, DT_S, inputs=inputs, outputs=outputs)
 
 
 def multisine(rng: np.random.Generator) -> FloatArray:
-    """Two periods of all harmonics inside the band, the slower the larger, peak 1.
+    """One period of all harmonics inside the band, its end before it, the slower the larger, peak 1.
 
     Phases start at random. The signal is clipped, and its spectrum keeps the phases and gets its sizes back,
     time and again, so that the peak comes down to 1.2 times the rms (3.6 at random: a ninth of the power);
@@ -92,7 +95,8 @@ def multisine(rng: np.random.Generator) -> FloatArray:
         turned = np.fft.rfft(np.clip(x, -top, top))[harmonics]
         lines = turned / (np.abs(turned) * harmonics)
     period = _period(lines, harmonics, 1.0 / STEP_S)
-    return np.tile(period / np.abs(period).max(), 2)
+    twice = np.concatenate([period[-round(SETTLED_S / STEP_S) :], period])
+    return np.asarray(twice / np.abs(period).max())
 
 
 def _period(lines: ComplexArray, harmonics: IntArray, rate_hz: float) -> FloatArray:
