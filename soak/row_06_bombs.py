@@ -56,10 +56,12 @@ def bag2_bombs() -> Iterator[tuple[bytes, int]]:
 
 
 def packed_bombs() -> Iterator[tuple[bytes, int]]:
-    """Logs with a gibibyte of zeros behind them: gzip, zstd, zip that owns up to it, zip that does not."""
+    """Logs with a gibibyte of zeros behind them, or a hundred: gzip, zstd, zip that owns up to it or not."""
     log = sample("tlog")
     rows = intact("tlog").rows
-    yield _packed(zlib.compressobj(wbits=31), log), rows
+    bomb = _packed(zlib.compressobj(wbits=31), log)
+    yield bomb, rows
+    yield bomb + 99 * _packed(zlib.compressobj(wbits=31), b""), rows
     yield _packed(zstandard.ZstdCompressor(level=1).compressobj(), log), rows
     whole = io.BytesIO()
     with (
@@ -69,8 +71,8 @@ def packed_bombs() -> Iterator[tuple[bytes, int]]:
         for piece in (log, *[bytes(STEP)] * (GIBIBYTE // STEP)):
             member.write(piece)
     blob = whole.getvalue()
-    yield blob, 0
-    yield blob[: blob.rindex(b"PK\x01\x02")], 0  # its header still states what it expands to
+    yield blob, rows
+    yield blob[: blob.rindex(b"PK\x01\x02")], rows  # its header still states what it expands to
     header = bytearray(blob[: blob.rindex(b"PK\x01\x02")])
     at = header.index(b"\x01\x00\x10\x00") + 4  # the extended sizes, in the header
     header[at : at + 8] = (1 << 20).to_bytes(8, "little")

@@ -35,7 +35,7 @@ from flysid.ingest.formats.common.compression import (
     unpacked_pieces,
 )
 from flysid.ingest.formats.common.zip_members import ZIP_MAGICS, Member, member_pieces, read_archive
-from flysid.ingest.formats.recognised import TAR_MAGIC, TAR_MAGIC_AT, is_office
+from flysid.ingest.formats.recognised import TAR_MAGIC, TAR_MAGIC_AT, is_office, packing_of
 
 PACKED_SUFFIXES = (".gz", ".zst", ".zstd")
 FIRST_BYTES = 128  # tell a packing, and an archive from a spreadsheet
@@ -96,12 +96,12 @@ def open_log(path: Path, limits: Limits | None = None) -> Iterator[OpenLog]:
     with ExitStack() as stack:
         log = OpenLog(file.name, stack.enter_context(map_file(file)))
         if inside or is_archive(log.view):
-            member = _member(file, inside, limits)
+            member = _member(file, inside)
             name = PurePosixPath(inside or member.name.replace("\\", "/")).name
-            packing = expanded(member_pieces(log.view, member), member.packed, limits)
+            packing = expanded(member_pieces(log.view, member, limits.max_ratio))
             log = _unpacked(name, stack.enter_context(packing))
         if is_compressed(log.view):
-            packing = expanded(unpacked_pieces(log.view), len(log.view), limits)
+            packing = expanded(unpacked_pieces(log.view, limits.max_ratio))
             log = _unpacked(own_name(log.name), stack.enter_context(packing), log.lost)
         _check(log, path)
         yield log
@@ -141,14 +141,18 @@ def _check(log: OpenLog, path: Path) -> None:
             hint="check that the download or copy finished",
         )
     if is_archive(log.view) or is_compressed(log.view):
-        raise FormatError("compressed too many times over", path=path, hint="unpack it first")
+        raise FormatError(
+            f"packed too many times: {packing_of(bytes(log.view[:FIRST_BYTES]))}",
+            path=path,
+            hint="unpack it once: gunzip, unzstd or unzip",
+        )
     if bytes(log.view[TAR_MAGIC_AT : TAR_MAGIC_AT + len(TAR_MAGIC)]) == TAR_MAGIC:
         raise FormatError("a tar archive", path=path, hint="unpack it first: tar xf")
 
 
-def _member(file: Path, inside: str, limits: Limits) -> Member:
+def _member(file: Path, inside: str) -> Member:
     """The member that is meant; the only one where none is named."""
-    members = read_archive(file, limits).members
+    members = read_archive(file).members
     if inside in members:
         return members[inside]
     if inside:
@@ -172,14 +176,15 @@ def locate(path: Path) -> tuple[Path, str]:
     return path, ""
 
 
-def members_of(path: Path, limits: Limits | None = None) -> Mapping[str, Member]:
+def members_of(path: Path) -> Mapping[str, Member]:
     """The members of a .zip archive, by name; none for any other file. Raises FormatError and OSError."""
-    if not path.is_file() or not _begins_archive(path):
+    if not path.is_file() or not begins_archive(path):
         return {}
-    return read_archive(path, limits or Limits()).members
+    return read_archive(path).members
 
 
-def _begins_archive(path: Path) -> bool:
+def begins_archive(path: Path) -> bool:
+    """Whether a file, as it is, begins as an archive does: one that is packed itself does not."""
     with path.open("rb") as file:
         return is_archive(file.read(FIRST_BYTES))
 
@@ -241,13 +246,13 @@ def head_of(path: Path, limits: Limits | None = None) -> tuple[str, bytes]:
             name = file.name
             head = _head(opened)
     else:
-        member = _member(file, inside, limits)
+        member = _member(file, inside)
         with map_file(file) as view:
             name = PurePosixPath(inside).name
-            head = first_bytes(member_pieces(view, member), HEAD_BYTES)
+            head = first_bytes(member_pieces(view, member, limits.max_ratio), HEAD_BYTES)
     if is_compressed(head):
         name = own_name(name)
-        head = first_bytes(unpacked_pieces(memoryview(head)), HEAD_BYTES)
+        head = first_bytes(unpacked_pieces(memoryview(head), limits.max_ratio), HEAD_BYTES)
     return name, head
 
 

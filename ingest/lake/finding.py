@@ -22,9 +22,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from flysid.errors import FormatError, UsageError
-from flysid.ingest.formats.base import Limits
 from flysid.ingest.formats.common.zip_members import read_archive
-from flysid.ingest.formats.opening import head_of, is_archive, is_packed, names_log, own_name
+from flysid.ingest.formats.opening import begins_archive, head_of, is_archive, names_log, own_name
 from flysid.ingest.formats.recognised import TEXT, kind_of, packing_of, stranger
 from flysid.ingest.formats.registry import confidence_of, known_suffixes
 from flysid.ingest.lake.workers import Bounds, Lost, run_bounded
@@ -147,7 +146,7 @@ class _Search:
         inside = _Search(self.look_into)
         if path.is_dir():
             inside._look_into(path)
-        elif path.is_file() and is_archive(head_of(path)[1]):
+        elif path.is_file() and begins_archive(path):
             inside._add(self.look_into(path))
         else:
             inside.paths[path] = None
@@ -204,7 +203,7 @@ class _Search:
                 if not head and not is_member and path.stat().st_size > 0:
                     self._fail(path, "nothing but zeros")
                     return
-                self._judge_content(path, own, head, is_member or is_packed(path.name))
+                self._judge_content(path, own, head, is_member or not begins_archive(path))
 
     def _judge_content(self, path: Path, name: str, head: bytes, is_inner: bool) -> None:
         kind = kind_of(head)
@@ -228,7 +227,7 @@ def _inside_of(path: Path) -> _Search:
     """Members of an archive one by one; an archive without a log is passed over as one thing."""
     inside = _Search(_inside_of)
     try:
-        archive = read_archive(path, Limits())
+        archive = read_archive(path)
     except (FormatError, OSError) as error:
         inside._fail(path, reason_of(error))
         return inside

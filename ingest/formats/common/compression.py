@@ -19,11 +19,12 @@ from flysid.ingest.formats.base import Limits, release
 
 GZIP_MAGIC = b"\x1f\x8b\x08"
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
-FREE_BYTES = 256 << 20  # below this, the ratio is not held against a file
+FREE_BYTES = 256 << 20  # of zeros and the like: so much of them is expanded whatever the ratio
 _WINDOW = 1 << 27
 _RELEASE_BYTES = 1 << 20
 _RAW_DEFLATE = -15
 _GZIP = 31
+_ZSTD_HEAD_BYTES = 18  # at most
 
 
 class ChunkError(ValueError):
@@ -58,25 +59,44 @@ class Expanded:
 # ------------------------------------------------------------------------------------------------- pieces
 
 
-def unpacked_pieces(view: memoryview) -> Iterator[bytes]:
+@dataclass
+class _Growth:
+    """Bytes that came out beyond `max_ratio` times what went in, since that was last kept."""
+
+    max_ratio: float
+    excess: float = 0.0
+
+    def check(self, given: int, taken: int, at: int) -> None:
+        """Raises ChunkError where too much came out of the bytes up to `at`, of which `taken` are new."""
+        self.excess = max(0.0, self.excess + given - self.max_ratio * taken)
+        if self.excess > FREE_BYTES:
+            raise ChunkError(
+                f"ahead of byte {at} of the packed data they expand to more than {self.max_ratio:g} times "
+                "their size: the rest is left out"
+            )
+
+
+def unpacked_pieces(view: memoryview, max_ratio: float) -> Iterator[bytes]:
     """What a gzip or zstd file expands to, piece by piece: all its frames, one behind the other.
 
-    Raises ChunkError where they end early or are damaged; what stands before has been given.
+    Raises ChunkError where they end early, are damaged, or expand to far more than `max_ratio` times their
+    size; what stands before has been given.
     """
     at = 0
     is_gzip = view[: len(GZIP_MAGIC)] == GZIP_MAGIC
     name = "gzip" if is_gzip else "zstd"
+    growth = _Growth(max_ratio)
     while at < len(view):
         if at and _is_padding(view, at):
             return
         if at and not _begins_frame(view, at, is_gzip):
             raise ChunkError(f"{len(view) - at} bytes behind the {name} data at byte {at} are something else")
-        at = yield from (_inflated(view, at, _GZIP) if is_gzip else _unzstd(view, at))
+        at = yield from (_inflated(view, at, _GZIP, growth) if is_gzip else _unzstd(view, at, growth))
 
 
-def inflated_pieces(view: memoryview) -> Iterator[bytes]:
+def inflated_pieces(view: memoryview, max_ratio: float) -> Iterator[bytes]:
     """What deflate data without a header (a member of a zip archive) expand to; raises ChunkError."""
-    yield from _inflated(view, 0, _RAW_DEFLATE)
+    yield from _inflated(view, 0, _RAW_DEFLATE, _Growth(max_ratio))
 
 
 def _is_padding(view: memoryview, at: int) -> bool:
@@ -92,51 +112,116 @@ def _begins_frame(view: memoryview, at: int, is_gzip: bool) -> bool:
     return skippable or view[at : at + 4] == ZSTD_MAGIC
 
 
-def _inflated(view: memoryview, at: int, wbits: int, *, step: int = 16384) -> Generator[bytes, None, int]:
+def _inflated(
+    view: memoryview, at: int, wbits: int, growth: _Growth, *, step: int = 16384
+) -> Generator[bytes, None, int]:
     """`step`: deflate expands up to 1,032 times: what one step gives stays below 17 MB."""
-    return (yield from _frame(lambda: zlib.decompressobj(wbits), zlib.error, view, at, step))
+    made = _Unpacking(lambda: zlib.decompressobj(wbits), zlib.error, view, at, step)
+    end, _ = yield from _frame(made, growth)
+    return end
 
 
-def _unzstd(view: memoryview, at: int, *, step: int = 512) -> Generator[bytes, None, int]:
-    """`step`: zstd expands up to 30,000 times: what one step gives stays below 16 MB."""
+def _unzstd(view: memoryview, at: int, growth: _Growth, *, step: int = 512) -> Generator[bytes, None, int]:
+    """`step`: zstd expands up to 30,000 times: what one step gives stays below 16 MB.
+
+    What the frame states of its size is held against it only when all of it is there.
+    """
     import zstandard
 
+    head = _ZstdHead.read(bytes(view[at : at + _ZSTD_HEAD_BYTES]))
+
     def decoder() -> Decoder:
-        made: Decoder = zstandard.ZstdDecompressor(max_window_size=_WINDOW).decompressobj()
-        return made
-
-    return (yield from _frame(decoder, zstandard.ZstdError, view, at, step))
-
-
-def _frame(
-    make: Callable[[], Decoder], error_type: type[Exception], view: memoryview, start: int, step: int
-) -> Generator[bytes, None, int]:
-    """The expanded bytes of the frame at `start`; returns where it ends. Raises ChunkError."""
-    decoder = make()
-    released = start
-    for at in range(start, len(view), step):
+        found: Decoder = zstandard.ZstdDecompressor(max_window_size=_WINDOW).decompressobj()
         try:
-            yield decoder.decompress(view[at : at + step])
-        except error_type as error:
-            yield from _up_to_damage(make(), error_type, view, start, at, step)
+            found.decompress(memoryview(head.without_size))
+        except zstandard.ZstdError as error:
+            raise ChunkError(f"the zstd frame at byte {at} cannot be unpacked: {error}") from error
+        return found
+
+    made = _Unpacking(decoder, zstandard.ZstdError, view, at + head.size, step)
+    end, given = yield from _frame(made, growth)
+    if head.content is not None and given != head.content:
+        raise ChunkError(f"the zstd frame states {head.content} bytes and holds {given}")
+    return end
+
+
+@dataclass(frozen=True)
+class _ZstdHead:
+    """The beginning of a zstd frame (RFC 8878, section 3.1.1.1).
+
+    Attributes
+    ----------
+    size : of the header, in bytes; 0 of what is no whole header, and of skippable frames.
+    content : how many bytes the frame states that it expands to; None where it does not.
+    without_size : the header as it would be without that.
+    """
+
+    size: int = 0
+    content: int | None = None
+    without_size: bytes = b""
+
+    @classmethod
+    def read(cls, head: bytes) -> _ZstdHead:
+        """The header that these bytes begin with."""
+        if len(head) < _ZSTD_HEAD_BYTES or not head.startswith(ZSTD_MAGIC):
+            return cls()
+        told = head[4]
+        is_single = bool(told & 0x20)  # the content is the window
+        content_bytes = (1 if is_single else 0, 2, 4, 8)[told >> 6]
+        names_bytes = (0, 1, 2, 4)[told & 3]  # of a dictionary
+        window = bytes([(_WINDOW.bit_length() - 11) << 3]) if is_single else head[5:6]
+        at = 5 + (not is_single)
+        names = head[at : at + names_bytes]
+        at += names_bytes
+        content = int.from_bytes(head[at : at + content_bytes], "little") + 256 * (content_bytes == 2)
+        without = ZSTD_MAGIC + bytes([told & 0x1F]) + window + names
+        return cls(at + content_bytes, content if content_bytes else None, without)
+
+
+@dataclass(frozen=True)
+class _Unpacking:
+    """One frame of packed data: who decodes it and fails how, and where it begins behind its header."""
+
+    make: Callable[[], Decoder]
+    error_type: type[Exception]
+    view: memoryview
+    start: int
+    step: int
+
+
+def _frame(made: _Unpacking, growth: _Growth) -> Generator[bytes, None, tuple[int, int]]:
+    """The expanded bytes of a frame; returns where it ends, and how many there are. Raises ChunkError."""
+    view = made.view
+    step = made.step
+    decoder = made.make()
+    released = made.start
+    given = 0
+    for at in range(made.start, len(view), step):
+        try:
+            piece = decoder.decompress(view[at : at + step])
+        except made.error_type as error:
+            yield from _up_to_damage(made, at)
             raise ChunkError(f"the packed data are damaged before byte {at + step}: {error}") from error
+        given += len(piece)
+        yield piece
+        end = min(at + step, len(view)) - len(decoder.unused_data)
+        growth.check(len(piece), end - at, end)
         if decoder.eof:
-            return min(at + step, len(view)) - len(decoder.unused_data)
+            return end, given
         if at - released >= _RELEASE_BYTES:
             release(view, released, at)
             released = at
     raise ChunkError(f"the packed data end early, at byte {len(view)}")
 
 
-def _up_to_damage(
-    decoder: Decoder, error_type: type[Exception], view: memoryview, start: int, damaged: int, step: int
-) -> Iterator[bytes]:
+def _up_to_damage(made: _Unpacking, damaged: int) -> Iterator[bytes]:
     """What the damaged step still gives: the frame once more, and that step byte by byte."""
-    for at in range(start, damaged, step):
-        decoder.decompress(view[at : at + step])
-    with suppress(error_type):
-        for at in range(damaged, min(damaged + step, len(view))):
-            yield decoder.decompress(view[at : at + 1])
+    decoder = made.make()
+    for at in range(made.start, damaged, made.step):
+        decoder.decompress(made.view[at : at + made.step])
+    with suppress(made.error_type):
+        for at in range(damaged, min(damaged + made.step, len(made.view))):
+            yield decoder.decompress(made.view[at : at + 1])
 
 
 def packer_for(suffix: str) -> Packer:
@@ -164,18 +249,14 @@ def first_bytes(pieces: Iterator[bytes], count: int) -> bytes:
 
 
 @contextmanager
-def expanded(pieces: Iterator[bytes], packed_bytes: int, limits: Limits) -> Iterator[Expanded]:
+def expanded(pieces: Iterator[bytes]) -> Iterator[Expanded]:
     """The pieces as one mapped file; as much of it as there is where the end or the middle is damaged."""
-    most = max(FREE_BYTES, int(limits.max_ratio * packed_bytes))
     with tempfile.TemporaryFile() as file:
         written = 0
         lost = ""
         try:
             for piece in pieces:
                 written += file.write(piece)
-                if written > most:
-                    lost = f"it expands to more than {limits.max_ratio:g} times its size"
-                    break
             file.flush()
         except ChunkError as error:
             lost = str(error)

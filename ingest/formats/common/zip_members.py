@@ -16,13 +16,8 @@ from functools import lru_cache
 from pathlib import Path
 from zipfile import ZIP_DEFLATED, ZIP_STORED
 
-from flysid.ingest.formats.base import Limits, map_file
-from flysid.ingest.formats.common.compression import (
-    FREE_BYTES,
-    ChunkError,
-    inflated_pieces,
-    unpacked_pieces,
-)
+from flysid.ingest.formats.base import map_file
+from flysid.ingest.formats.common.compression import ChunkError, inflated_pieces, unpacked_pieces
 
 ZIP_MAGICS = (b"PK\x03\x04", b"PK\x05\x06", b"PK\x07\x08PK\x03\x04")
 ZSTANDARD = 93
@@ -61,14 +56,14 @@ class Archive:
     fault: str = ""
 
 
-def read_archive(path: Path, limits: Limits) -> Archive:
+def read_archive(path: Path) -> Archive:
     """The members of an archive; nothing of them is expanded. Raises FormatError where it cannot be read."""
     state = path.stat()
-    return _read_archive(path, state.st_size, state.st_mtime_ns, limits)
+    return _read_archive(path, state.st_size, state.st_mtime_ns)
 
 
 @lru_cache(maxsize=4)  # each member is opened for itself, and asks again
-def _read_archive(path: Path, size: int, modified_ns: int, limits: Limits) -> Archive:  # noqa: ARG001
+def _read_archive(path: Path, size: int, modified_ns: int) -> Archive:  # noqa: ARG001
     try:
         with zipfile.ZipFile(path) as archive:
             found = [_listed(info) for info in archive.infolist() if not info.is_dir()]
@@ -81,7 +76,7 @@ def _read_archive(path: Path, size: int, modified_ns: int, limits: Limits) -> Ar
             fault = "the archive's list of members does not fit it: bytes are missing, or were added"
         if fault:
             found = list(_met(view)) or found
-    return Archive(_named(_bounded(found, size, limits)), fault)
+    return Archive(_named(_bounded(found)), fault)
 
 
 def _is_in_place(view: memoryview, member: Member) -> bool:
@@ -89,15 +84,18 @@ def _is_in_place(view: memoryview, member: Member) -> bool:
     return member.header >= 0 and view[member.header : member.header + 4] == ZIP_MAGICS[0]
 
 
-def member_pieces(view: memoryview, member: Member) -> Iterator[bytes]:
-    """What a member expands to; raises ChunkError where it is cut, damaged or not what the archive says."""
+def member_pieces(view: memoryview, member: Member, max_ratio: float) -> Iterator[bytes]:
+    """What a member expands to; raises ChunkError where it is cut, damaged or not what the archive says.
+
+    `max_ratio` : see `Limits`.
+    """
     if member.fault:
         raise ChunkError(member.fault)
     start = _data_start(view, member)
     packed = view[start : start + member.packed]
     total = 0
     crc = 0
-    for piece in _unpacked(packed, member.method):
+    for piece in _unpacked(packed, member.method, max_ratio):
         total += len(piece)
         crc = zlib.crc32(piece, crc)
         yield piece
@@ -111,11 +109,11 @@ def member_pieces(view: memoryview, member: Member) -> Iterator[bytes]:
         raise ChunkError("its checksum is wrong: some of its bytes are damaged")
 
 
-def _unpacked(packed: memoryview, method: int, *, piece: int = 1 << 20) -> Iterator[bytes]:
+def _unpacked(packed: memoryview, method: int, max_ratio: float, *, piece: int = 1 << 20) -> Iterator[bytes]:
     if method == ZIP_DEFLATED:
-        return inflated_pieces(packed)
+        return inflated_pieces(packed, max_ratio)
     if method == ZSTANDARD:
-        return unpacked_pieces(packed)
+        return unpacked_pieces(packed, max_ratio)
     return (bytes(packed[at : at + piece]) for at in range(0, len(packed), piece))
 
 
@@ -206,12 +204,8 @@ def _end_of_data(view: memoryview, start: int) -> int:
     return len(view)
 
 
-def _bounded(found: list[Member], archive_bytes: int, limits: Limits) -> list[Member]:
-    """Mark as faulty what states more than `Limits` allow, or gives the same bytes twice."""
-    stated = sum(member.size or 0 for member in found)
-    if stated > max(FREE_BYTES, int(limits.max_ratio * archive_bytes)):
-        why = f"its archive states {stated} bytes, more than {limits.max_ratio:g} times its own size"
-        return [_faulty(member, why) for member in found]
+def _bounded(found: list[Member]) -> list[Member]:
+    """Mark as faulty what gives the same bytes twice: by that alone an archive can expand without bound."""
     bounded: list[Member] = []
     end = 0
     for member in sorted(found, key=lambda member: member.header):

@@ -25,6 +25,7 @@ from flysid.cli import root
 from flysid.errors import FormatError, UsageError
 from flysid.ingest.formats.base import Limits
 from flysid.ingest.formats.common import compression
+from flysid.ingest.formats.common.compression import ChunkError, unpacked_pieces
 from flysid.ingest.formats.opening import open_log
 from flysid.ingest.formats.scrubbing import scrub_log
 from tests.format_trials import FORMATS, module_of, sample
@@ -145,8 +146,40 @@ def test_a_log_may_be_packed_twice_and_no_more(tmp_path: Path) -> None:
         "b.gz": gzip.compress(gzip.compress(LOG)),
         "c.zst": zst(zipped({"one.tlog": LOG})),
     }.items():
-        with pytest.raises(FormatError, match="compressed too many times"):
+        with pytest.raises(FormatError, match=r"packed too many times: (an archive|gzip) inside"):
             flysid.read(put(tmp_path / name, blob))
+
+
+@pytest.mark.parametrize("count", [1, 2])
+@pytest.mark.parametrize("name", ["a.zip.gz", "a.bin"])
+def test_an_archive_that_is_packed_itself_is_named_as_such(tmp_path: Path, name: str, count: int) -> None:
+    """Its headers were looked for in the packed bytes: found by chance, or "cut off or damaged"."""
+    members = {f"{k}.tlog": LOG + random.Random(k).randbytes(30_000) for k in range(count)}
+    path = put(tmp_path / name, gzip.compress(zipped(members)))
+    for said in (
+        cli("ingest", path, "-o", tmp_path / "one"),
+        cli("ingest", tmp_path, "-o", tmp_path / "all"),
+    ):
+        assert said.return_value != 0
+        assert "an archive inside" in said.stderr
+        assert "damaged" not in said.stderr
+
+
+@pytest.mark.parametrize("size", [0, 100, 300, 200_000])
+@pytest.mark.parametrize("off_by", [-1, 1, 5000])
+def test_a_zstd_frame_that_states_a_wrong_size_keeps_what_it_holds(size: int, off_by: int) -> None:
+    """Before, libzstd's check of the size took a whole block with it: all of a short log."""
+    blob = random.Random(size).randbytes(size) + LOG[:300]
+    packed = bytearray(zst(blob))
+    single = bool(packed[4] & 0x20)
+    width = (1, 2, 4)[packed[4] >> 6]
+    at = 5 + (not single)
+    stated = int.from_bytes(packed[at : at + width], "little") + off_by
+    packed[at : at + width] = (stated % 256**width).to_bytes(width, "little")
+    found: list[bytes] = []
+    with pytest.raises(ChunkError, match=rf"states \d+ bytes and holds {len(blob)}"):
+        found.extend(unpacked_pieces(memoryview(bytes(packed)), 200.0))
+    assert b"".join(found) == blob
 
 
 def test_frames_one_behind_the_other_are_one_log(tmp_path: Path) -> None:
@@ -286,20 +319,33 @@ def test_an_encrypted_member_is_named_with_the_way_out(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("suffix", [".gz", ".zst", ".zip"])
-def test_bombs_stop_at_the_limits(tmp_path: Path, suffix: str, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("front", [0, 3 << 20])
+def test_bombs_stop_at_the_limits(
+    tmp_path: Path, suffix: str, front: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """However much stands ahead of it, a bomb adds no more than is free, and what it follows is read."""
     monkeypatch.setattr(compression, "FREE_BYTES", 4 << 20)
-    monkeypatch.setattr("flysid.ingest.formats.common.zip_members.FREE_BYTES", 4 << 20)
-    log = LOG + bytes(64 << 20)
-    pack = PACKINGS[suffix] if suffix in PACKINGS else lambda blob: streamed_zip({"a.tlog": blob})
-    path = put(tmp_path / f"a{suffix}", pack(log))
-    if suffix == ".zip":
-        with pytest.raises(FormatError, match="more than 50 times its own size"):
-            flysid.read(path, limits=Limits(max_ratio=50))
-        path.write_bytes(path.read_bytes()[: path.read_bytes().index(b"PK\x01\x02")])
+    log = LOG + random.Random(3).randbytes(front) + LOG
+    packed = (
+        PACKINGS[suffix](log + bytes(64 << 20))
+        if suffix in PACKINGS
+        else zipped({"a.tlog": log + bytes(64 << 20)})
+    )
+    path = put(tmp_path / f"a{suffix}", packed)
     flight = flysid.read(path, limits=Limits(max_ratio=50))
-    assert "more than 50 times its size" in flight.damage.reasons["packing"]
-    assert flight.source.size_bytes < 24 << 20
-    assert flight.rows
+    assert "more than 50 times their size: the rest is left out" in flight.damage.reasons["packing"]
+    assert flight.source.size_bytes < len(log) + (24 << 20)
+    assert flight.rows == 2 * flysid.read(put(tmp_path / "one.tlog", LOG)).rows
+    assert flight.damage.truncated
+
+
+def test_many_small_bombs_are_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(compression, "FREE_BYTES", 4 << 20)
+    packed = gzip.compress(LOG) + 100 * gzip.compress(bytes(1 << 20))
+    found: list[int] = []
+    with pytest.raises(ChunkError, match="the rest is left out"):
+        found.extend(map(len, unpacked_pieces(memoryview(packed), 50.0)))
+    assert len(LOG) < sum(found) < 8 << 20
 
 
 def test_members_that_share_their_bytes_are_refused(tmp_path: Path) -> None:
