@@ -120,5 +120,5 @@ def choose_curves(log: StoredLog, fields: Sequence[str], pair: str | None, recip
         if not recipe
         else f"the log has no channel of {recipe}",
         path=log.name,
-        hint="name the fields: flysid plot LOG STREAM.FIELD; 'flysid show' lists them",
+        hint="name the fields: flysid plot LOG STREAM.FIELD; 'flysid show LOG --fields' lists them",
     )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import re
 from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
@@ -19,14 +20,17 @@ from flysid.cli.ls import clock_text
 from flysid.cli.output import aligned, printable, say
 from flysid.cli.source import Words, opened_flights, reading_options
 from flysid.errors import StoreError, UsageError
+from flysid.flight import BOOT, RECEIVED, TIME
 from flysid.showing import counted
 
 if TYPE_CHECKING:
     from flysid.flight import ClockMap
     from flysid.ingest.lake.lake import StoredLog
+    from flysid.ingest.lake.ranges import Range
     from flysid.manifest import Manifest, StreamEntry
 
-HEADINGS = ("COLUMN", "TYPE", "UNIT", "SCALE", "MIN", "MEAN", "MAX", "MISSING", "VALUES")
+STATISTICS = ("MIN", "MEAN", "MAX", "MISSING")
+HEADINGS = ("COLUMN", "TYPE", "UNIT", "SCALE", *STATISTICS, "VALUES")
 
 
 @click.command("show")
@@ -34,6 +38,7 @@ HEADINGS = ("COLUMN", "TYPE", "UNIT", "SCALE", "MIN", "MEAN", "MAX", "MISSING", 
 @click.argument("names", nargs=-1, metavar="[FLIGHT] [STREAM]", shell_complete=complete.flights)
 @click.option("--json", "as_json", is_flag=True, help="Print the manifest (or the stream's entry) as JSON.")
 @click.option("-n", "--rows", default=5, show_default=True, help="Number of rows of the stream to print.")
+@click.option("--fields", is_flag=True, help="Print unit, range, mean and missing values of all fields.")
 @click.option("--params", is_flag=True, help="Print the parameters at the end of the log.")
 @click.option("--messages", is_flag=True, help="Print the text messages, in order.")
 @click.option("--events", is_flag=True, help="Print modes, messages and parameter changes, in order.")
@@ -44,6 +49,7 @@ def command(
     names: tuple[str, ...],
     as_json: bool,
     rows: int,
+    fields: bool,
     params: bool,
     messages: bool,
     events: bool,
@@ -56,15 +62,17 @@ def command(
     """
     from flysid.ingest.lake.chosen_flights import Selection, select
 
-    if params + messages + events + track > 1:
+    if fields + params + messages + events + track > 1:
         raise UsageError(
-            "--params, --messages, --events and --track are mutually exclusive",
+            "--fields, --params, --messages, --events and --track are mutually exclusive",
             hint="run the command once for each",
         )
     with Display().shown(), opened_flights(source, told) as lake:
         flight, stream = _split(str(source), names, [facts.id for facts in lake.facts])
         [log] = select(lake, Selection(flights=(flight,))).logs
-        if params:
+        if fields:
+            _print_fields(log)
+        elif params:
             _print_parameters(log)
         elif messages:
             _print_events(log, ("message",))
@@ -74,8 +82,12 @@ def command(
             _print_track(log)
         elif stream is None:
             click.echo(flight_json(log.manifest) if as_json else flight_text(log.manifest, mode_times(log)))
-            if len(log.manifest.streams) == 1 and not as_json:
+            if as_json:
+                return
+            if len(log.manifest.streams) == 1:
                 click.echo("\n" + stream_text(log, log.manifest.streams[0], rows))
+            else:
+                say("more: --fields lists all fields with unit and range; STREAM shows the first rows of one")
         else:
             entry = log.manifest.stream(stream)
             click.echo(stream_json(entry) if as_json else stream_text(log, entry, rows))
@@ -111,6 +123,22 @@ def mode_times(log: StoredLog) -> list[str]:
         end_ns = after.time_ns if after and lasts else ends.get(change.boot, change.time_ns)
         flown[change.text] = flown.get(change.text, 0.0) + max(0, end_ns - change.time_ns) * 1e-9
     return [f"{name} {clock_text(seconds)}" for name, seconds in flown.items()]
+
+
+def _print_fields(log: StoredLog) -> None:
+    """Every field below its stream, but for the columns that the reader adds to all of them."""
+    rows: list[Sequence[str]] = [("  FIELD", "UNIT", *STATISTICS)]
+    counts = []
+    for entry in log.manifest.streams:
+        ranges = stream_ranges(log, entry)
+        fields = [c for c in entry.columns if c.name not in (TIME, BOOT, RECEIVED)]
+        counts.append(len(fields))
+        rows += [(f"  {c.name}", c.unit, *statistics(ranges[c.name])) for c in fields]
+    heading, *lines = aligned(rows)
+    click.echo(heading)
+    for entry, count in zip(log.manifest.streams, counts, strict=True):
+        click.echo("\n".join([stream_title(entry), *lines[:count]]))
+        del lines[:count]
 
 
 def _print_parameters(log: StoredLog) -> None:
@@ -204,6 +232,12 @@ def flight_text(manifest: Manifest, modes: Sequence[str] = ()) -> str:
     return "\n".join([*aligned(facts), "", *aligned(rows)])
 
 
+def stream_title(entry: StreamEntry) -> str:
+    """A stream's name, rows and rate."""
+    rate = stream_rate(entry)
+    return f"{printable(entry.stream)}: {counted(entry.rows, 'row')}" + ("" if rate == "-" else f", {rate}")
+
+
 def stream_rate(entry: StreamEntry) -> str:
     """A stream's rate; none where two rows make a single interval, or times only keep the order."""
     ordered = entry.metadata.get("time_source") == "order-mapped"
@@ -228,21 +262,36 @@ def dates(clocks: Sequence[ClockMap]) -> list[str]:
     ]
 
 
-def stream_text(log: StoredLog, entry: StreamEntry, count: int) -> str:
-    """Columns of a stream with units and ranges, and its first rows."""
+def stream_ranges(log: StoredLog, entry: StreamEntry) -> dict[str, Range]:
+    """The range of every column."""
     from flysid.ingest.lake.ranges import column_ranges
 
-    table = log.table(entry.stream, [c.name for c in entry.columns])
-    ranges = column_ranges(table)
+    return column_ranges(log.table(entry.stream, [c.name for c in entry.columns]))
+
+
+def statistics(found: Range) -> list[str]:
+    """The cells of `STATISTICS`; empty where there is no number, or nothing is missing."""
+    numbers = ["" if x is None else f"{x + 0.0:.6g}" for x in (found.low, found.mean, found.high)]
+    return [*numbers, f"{found.missing:,}" if found.missing else ""]
+
+
+def stream_text(log: StoredLog, entry: StreamEntry, count: int) -> str:
+    """Columns of a stream with units and ranges, and its first rows."""
+    ranges = stream_ranges(log, entry)
     columns: list[tuple[str, ...]] = [HEADINGS]
     for c in entry.columns:
         names = ", ".join([*(f"{k}={v}" for k, v in list(c.enum.items())[:3]), *["..."][: len(c.enum) > 3]])
-        found = ranges[c.name]
-        numbers = ["" if x is None else f"{x:.6g}" for x in (found.low, found.mean, found.high)]
         scale = "" if c.scale == 1.0 else f"{c.scale:g}"
-        missing = f"{found.missing:,}" if found.missing else ""
-        columns.append((c.name, c.type, c.unit, scale, *numbers, missing, names))
-    title = f"{printable(entry.stream)}: {counted(entry.rows, 'row')}, {rate_text(entry.rate_hz)}"
+        kind = re.sub(r"fixed_size_list<item: (\w+)>", r"\1", c.type)
+        columns.append((c.name, kind, c.unit, scale, *statistics(ranges[c.name]), names))
     first = [tuple(c.name for c in entry.columns)]
-    first += [tuple(str(value)[:24] for value in row.values()) for row in table.slice(0, count).to_pylist()]
-    return "\n".join([title, "", *aligned(columns), "", *aligned(first)])
+    table = log.table(entry.stream, [c.name for c in entry.columns]).slice(0, count)
+    first += [tuple(cell(value) for value in row.values()) for row in table.to_pylist()]
+    return "\n".join([stream_title(entry), "", *aligned(columns), "", *aligned(first)])
+
+
+def cell(value: object) -> str:
+    """A value as a row shows it: numbers rounded, whatever is long cut."""
+    if isinstance(value, list):
+        value = f"[{', '.join(f'{x:.4g}' if isinstance(x, float) else str(x) for x in value)}]"
+    return f"{value:.9g}" if isinstance(value, float) else str(value)[:24]

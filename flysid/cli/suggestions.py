@@ -95,9 +95,8 @@ def unusable(
 def next_command(found: Sequence[Suggestion], data: str, vehicles: Mapping[str, str]) -> str:
     """What to run next: the recipe with most that is good, and its good channels, of one vehicle."""
     if not found:
-        return (
-            f"next: flysid fit {data} --from FIELD --to FIELD -o run; 'flysid show {data}' lists the fields"
-        )
+        listed = f"'flysid show {data} --fields' lists them"
+        return f"next: flysid fit {data} --from FIELD --to FIELD -o run; {listed}"
     good = [s for s in found if s.verdict == "good"]
     if not good:
         return f"next: fly or log what is asked for above; to look at this flight: flysid plot {data}"

@@ -67,6 +67,15 @@ def test_a_stream_says_its_ranges_in_units(data: Path) -> None:
     assert show(data, "0001", "ATT") == show(data, "ATT")
 
 
+def test_all_fields_of_a_flight_are_listed_with_their_ranges(data: Path) -> None:
+    lines = [line.split() for line in show(data, "--fields").splitlines()]
+    assert ["ATT:", "100", "rows,", "10.0", "Hz"] in lines
+    assert ["Roll", "deg", "0", "24.9646", "49.5", "1"] in lines
+    assert ["ModeNum", "0", "1", "5"] in lines
+    assert ["Name"] in lines
+    assert not [line for line in lines if line[:1] in (["time_ns"], ["boot"])]
+
+
 def test_parameters_events_and_track(data: Path) -> None:
     assert show(data, "--params") == "P 0.5\n"
     events = [line.split() for line in show(data, "--events").splitlines()]
