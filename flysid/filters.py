@@ -1,11 +1,11 @@
-"""Compiled linear filters: `scipy.signal.lfilter` without its checks.
-
-SciPy's is not taken: importing `scipy.signal` costs every command more than a second.
+"""What is taken of `scipy.signal`, whose import costs every command a second: filters, a density, a taper.
 
 Polynomials stand in rising powers of q⁻¹; the denominator is monic.
 """
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import numpy as np
 from numba import njit
@@ -52,3 +52,30 @@ def _filtered(b: FloatArray, a: FloatArray, x: FloatArray, start: FloatArray) ->
             state[i] = kept
         y[k] = value
     return y
+
+
+def power_density(pieces: Sequence[FloatArray], dt_s: float) -> tuple[FloatArray, FloatArray]:
+    """(F,) frequencies above zero and Welch's estimate of the pieces together, weighted by their length.
+
+    Half-overlapping Hann windows without their means, as `scipy.signal.welch` has them. One-sided.
+    """
+    width = int(min(256, max(len(p) for p in pieces)))
+    inner = slice(1, (width + 1) // 2)  # the mean and half the sample rate have windows of their own
+    hz = np.asarray(np.fft.rfftfreq(width, dt_s), dtype=np.float64)[inner]
+    hann = np.hanning(width + 1)[:-1]
+    total = np.zeros(len(hz))
+    weight = 0
+    for piece in pieces:
+        if len(piece) < width:
+            continue
+        windows = np.lib.stride_tricks.sliding_window_view(np.nan_to_num(piece), width)[:: width - width // 2]
+        power = np.abs(np.fft.rfft((windows - windows.mean(axis=1, keepdims=True)) * hann)) ** 2
+        total += len(piece) * 2.0 * dt_s / np.sum(hann**2) * power.mean(axis=0)[inner]
+        weight += len(piece)
+    return hz, total / max(1, weight)
+
+
+def tukey(count: int, share: float) -> FloatArray:
+    """(count,) ones that fade in and out as a cosine, over this share of all together."""
+    distance = np.minimum(np.arange(count), np.arange(count)[::-1]) / (count - 1)
+    return np.asarray(0.5 - 0.5 * np.cos(2.0 * np.pi * np.minimum(distance / share, 0.5)))

@@ -180,7 +180,7 @@ def late(values: FloatArray, steps: float) -> FloatArray:
 
 def _of_record(record: Record, highest_hz: float, lag_s: float, *, tapered: float = 0.2) -> _Lines:
     """`tapered`: share of a record over which it fades in and out, or its ends leak over all frequencies."""
-    from scipy.signal.windows import tukey
+    from flysid.filters import tukey
 
     count = len(record.measured)
     taper = tukey(count, tapered)

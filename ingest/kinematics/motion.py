@@ -62,16 +62,13 @@ def gridded(series: Mapping[str, Series], allowed: Sequence[Span] | None) -> lis
 
 def white_noise(series: Series) -> float:
     """Spectral density of a signal's white noise, per Hz on both sides: what its fastest tenth holds."""
-    from scipy.signal import welch
+    from flysid.filters import power_density
 
-    seconds = (series.t_ns - series.t_ns[0]) * 1e-9
     period = resample.period_ns(series.t_ns) * 1e-9
-    frequency, power = welch(
-        np.diff(series.x), 1.0 / period, nperseg=min(256, len(seconds) - 1), return_onesided=False
-    )
-    omega = 2.0 * np.pi * np.abs(frequency) * period
+    frequency, power = power_density([np.diff(series.x)], period)
+    omega = 2.0 * np.pi * frequency * period
     fast = omega > 0.8 * np.pi
-    return float(np.median(power[fast] / (2.0 - 2.0 * np.cos(omega[fast]))))
+    return float(np.median(0.5 * power[fast] / (2.0 - 2.0 * np.cos(omega[fast]))))
 
 
 def _sampled(series: Mapping[str, Series], span: Span, dt_ns: float) -> Columns:

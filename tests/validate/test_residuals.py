@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.signal import welch
 
-from flysid.validate.report.modelpanels import _density
 from flysid.validate.residuals import autocorrelation, cross_correlation, spectrum
 from tests.validate.test_intervals import ar1
 
@@ -73,13 +71,3 @@ def test_spectrum_of_a_first_order_system() -> None:
     assert float(np.median(s.coherence[low])) > 0.9
     assert spectrum([np.zeros(500)], [np.zeros(500)], dt) is None
     assert spectrum([u[:10]], [y[:10]], dt) is None
-
-
-@pytest.mark.parametrize("rows", [201, 1000])
-def test_the_density_on_the_page_is_welchs(rows: int) -> None:
-    piece = np.random.default_rng(8).normal(size=rows)
-    hz, density = _density([piece], 0.02)
-    expected_hz, expected = welch(piece, 50.0, nperseg=min(256, rows))
-    inner = slice(1, len(hz) + 1)
-    np.testing.assert_allclose(hz, expected_hz[inner])
-    np.testing.assert_allclose(density, expected[inner], rtol=1e-12)

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from markupsafe import Markup
 
-from flysid.dataset import Dataset, FloatArray
+from flysid.dataset import Dataset
+from flysid.filters import power_density
 from flysid.model.base import Rule
 from flysid.model.frequency.response import GOOD_COHERENCE
 from flysid.validate.bands import curves
@@ -110,7 +111,7 @@ def _residual_distribution(source: Source, j: int, cast: Sequence[Role]) -> list
             _told(spread),
         )
     ]
-    densities = {role: _density(parts, c.dt_s) for role, parts in pieces.items()}
+    densities = {role: power_density(parts, c.dt_s) for role, parts in pieces.items()}
     hz = next(iter(densities.values()))[0]
     if len(hz) > 1:
         panels.append(
@@ -126,27 +127,6 @@ def _residual_distribution(source: Source, j: int, cast: Sequence[Role]) -> list
             )
         )
     return panels
-
-
-def _density(pieces: Sequence[FloatArray], dt_s: float) -> tuple[FloatArray, FloatArray]:
-    """(F,) frequencies above zero and Welch's estimate of the pieces together, weighted by their length.
-
-    Half-overlapping Hann windows without their means, as `scipy.signal.welch`, whose import takes a second.
-    """
-    width = int(min(256, max(len(p) for p in pieces)))
-    inner = slice(1, (width + 1) // 2)  # the mean and half the sample rate have windows of their own
-    hz = np.asarray(np.fft.rfftfreq(width, dt_s), dtype=np.float64)[inner]
-    hann = np.hanning(width + 1)[:-1]
-    total = np.zeros(len(hz))
-    weight = 0
-    for piece in pieces:
-        if len(piece) < width:
-            continue
-        windows = np.lib.stride_tricks.sliding_window_view(np.nan_to_num(piece), width)[:: width - width // 2]
-        power = np.abs(np.fft.rfft((windows - windows.mean(axis=1, keepdims=True)) * hann)) ** 2
-        total += len(piece) * 2.0 * dt_s / np.sum(hann**2) * power.mean(axis=0)[inner]
-        weight += len(piece)
-    return hz, total / max(1, weight)
 
 
 def _told(words: Mapping[Role, str]) -> tuple[Told, ...]:

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.signal import lfilter
+from scipy.signal import lfilter, welch, windows
 
 from flysid.dataset import FloatArray
-from flysid.filters import filtered
+from flysid.filters import filtered, power_density, tukey
 from flysid.model.compiled_filters import differences, free_responses, is_stable
 
 
@@ -58,3 +58,18 @@ def test_reflection_coefficients_say_what_roots_say(roots: list[float], radius: 
     if abs(largest - radius) > 0.05:
         assert is_stable(np.asarray(np.poly(roots), dtype=np.float64), radius) is (largest < radius)
     assert not is_stable(np.array([1.0, np.nan]))
+
+
+@pytest.mark.parametrize("rows", [201, 1000])
+def test_the_density_is_welchs(rows: int) -> None:
+    piece = signal(8, rows)
+    hz, density = power_density([piece], 0.02)
+    expected_hz, expected = welch(piece, 50.0, nperseg=min(256, rows))
+    inner = slice(1, len(hz) + 1)
+    np.testing.assert_allclose(hz, expected_hz[inner])
+    np.testing.assert_allclose(density, expected[inner], rtol=1e-12)
+
+
+@pytest.mark.parametrize("count", [7, 200, 1001])
+def test_the_taper_is_tukeys(count: int) -> None:
+    np.testing.assert_allclose(tukey(count, 0.2), windows.tukey(count, 0.2), atol=1e-12)
