@@ -44,7 +44,7 @@ def progress_options(function: F) -> F:
             default="auto",
             show_default=True,
             type=click.Choice(["auto", "json"]),
-            help="Progress on stderr: a table on a terminal, lines elsewhere; or one JSON object per line.",
+            help="Progress on stderr, for people or as one JSON object per line.",
         ),
     ):
         decorated = option(decorated)
@@ -120,7 +120,7 @@ class State:
         than a third of the work tells too little of the rest.
         """
         left = self.whole - self.seconds
-        if not 1.0 / 3.0 <= self.share < 1.0 or left < 0.0:
+        if not 1.0 / 3.0 <= self.share < 1.0 or left < 1.0:
             return ""
         return f"about {duration(left)} left"
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -93,13 +93,14 @@ def command(
     limits = Limits(time_unit=time_unit, format=format_)
     look = partial(survey_or_reason, limits=limits)
     with display.shown():
-        for path, outcome in run_bounded(look, found.paths, 1, bounds):
-            tell("examined", log=path.name, share=(len(surveys) + unreadable + 1) / (len(found.paths) + 1))
+        _begin(found.paths, 0)
+        for done, (path, outcome) in enumerate(run_bounded(look, found.paths, 1, bounds), 1):
             if isinstance(outcome, (str, Lost)):
                 say(f"skipped: {path}: {outcome if isinstance(outcome, str) else outcome.reason}")
                 unreadable += 1
             else:
                 surveys[path] = outcome
+            _begin(found.paths, done)
     moved = motions(list(surveys), limits, bounds, display) if kinematics else {}
     if as_json:
         shown = [
@@ -122,6 +123,12 @@ def command(
     if not surveys:
         return 1
     return 3 if unreadable or any(s.damage.lossy for s in surveys.values()) else 0
+
+
+def _begin(logs: Sequence[Path], done: int) -> None:
+    """Tell which log is looked at next: one at a time, in their order."""
+    if done < len(logs):
+        tell("examining", log=logs[done].name, share=done / len(logs))
 
 
 def lines(surveys: Mapping[Path, Survey]) -> Iterator[str]:

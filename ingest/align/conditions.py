@@ -43,10 +43,10 @@ def condition_spans(conditions: Sequence[Condition], log: Log) -> Allowed:
         alternatives = [c for c in conditions if c.name == name]
         condition = next((c for c in alternatives if find_source(c.sources, log) is not None), None)
         if condition is None:
+            wanted = list(dict.fromkeys(s.stream for c in alternatives for s in c.sources))
             if any(c.required for c in alternatives):
-                wanted = ", ".join(s.stream for c in alternatives for s in c.sources)
-                raise RecipeError(f"condition {name!r} needs {wanted}", path=log.name)
-            notes.append(f"condition {name!r} could not be checked: no source")
+                raise RecipeError(f"condition {name!r} needs {', '.join(wanted)}", path=log.name)
+            notes.append(f"condition {name!r} could not be checked: no {' or '.join(wanted)} in the log")
             continue
         found, seen = _spans(condition, log)
         for boot, own in found.items():

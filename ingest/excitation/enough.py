@@ -25,6 +25,6 @@ def least_hz(role: str, log_format: str) -> float:
 
 def too_short_alone(duration_s: float, *, least_s: float = 60.0) -> str:
     """Why a flight of this duration will hardly give a verdict by itself; "" where it may."""
-    if duration_s >= least_s:
+    if round(duration_s) >= least_s:
         return ""
     return f"{duration_s:.0f} s alone will hardly give a verdict: {FLY_MORE}"

@@ -71,7 +71,6 @@ ADVICE = {
     "dataflash_text": "set LOG_BITMASK bit 0 (fast attitude)",
     "tlog": "use the vehicle's own .bin log, or raise SR0_EXTRA1 and SR0_POSITION",
     "ulog": "set SDLOG_PROFILE bits 0 and 2 (default and high rate)",
-    "csv": "name its columns: flysid fit FILE --from FIELD --to FIELD -o RUN",
     "navdata": "set general:navdata_demo FALSE and general:navdata_options to all",
 }
 
@@ -230,8 +229,8 @@ def verdict(found: Survey) -> tuple[str, str]:
         return f"damaged: {100.0 * share:.0f} % of the bytes lost", "copy it from the vehicle again"
     if found.source.format in ("csv", "parquet"):
         return (
-            "a table: --from and --to name its columns",
-            "flysid fit FILE --from FIELD --to FIELD -o RUN",
+            "a table: 'flysid show FILE' lists its columns",
+            "flysid fit FILE --from COLUMN --to COLUMN -o RUN",
         )
     if not attitude and not velocity and not rates:
         return "unusable: no attitude and no velocity", advice

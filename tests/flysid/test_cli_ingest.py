@@ -126,7 +126,11 @@ def test_doctor_gives_a_row_per_log_and_below_what_there_is_to_say_of_it(logs: P
     assert "end cut off" in lost
     assert max(map(len, lines)) <= 100
     assert "skipped" in result.stderr
-    document = json.loads(flysid("doctor", logs / "one.tlog", "--json").stdout)["logs"][0]
+    two = flysid("doctor", logs / "one.tlog", logs / "two.bin", "--json", "--progress", "json")
+    steps = [json.loads(line) for line in two.stderr.splitlines() if line.startswith("{")]
+    told = dict.fromkeys((s["log"], s["stage"], s["share"]) for s in steps)  # said again in long silence
+    assert list(told) == [("one.tlog", "examining", 0.0), ("two.bin", "examining", 0.5)]
+    document = json.loads(two.stdout)["logs"][0]
     assert document["rates_hz"]["attitude"] == {"1.1/ATTITUDE": pytest.approx(50.0)}
     assert document["moved"] == "r"
 
@@ -141,7 +145,7 @@ def test_doctor_stays_within_the_width_with_long_names_and_leaves_out_empty_colu
     (tmp_path / "t.csv").write_text("t,a\n0,1\n0.1,2\n0.2,3\n")
     table = flysid("doctor", tmp_path / "t.csv").stdout.splitlines()
     assert table[0].split() == ["FILE", "TIME", "LOST", "VERDICT"]
-    assert "--from and --to" in table[2]
+    assert "--from COLUMN --to COLUMN" in " ".join(line.strip() for line in table[2:])
 
 
 def test_a_failed_ingest_leaves_no_folder(tmp_path: Path, logs: Path) -> None:

@@ -487,7 +487,7 @@ def test_conditions_of_one_name_are_alternatives_and_those_of_several_must_all_h
     both = recipe(conditions=[*EVENTS, beat, flying])
     aligned = align([flight_of(**tables)], both, "c")
     assert [len(s) for s in aligned.dataset.segments] == [300]
-    assert "condition 'airborne' could not be checked: no source" in aligned.report.flights[0].notes
+    assert "condition 'airborne' could not be checked: no LAND in the log" in aligned.report.flights[0].notes
     with_landing = flight_of(**tables, LAND=table(T50, landed=landed))
     assert [len(s) for s in dataset([with_landing], both, "c").segments] == [200]
 

@@ -159,13 +159,16 @@ def test_doctor_and_suggestions_go_by_one_rule(seconds: int, rate_hz: int) -> No
         {"CMD": table(T[rows], u=U[rows]), "STATE": table(T[rows], y=lag(U, 5)[rows])},
     )
     (found,) = suggest([FlightLog(log)], [recipe])
-    count = StreamCount(seconds * rate_hz, {0: (seconds * rate_hz, 0, int(seconds * 1e9))}, {})
+    last_ns = int(seconds * 1e9) - 20_000_000  # of 50 a second
+    count = StreamCount(seconds * rate_hz, {0: (seconds * rate_hz, 0, last_ns)}, {})
     count.angles["r"] = (100, 0.0, 100.0)
-    clock = ClockMap(0, 0, int(seconds * 1e9))
+    clock = ClockMap(0, 0, last_ns)
     looked = Survey(log.source, {"ATTITUDE": count}, Damage(), (clock,), {})
     words, advice = verdict(looked)
     assert words.startswith({5: "too short", 50: "ok", 60: "ok" if rate_hz == 50 else "too slow"}[seconds])
     assert found.verdict == {"ok": "good"}.get(words, words.partition(":")[0])
+    if seconds == 60 and rate_hz == 50:
+        assert not advice
     if seconds == 50:
         assert advice == found.advice
         assert "50 s alone will hardly give a verdict" in advice
