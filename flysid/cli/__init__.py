@@ -21,6 +21,7 @@ from flysid.cli.config import FILE, defaults_of, environment_of
 from flysid.cli.lazy import LazyVerbs
 from flysid.cli.output import printable
 from flysid.errors import FlysidError
+from flysid.showing import WIDTH
 
 VERBS = {
     "compare": "Compare the models of two runs on flights that neither has trained on.",
@@ -68,7 +69,11 @@ STEPS = {
     verbs=VERBS,
     modules="flysid.cli.{}",
     steps=STEPS,
-    context_settings={"help_option_names": ["-h", "--help"], "auto_envvar_prefix": "FLYSID"},
+    context_settings={
+        "help_option_names": ["-h", "--help"],
+        "auto_envvar_prefix": "FLYSID",
+        "max_content_width": WIDTH,
+    },
     epilog="'flysid VERB --help' has examples.",
 )
 @click.version_option(flysid.__version__, prog_name="flysid")

@@ -33,7 +33,7 @@ def a_range(_ctx: click.Context, _param: click.Parameter, value: str | None) -> 
 
 @click.command("design")
 @click.argument("run", type=click.Path(path_type=Path))
-@click.option("--channel", "-c", "channels", multiple=True, help="Only this channel; may be repeated.")
+@click.option("--channel", "-c", "channels", multiple=True, help="Only this channel; repeatable.")
 @click.option(
     "--method",
     type=click.Choice(["pid", "pdc"]),

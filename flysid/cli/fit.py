@@ -72,7 +72,7 @@ def _held(_ctx: click.Context, _param: click.Parameter, words: tuple[str, ...]) 
     "channels",
     multiple=True,
     shell_complete=complete.channels,
-    help="Fit this channel only; may be repeated.",
+    help="Only this channel; repeatable.",
 )
 @click.option(
     "--models",
@@ -80,9 +80,8 @@ def _held(_ctx: click.Context, _param: click.Parameter, words: tuple[str, ...]) 
     default="",
     metavar="A,B",
     shell_complete=complete.models,
-    help="Models besides the references, ARX, OE and the baseline: anfis, armax, bj, ensemble (of ts_lags), "
-    "fir, iv, line, polynarx, statespace, static_ts, structured[:FILE] (docs/structured.md), tf, ts "
-    "(ts_lags, or ts_ss where a hidden state explains more).  "
+    help="Models besides the references, ARX, OE and the baseline: anfis, armax, bj, ensemble, fir, iv, "
+    "line, polynarx, statespace, static_ts, structured[:FILE], tf, ts (docs/models.md).  "
     "[default: line,polynarx,static_ts,ts]",
 )
 @click.option(
@@ -101,17 +100,22 @@ def _held(_ctx: click.Context, _param: click.Parameter, words: tuple[str, ...]) 
     multiple=True,
     metavar="SHARE|FLIGHT[@FROM..TO]",
     callback=_held,
-    help="Share of the data that is held out, chosen by chance; or the flights that are, or parts of them, "
-    "e.g. 0042@12:30..14:00; may be repeated then.  [default: 0.3]",
+    help="Held out: a share by chance, or flights, or parts of them; repeatable.  [default: 0.3]",
 )
-@click.option("--by", default="auto", show_default=True, type=click.Choice(["auto", "flight", "time"]))
-@click.option("--seed", default=7, show_default=True)
+@click.option(
+    "--by",
+    default="auto",
+    show_default=True,
+    type=click.Choice(["auto", "flight", "time"]),
+    help="Hold out whole flights, or stretches of time.",
+)
+@click.option("--seed", default=7, show_default=True, help="Of the split and of all random starts.")
 @click.option(
     "--rotate/--no-rotate",
     default=True,
     show_default=True,
-    help="With at least five flights and fewer than five held out: leave every flight out once, in five "
-    "folds, and judge on all. This takes five more fits.",
+    help="With five flights or more, hold out each of them once (five more fits) if --holdout leaves fewer "
+    "than five.",
 )
 @click.option(
     "--memory",
@@ -119,11 +123,9 @@ def _held(_ctx: click.Context, _param: click.Parameter, words: tuple[str, ...]) 
     show_default=True,
     metavar="MB",
     type=click.FloatRange(0.0),
-    help="Memory for a channel's samples. Larger ones are fitted from disk, by arx, fir, iv, statespace.",
+    help="Samples of a channel above this are fitted from disk, by arx, fir, iv, statespace.",
 )
-@click.option(
-    "--jobs", "-j", default=0, metavar="N", help="Channels in parallel; one per core when not given."
-)
+@click.option("--jobs", "-j", default=0, metavar="N", help="Channels in parallel.  [default: one per core]")
 @click.option("--force", is_flag=True, help="Replace the run if it exists.")
 @click.option("--json", "as_json", is_flag=True, help="Print the run as JSON.")
 @progress_options
@@ -150,11 +152,10 @@ def command(
 ) -> int:
     """Fit linear and Takagi-Sugeno models to every channel of a recipe, or between given fields.
 
-    DATA is an ingested folder; or a log, a folder of logs or a quoted pattern, which are ingested into
-    RUN.data; or a dataset file written from Python (.parquet), which is a single channel. Part of the data
-    is held out before anything is fitted; 'flysid validate RUN' judges the models on it. Ctrl-C leaves a
-    run with the finished models (exit code 130). Channels that the data do not support are named and left
-    out. Exit code 3: --channel named one of them, or a log was read with losses.
+    Part of the data is held out first; 'flysid validate RUN' judges the models on it. DATA is an ingested
+    folder; or a log, a folder of logs or a quoted pattern, read into RUN.data; or one channel that Python
+    wrote (.parquet). Channels that the data do not support are named and left out. Exit code 3: --channel
+    named one of them, or a log was read with losses; 130: interrupted, the run has the finished models.
     """
     check_target(output, force)
     is_dataset = _is_dataset(data)

@@ -110,9 +110,7 @@ def fleet_data_options(function: F) -> F:
             metavar="HZ",
             help="Rate of the grid.",
         ),
-        click.option(
-            "--channel", "-c", "channels", multiple=True, help="Only this channel; may be repeated."
-        ),
+        click.option("--channel", "-c", "channels", multiple=True, help="Only this channel; repeatable."),
         click.option(
             "--recipe", "-r", required=True, shell_complete=complete.recipes, help="Name or .toml file."
         ),

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     type=click.Choice(["roll", "pitch", "yaw"]),
     help="[default: roll, pitch]",
 )
-@click.option("--flight", "flights", multiple=True, help="Only this flight; may be repeated.")
+@click.option("--flight", "flights", multiple=True, help="Only this flight; repeatable.")
 @click.option(
     "--plot", type=click.Path(dir_okay=False, path_type=Path), help="Write a Nyquist plot to this file."
 )

@@ -102,7 +102,7 @@ def check_target(path: Path, force: bool) -> None:
 def comparison_forms(function: F) -> F:
     """Adds --json, --markdown and --csv, as flags of these names; see `chosen_form`."""
     for name, what in (("csv", "CSV"), ("markdown", "Markdown"), ("json", "JSON")):
-        text = f"Print the comparison as {what} instead of a table."
+        text = f"Print the comparison as {what}."
         function = click.option(f"--{name}", name, is_flag=True, help=text)(function)
     return function
 

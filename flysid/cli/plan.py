@@ -38,8 +38,7 @@ class Beginning:
     "axes",
     multiple=True,
     metavar="NAME=PEAK",
-    help="Input and peak amplitude, with its unit: theta_in=5deg; may be repeated. For a "
-    "run or flights: replaces their inputs, up to the range of the last flight.",
+    help="Input and peak amplitude, e.g. theta_in=5deg, instead of those of SOURCE; repeatable.",
 )
 @click.option("--limit", "limits", multiple=True, metavar="NAME=PEAK", help="Largest amplitude of an axis.")
 @click.option(
@@ -75,9 +74,7 @@ class Beginning:
 @click.option(
     "--aim", type=float, metavar="PERCENT", help="Flight time until every figure is known to this accuracy."
 )
-@click.option(
-    "--channel", "-c", "channels", multiple=True, help="Channel of the recipe or run; may be repeated."
-)
+@click.option("--channel", "-c", "channels", multiple=True, help="Channel of the recipe or run; repeatable.")
 @click.option(
     "--data", type=click.Path(path_type=Path), help="The run's data, if they have moved since the fit."
 )

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     "-o", "--output", required=True, type=click.Path(path_type=Path), help="The file, e.g. flight.tlog."
 )
 @click.option(
-    "--rotate", multiple=True, metavar="WHEN", help="Start a new part: 256MB, 10min or boot; may be repeated."
+    "--rotate", multiple=True, metavar="WHEN", help="Start a new part: 256MB, 10min or boot; repeatable."
 )
 @click.option("--key", type=click.Path(path_type=Path), help="File of the signing key, mode 0600.")
 @click.option(

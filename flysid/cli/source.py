@@ -51,14 +51,14 @@ format_option = click.option(
     default="",
     metavar="NAME",
     callback=_known_format,
-    help="Format of the log, if it cannot be detected: tlog, csv, ...",
+    help="Format of the log, where it is not detected: tlog, csv, ...",
 )
 time_unit_option = click.option(
     "--time-unit",
     default="",
     type=click.Choice(["", "s", "ms", "us", "ns"]),
     metavar="UNIT",
-    help="Unit of a table's time column, if it names none: s, ms, us or ns.",
+    help="Unit of a table's times, where it names none: s, ms, us or ns.",
 )
 
 
@@ -85,20 +85,20 @@ def words_options(function: F) -> F:
         click.option(
             "--dt", type=float, metavar="SECONDS", help="Sample time of a table without a time column."
         ),
-        click.option("--to", "outputs", multiple=True, metavar="FIELD", help="Output; see --from."),
+        click.option("--to", "outputs", multiple=True, metavar="[STREAM.]FIELD", help="Output; repeatable."),
         click.option(
             "--from",
             "inputs",
             multiple=True,
-            metavar="FIELD",
-            help="Input, as FIELD or STREAM.FIELD; may be repeated. Instead of a recipe.",
+            metavar="[STREAM.]FIELD",
+            help="Input, instead of a recipe; repeatable.",
         ),
         click.option(
             "--recipe",
             "-r",
             default="",
             shell_complete=complete.recipes,
-            help="Name of a shipped recipe, or path of a .toml file.",
+            help="A shipped recipe, or a .toml file.",
         ),
     ):
         decorated = option(decorated)
@@ -162,19 +162,19 @@ def given(selection: Selection) -> Selection | None:
 
 
 _FLIGHTS = (
-    click.option("--pool", is_flag=True, help="Allow flights of several vehicles in one data set."),
+    click.option("--pool", is_flag=True, help="Allow flights of several vehicles."),
     click.option(
         "--vehicle",
         default="",
         metavar="NAME",
-        help="Only flights of this vehicle; part of its name is enough.",
+        help="Only this vehicle; part of its name is enough.",
     ),
     click.option(
         "--exclude",
         multiple=True,
         metavar="FLIGHT[@FROM..TO]",
         shell_complete=complete.flights,
-        help="Leave out this flight, or a part of it, e.g. 0042@12:30..14:00; may be repeated.",
+        help="Leave out a flight, or a part: 0042@12:30..14:00; repeatable.",
     ),
     click.option(
         "--flight",
@@ -182,24 +182,22 @@ _FLIGHTS = (
         multiple=True,
         metavar="FLIGHT",
         shell_complete=complete.flights,
-        help="Only this flight, by its id or the beginning of it; may be repeated.",
+        help="Only this flight, by the beginning of its id; repeatable.",
     ),
 )
 _MISHAPS = click.option(
     "--keep-mishaps",
     "mishaps",
     is_flag=True,
-    help="Keep crashes, failsafes and losses of control; by default they are left out.",
+    help="Keep crashes, failsafes and losses of control.",
 )
 _STRETCHES = (
-    click.option(
-        "--mode", "modes", multiple=True, metavar="MODE", help="Only this flight mode; may be repeated."
-    ),
+    click.option("--mode", "modes", multiple=True, metavar="MODE", help="Only this flight mode; repeatable."),
     click.option(
         "--between",
         default="",
         metavar="FROM..TO",
-        help="Only this part of every flight, e.g. 12:30..14:00 (min:s from its beginning).",
+        help="Only this part of every flight: 12:30..14:00 (min:s).",
     ),
 )
 

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 @click.argument("data", type=SOURCE)
 @words_options
 @selection_options
-@click.option("--channel", "-c", "channels", multiple=True, help="This channel only; may be repeated.")
+@click.option("--channel", "-c", "channels", multiple=True, help="Only this channel; repeatable.")
 @click.option("--horizon", default=2.0, show_default=True, metavar="S", help="Length of the response.")
 @click.option(
     "--fast",

@@ -48,22 +48,20 @@ def _auto_or(kind: type) -> Any:
     "channels",
     multiple=True,
     shell_complete=complete.channels,
-    help="This channel only; may be repeated.",
+    help="Only this channel; repeatable.",
 )
 @click.option(
     "--reference",
     multiple=True,
     metavar="FIELD",
-    help="What drives a closed loop from outside (a chirp, a setpoint), as signal of the recipe, FIELD or "
-    "STREAM.FIELD: the response is measured through it. Instead of the recipe's own.",
+    help="What drives a closed loop from outside (a chirp, a setpoint), instead of the recipe's; repeatable.",
 )
 @click.option(
     "--reference-at",
     default="",
     type=click.Choice(["", "input", "setpoint"]),
-    metavar="PLACE",
-    help="Where the reference enters, for margins: input (added to the controller's output) or setpoint "
-    "(only the difference reaches the controller).",
+    metavar="input|setpoint",
+    help="For margins: it enters at the plant's input, or at the controller's setpoint.",
 )
 @click.option("--fail-if", "condition", help="Exit with 4 if this holds: 'loop.phase_margin_deg.low < 45'.")
 @click.option(
@@ -85,12 +83,14 @@ def _auto_or(kind: type) -> Any:
     default="none",
     show_default=True,
     type=click.Choice(["none", "remove", "estimate"]),
-    help="A straight line per segment: removed before the fit, or estimated with it.",
+    help="A line per segment: removed before the fit, or estimated with it.",
 )
 @click.option(
     "--band", nargs=2, type=float, metavar="LOW HIGH", help="Fit the response in this band only, rad/s."
 )
-@click.option("--no-refine", is_flag=True, help="Do not refine the fit to the frequency response.")
+@click.option(
+    "--no-refine", is_flag=True, help="Keep the fit to the frequency response: no refinement of the free run."
+)
 @click.option("--unstable", is_flag=True, help="Allow unstable poles; fits the frequency response only.")
 @click.option(
     "--method",
@@ -99,7 +99,7 @@ def _auto_or(kind: type) -> Any:
     type=click.Choice(["local", "welch", "multitaper"]),
     help="How the frequency response is measured.",
 )
-@click.option("--table", is_flag=True, help="Print the measured frequency response as a Bode table too.")
+@click.option("--table", is_flag=True, help="Print the measured frequency response, too.")
 @click.option(
     "--plot", type=click.Path(dir_okay=False, path_type=Path), help="Write a Bode plot to this file."
 )

@@ -28,22 +28,21 @@ if TYPE_CHECKING:
 @click.option(
     "--figures",
     type=click.Choice(["pdf", "svg", "png"]),
-    help="Also draw figures for a paper into the report's folder (needs matplotlib: flysid[plot]).",
+    help="Draw figures for a paper, too (flysid[plot]).",
 )
 @click.option(
     "--with",
     "wanted",
     multiple=True,
     metavar="[CHANNEL/]LABEL=MODEL",
-    help="Judge a model of your own beside the run's: a .mat, .m, .npz or .json file, an .fmu, or "
-    "module:function, which is imported; may be repeated.",
+    help="A model of your own beside the run's: .mat, .m, .npz, .json, .fmu, or module:function; repeatable.",
 )
 @click.option(
     "--start",
     "starts",
     multiple=True,
     metavar="LABEL=VARIABLE",
-    help="A variable of an FMU that a run starts from; may be repeated.",
+    help="A variable of an FMU that a run starts from; repeatable.",
 )
 @click.option("--force", is_flag=True, help="Replace the report if it exists.")
 @selection_options

@@ -38,7 +38,7 @@ KINDS = ("udp:", "udpout:", "tcp:", "serial:")
     help="False alarms per hour of flight, over all channels.",
 )
 @click.option("--model", "label", help="ts, arx, ...  [default: each channel's best linear one]")
-@click.option("--channel", "channels", multiple=True, help="Only this channel; may be repeated.")
+@click.option("--channel", "channels", multiple=True, help="Only this channel; repeatable.")
 @click.option("--data", type=SOURCE, help="The run's data, if it has moved.")
 @click.option("-o", "--output", type=click.Path(path_type=Path), help="Also record the link to this file.")
 @click.option("--heartbeat", is_flag=True, help="Send heartbeats; otherwise nothing is sent.")
