@@ -19,7 +19,7 @@ import numpy as np
 
 from bench import starts, ts_inputs
 from bench.accuracy_data import CASES
-from flysid.model.rules import edits, first_steps, growth, search, search_context
+from flysid.model.rules import edits, growth, learning, search, search_context
 from flysid.model.ts_best import BestTS
 
 Step = Callable[[], AbstractContextManager[object]]
@@ -38,7 +38,7 @@ STEPS: Mapping[str, Step] = {
         search_context.SearchContext, "_settled", lambda _, stage, *__: (stage,)
     ),
     "fewer orders": lambda: patch.object(search_context, "_ORDER_LOSS", np.inf),
-    "short records": lambda: patch.object(first_steps, "_HIGHEST_LINEAR", first_steps._DEEPEST_DELAY),
+    "short records": lambda: patch.object(learning, "_HIGHEST_LINEAR", learning._DEEPEST_DELAY),
     "merge and split": lambda: patch.object(edits, "merge_and_split", lambda _, models, at: models[at]),
 }
 MOST_ROWS = 16_000

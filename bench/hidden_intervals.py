@@ -18,10 +18,9 @@ from bench.ts_intervals import steps
 from flysid.dataset import Dataset, FloatArray
 from flysid.model.rules.fitted import FittedTS
 from flysid.model.rules.free_run_error import Body
-from flysid.model.rules.likely_start import initial_states
+from flysid.model.rules.likely_start import LikelyStart, initial_states
 from flysid.model.rules.regressor_layout import runs_of
 from flysid.model.rules.rule_uncertainty import uncertainty
-from flysid.model.rules.run_start import LikelyStart
 from flysid.model.rules.stages import Stage
 from flysid.model.rules.state_systems import unmoved
 from flysid.model.ts_state_space import TSStateSpace

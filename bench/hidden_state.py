@@ -19,12 +19,11 @@ from flysid.model.arx import ARX
 from flysid.model.base import Fitted
 from flysid.model.rules.fitted import finished
 from flysid.model.rules.growth import Training, one_rule_more
-from flysid.model.rules.realisation import coordinates
+from flysid.model.rules.linear_starts import coordinates
 from flysid.model.rules.regressor_layout import scaling
-from flysid.model.rules.saturation import saturation_limits
 from flysid.model.rules.search_context import SearchContext
 from flysid.model.rules.stages import Stage
-from flysid.model.rules.state_systems import in_coordinates, linear_systems, system_stage
+from flysid.model.rules.state_systems import in_coordinates, linear_systems, saturation_limits, system_stage
 from flysid.model.ts import TS
 
 SAMPLES = 1024

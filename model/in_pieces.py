@@ -19,8 +19,8 @@ from flysid.model.ensemble import FittedEnsemble
 from flysid.model.freerun import saturated
 from flysid.model.linear.difference_equation import FittedLinear
 from flysid.model.rules.kernel import free_run
+from flysid.model.rules.likely_start import LikelyStart
 from flysid.model.rules.rule_model import RuleModel
-from flysid.model.rules.run_start import LikelyStart
 from flysid.model.start import estimate_start
 from flysid.model.static_ts import FittedStaticTS
 from flysid.model.subspace.fitted_model import FittedStateSpace

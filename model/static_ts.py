@@ -23,12 +23,12 @@ from flysid.errors import DataError, UsageError
 from flysid.model.arguments import as_columns, as_record
 from flysid.model.base import Rule, write_document
 from flysid.model.documents import head_of, signals_of
+from flysid.model.rule_tables import Row, if_then, parameters
 from flysid.model.rules.clustering import MOST_SAMPLES, Method, cluster, project
 from flysid.model.rules.consequents import Consequents, Criterion, check_criterion, fit_consequents
 from flysid.model.rules.explanation import Explanation, refuse_row, taken_apart
 from flysid.model.rules.memberships import Conjunction, Partition, Shape
 from flysid.model.rules.phrases import condition_in_words, equation, in_words
-from flysid.model.rules.rule_tables import Row, if_then, parameters
 from flysid.model.start import FreeRuns
 from flysid.model.stream import Source, blocks_of
 from flysid.model.threads import on_one_thread

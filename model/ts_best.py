@@ -14,13 +14,12 @@ from flysid.dataset import Dataset
 from flysid.model.base import Fitted
 from flysid.model.linear.difference_equation import FittedLinear
 from flysid.model.one_rule import linear_choice, linear_rivals, same_orders
-from flysid.model.rules.contest import Contest
+from flysid.model.rules.contest import Contest, advantage, block_errors, parts_to_compare_on, unproven
 from flysid.model.rules.contest import contest as contest_of_rules
 from flysid.model.rules.fitted import FittedTS
-from flysid.model.rules.judging import INTEGRATES, hold_out
+from flysid.model.rules.judging import INTEGRATES
 from flysid.model.rules.learning import SWEEP
-from flysid.model.rules.search_settings import NORMAL, QUARTERS, SearchSettings
-from flysid.model.rules.structure_choice import Refit, advantage, block_errors, unproven
+from flysid.model.rules.search_settings import NORMAL, SearchSettings
 from flysid.model.shared import sharing
 from flysid.model.subspace.fitted_model import FittedStateSpace
 from flysid.model.threads import on_one_thread
@@ -107,17 +106,9 @@ def _linear_enough(
     elif not advantage([block_errors((model, rules), validation or train)]).gain < 0.0:
         said = f"its free run is closer than that of the {count} rules found."
     else:
-        if validation is not None:
-            parts = [(train, validation)]
-            models: tuple[Refit, Refit] = (lambda _: model, lambda _: rules)
-        else:
-            parts = [hold_out(train, found.taken.least, fold) for fold in range(QUARTERS)]
-            again = same_orders(model, settings.search)
-            models = (
-                linear_rivals(*delays, settings.search)[label].fit if again is None else again.fit,
-                found.taken.again,
-            )
-        said = unproven(*models, parts)
+        again = same_orders(model, settings.search) or linear_rivals(*delays, settings.search)[label]
+        parts = parts_to_compare_on(train, validation, found.taken.least)
+        said = unproven(lambda data: model if data is train else again.fit(data), found.taken.again, parts)
         if not said:
             return None
         said = f"{count} rules of {rules.n_parameters} numbers were found and not kept: {said}."

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from flysid.model.rules.rule_tables import Row
+from flysid.model.rule_tables import Row
 
 
 @dataclass(frozen=True)

@@ -93,7 +93,7 @@ def loop_text(result: LoopResult) -> str:
 
 def _rule_tables(result: LoopResult) -> list[str]:
     """The paper's two tables of this loop beside flysid's of the same form, then the dynamic rules."""
-    from flysid.model.rules.rule_tables import if_then, parameters
+    from flysid.model.rule_tables import if_then, parameters
     from flysid.model.static_ts import FittedStaticTS
 
     static = result.models["static_ts_7"]

@@ -28,7 +28,7 @@ from flysid.design.law import LoopParts
 from flysid.design.loopfigures import Figures, figures_of_paths
 from flysid.design.rule_plants import RuleLaw, RulePlant
 from flysid.errors import DataError
-from flysid.model.rules.barrier import Block, cheapest, slackless, symmetric_basis, value_at
+from flysid.model.linear_matrix_inequalities import Block, cheapest, slackless, symmetric_basis, value_at
 
 SHARE = 0.05
 """To which the cost is made least; the bounds decide, not its last digits."""

@@ -1,37 +1,78 @@
-"""Rules over lagged outputs, or over hidden states: which of these the data ask for.
+"""Rules over lagged outputs, over hidden states, or a linear model: which of these the data ask for.
 
 The model over lags comes first: its rules speak of measured signals only. Hidden states are tried where rules
 over lags were kept, or a second one lowers the training error clearly, as it does wherever something bends,
 and where the free run of the first leaves an error that its own past foretells, as a state does that lags do
-not show.
-They are taken only if they do clearly better on held-out parts, both refitted on the rest each time, and
-better on the training data.
+not show. They are taken only if they do clearly better on held-out parts, and better on the training data.
+
+What either found is refined again on the fitting part of every fold, from where it stands, and run free over
+the part held out. Errors are compared block by block, so that what is hard for both cancels; blocks of one
+record are no independent voices, which their correlation says.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from typing import Protocol
 
 import numpy as np
 
-from flysid.dataset import Dataset
+from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, FitError, UsageError
 from flysid.model.base import Fitted
 from flysid.model.noise import noise_model
 from flysid.model.rules import learning
-from flysid.model.rules.assembly import free_run_errors
 from flysid.model.rules.fitted import FittedTS
-from flysid.model.rules.judging import hold_out
+from flysid.model.rules.judging import EXACT, blocks, hold_out
+from flysid.model.rules.learning import LinearSide, Search
 from flysid.model.rules.operating_points import described
+from flysid.model.rules.refit import free_run_errors
 from flysid.model.rules.regressor_layout import scaling
-from flysid.model.rules.search_record import LinearSide, Search
 from flysid.model.rules.search_settings import QUARTERS, RuleSettings
-from flysid.model.rules.structure_choice import CLEARLY, Advantage, advantage, block_errors, compared
+from flysid.model.start import run_from_window, start_window
 
 _FORETOLD = 0.5  # share of the free run's error that its own past must explain
 _RESOLUTION = 1e-3  # of the outputs' spread: a free-run error below leaves nothing to explain
 _MOST_OUTPUTS = 2
 _MOST_SAMPLES = 100_000
+_SURE = 1.645  # standard errors
+_PERSISTENT = 0.8  # the most correlation from block to block that is reckoned with
+
+
+class FreeRunning(Protocol):
+    """What is asked of a fitted model here."""
+
+    @property
+    def n_init(self) -> int: ...
+    @property
+    def dt_s(self) -> float: ...
+    @property
+    def output_limits(self) -> FloatArray: ...
+    def simulate(self, u: FloatArray, y0: FloatArray) -> FloatArray: ...
+
+
+Refit = Callable[[Dataset], FreeRunning]
+"""The model refitted on a part of the data."""
+
+
+@dataclass(frozen=True)
+class Advantage:
+    """How much better the second of two is on held-out parts.
+
+    Attributes
+    ----------
+    gain : mean over parts of the logarithm of the ratio of mean squares; below 0 the second is better.
+    error : its standard error.
+    """
+
+    gain: float = 0.0
+    error: float = 0.0
+
+    def exceeds(self, least: float) -> bool:
+        """Whether it is surely there, and at least so large."""
+        return self.gain < -max(_SURE * self.error, least)
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,8 +96,12 @@ class Contest:
     @property
     def taken(self) -> Search:
         """The search whose rules are the better ones."""
-        wins = self.advantage.clear and self.fits
-        return self.states if self.states is not None and wins else self.lags
+        return self.states if self.states is not None and self.clear and self.fits else self.lags
+
+    @property
+    def clear(self) -> bool:
+        """Hidden states are clearly better on held-out parts."""
+        return self.advantage.exceeds(self.lags.context.settings.search.hidden_gain)
 
     @property
     def winner(self) -> Fitted:
@@ -78,7 +123,7 @@ class Contest:
         times = np.exp(0.5 * self.advantage.gain)
         ratio = f"{times:.2f} times the free-run error of rules over lags on held-out parts"
         if self.taken is self.lags:
-            but = "but more in training" if self.advantage.clear else "not clearly less"
+            but = "but more in training" if self.clear else "not clearly less"
             note = f"A hidden state was tried and not taken: {ratio}, {but}."
             return replace(model, notes=(*model.notes, note))
         note = f"A hidden state explains what lagged outputs do not: {ratio}."
@@ -90,7 +135,7 @@ def contest(
 ) -> Contest:
     """Both kinds, the second where the first hints at it."""
     lags = learning.over_lags(settings, train, validation, linear_side)
-    straight = lags.stage.rules == 1 and lags.fit > -CLEARLY
+    straight = lags.stage.rules == 1 and lags.fit > -settings.search.hidden_gain
     if straight or not (settings.search.hidden_states and hints_at_hidden_state(lags.bare, train)):
         return Contest(lags)
     try:
@@ -108,11 +153,9 @@ def _judge(
 ) -> tuple[Advantage, bool]:
     """The advantage of hidden states on held-out parts, and whether they fit the training data better."""
     fits = advantage([block_errors((lags.bare, states.bare), train)]).gain < 0.0
-    if validation is not None:
-        return compared(lambda _: lags.bare, lambda _: states.bare, [(train, validation)]), fits
-    least = max(lags.least, states.least)
-    parts = [hold_out(train, least, fold) for fold in range(QUARTERS)]
-    return compared(lags.again, states.again, parts), fits
+    parts = parts_to_compare_on(train, validation, max(lags.least, states.least))
+    pairs = [block_errors(*pair) for pair in refitted(lags.again, states.again, parts)]
+    return advantage(pairs), fits
 
 
 def hints_at_hidden_state(model: FittedTS, train: Dataset) -> bool:
@@ -130,3 +173,97 @@ def hints_at_hidden_state(model: FittedTS, train: Dataset) -> bool:
         if square > (_RESOLUTION * scale[j]) ** 2 and foreseen > _FORETOLD:
             return True
     return False
+
+
+def refitted(
+    first: Refit, second: Refit, parts: Sequence[tuple[Dataset, Dataset]]
+) -> Iterator[tuple[tuple[FreeRunning, FreeRunning], Dataset]]:
+    """Both models of every fold, and its judging part, as far as a part holds enough for both."""
+    for fit, check in parts:
+        with suppress(DataError, FitError):
+            yield (first(fit), second(fit)), check
+
+
+def parts_to_compare_on(
+    train: Dataset, validation: Dataset | None, least: int
+) -> list[tuple[Dataset, Dataset]]:
+    """Fitting and judging parts: what was given, or quarters of the training data held out in turn."""
+    if validation is not None:
+        return [(train, validation)]
+    return [hold_out(train, least, fold) for fold in range(QUARTERS)]
+
+
+def unproven(first: Refit, second: Refit, parts: Sequence[tuple[Dataset, Dataset]]) -> str:
+    """Why the second is not to be kept instead of the first, in words; "" where it is.
+
+    It is where its advantage on parts that neither was refitted to exceeds its standard error, and where it
+    runs to its output limits on none of them that the first gets through.
+    """
+    pairs = []
+    for models, check in refitted(first, second, parts):
+        if _lost(models[1], check) and not _lost(models[0], check):
+            return "on a held-out part of the training data their free run went to its limits"
+        pairs.append(block_errors(models, check))
+    found = advantage(pairs)
+    if not pairs or found.gain < -found.error:
+        return ""
+    low, mid, high = np.exp(0.5 * (found.gain + found.error * np.array([-1.0, 0.0, 1.0])))
+    return (
+        f"on held-out parts of the training data their free run has {mid:.2f} times the linear one's error, "
+        f"{low:.2f} to {high:.2f} within one standard error"
+    )
+
+
+def _lost(model: FreeRunning, data: Dataset) -> bool:
+    """The free run is at the model's limits, and farther off than all that was measured spans.
+
+    A limit may be an end of travel, which vehicle and model reach together.
+    """
+    low, high = model.output_limits
+    y = np.vstack([s.y for s in data.segments])
+    span = np.ptp(y, axis=0)
+    for s in data.segments:
+        window = start_window(model.n_init, len(s), model.dt_s)
+        if len(s) > 2 * window:
+            run = run_from_window(model, s, window)[window:]
+            held = ((run <= low) | (run >= high)) & (np.abs(run - s.y[window:]) > span)
+            if (held | ~np.isfinite(run)).any():
+                return True
+    return False
+
+
+def block_errors(models: tuple[FreeRunning, FreeRunning], data: Dataset) -> tuple[FloatArray, FloatArray]:
+    """Mean squared free-run errors of two models over the same blocks, in variances of the outputs."""
+    scale = np.vstack([s.y for s in data.segments]).std(axis=0)
+    scale = np.where(scale > 0.0, scale, 1.0)
+    found: tuple[list[FloatArray], list[FloatArray]] = [], []
+    for s in data.segments:
+        window = max(start_window(m.n_init, len(s), m.dt_s) for m in models)
+        if len(s) <= 2 * window:
+            continue
+        for model, errors in zip(models, found, strict=True):
+            errors.append((run_from_window(model, s, window) - s.y)[window:] / scale)
+    one, other = (blocks(e) if e else np.zeros(0) for e in found)
+    return one, other
+
+
+def advantage(pairs: Iterable[tuple[FloatArray, FloatArray]]) -> Advantage:
+    """Of the second of each pair of block errors; nothing where there are none."""
+    known = [(np.maximum(a, EXACT), np.maximum(b, EXACT)) for a, b in pairs if len(a)]
+    if not known:
+        return Advantage()
+    gaps = np.array([np.log(b.mean() / a.mean()) for a, b in known])
+    within = np.array([_error(b / b.mean() - a / a.mean()) for a, b in known])
+    error = float(np.sqrt((within**2).sum()) / len(within))
+    if len(gaps) > 1:
+        error = max(error, float(gaps.std(ddof=1) / np.sqrt(len(gaps))))
+    return Advantage(float(gaps.mean()), error)
+
+
+def _error(gaps: FloatArray) -> float:
+    """Standard error of the mean of consecutive blocks, correlated from one to the next."""
+    if len(gaps) < 3 or not gaps.std() > 0.0:
+        return 0.0
+    own = gaps - gaps.mean()
+    r = min(max(float(own[1:] @ own[:-1] / (own @ own)), 0.0), _PERSISTENT)
+    return float(gaps.std(ddof=1) / np.sqrt(len(gaps)) * np.sqrt((1.0 + r) / (1.0 - r)))

@@ -137,10 +137,6 @@ class Problem:
         n = self.layout.n
         return np.stack([W[d - moving : d, :n] for W in runs])
 
-    def measured_initial(self) -> FloatArray:
-        """(S, moving, n) first outputs as measured."""
-        return self.starts(self.runs)
-
     def smooth_initial(self) -> FloatArray:
         """(S, moving, n) first rows on a straight line through the beginning of every run.
 
@@ -155,10 +151,6 @@ class Problem:
             line = np.polynomial.polynomial.polyfit(rows, W[: len(rows), :n], 1)
             found.append((np.vander(rows[:d], 2, increasing=True) @ line)[d - self.layout.moving :])
         return np.stack(found)
-
-    def with_antecedents(self, layout: Layout) -> Problem:
-        """The same data for other antecedents."""
-        return replace(self, layout=layout, z_range=antecedent_range(layout, self.runs))
 
 
 def widened(limits: FloatArray, times: float) -> FloatArray:

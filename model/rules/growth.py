@@ -5,6 +5,13 @@ instruments are the model's own simulation: Young 1970, Soderstrom and Stoica 19
 simulation error. Every later stage, over lags and hidden states alike, inserts one rule, within each rule's
 region and along each antecedent (LOLIMOT, Nelles 2001, splits there), ranks the places by the cost that one
 Gauss-Newton step promises, refines the most promising ones a little and the best ones fully.
+`TS(refine=False)` stops at product-space clusters and one-step least squares instead (Babuska, Fuzzy Modeling
+for Control, 1998).
+
+Of a plant that integrates the pole at one is kept exactly, in the linear model and in every rule from it.
+Estimated freely it comes out a little inside or outside the unit circle by what friction and noise happen to
+be, and a free run that is longer or otherwise excited than the record drifts away from it. Where the sum over
+an output's lags is one in every rule, it is one in every blend of them.
 """
 
 from __future__ import annotations
@@ -16,8 +23,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from flysid.dataset import FloatArray
+from flysid.model.polynomials import ROUNDING
+from flysid.model.rules.clustering import cluster, project
 from flysid.model.rules.free_run_error import Body, Problem, antecedent_range
 from flysid.model.rules.kernel import firing
+from flysid.model.rules.memberships import Partition
 from flysid.model.rules.regressor_layout import Antecedent, Layout, windows
 from flysid.model.rules.stages import Stage, expected_cost, inserted, on_runs_of
 from flysid.model.start import START_SHARE, STEPS
@@ -85,7 +95,7 @@ def best_started(problem: Problem, body: Body) -> Stage:
     Whichever simulates better is where a search over the first outputs alone begins: noisy ones start a
     model of high order, or one that integrates, so badly that a good model would look hopeless.
     """
-    starts = problem.measured_initial(), problem.smooth_initial()
+    starts = problem.starts(problem.runs), problem.smooth_initial()
     plain = replace(problem, ridge=0.0, stress=None)
     stage = min((unrefined(plain, body, initial) for initial in starts), key=lambda s: s.cost)
     found = stage.refined(STEPS, 1e-3, NOTHING)
@@ -123,7 +133,7 @@ def _linear_starts(problem: Problem) -> Iterator[Body]:
     for _ in range(6):
         body = Body(np.ascontiguousarray(a.T[None]), problem.z_range.mean(axis=0)[None], np.ones((1, n_z)))
         yield body
-        runs = problem.simulate(body, problem.measured_initial())
+        runs = problem.simulate(body, problem.starts(problem.runs))
         Z = np.vstack([problem.layout.regressor_values(W) for W in runs]) @ problem.basis.T
         a = np.asarray(np.linalg.lstsq(Z.T @ E, Z.T @ Y, rcond=1e-12)[0], dtype=np.float64)
 
@@ -148,6 +158,85 @@ def rebased(stage: Stage) -> Stage:
         offset=stage.problem.parameters(stage.body).theta[0],
     )
     return replace(stage, problem=problem, body=replace(stage.body, a=np.zeros_like(stage.body.a)))
+
+
+def clustered_stage(linear: Stage, antecedents: tuple[Antecedent, ...], rules: int) -> Stage:
+    """`rules` rules from Gustafson-Kessel clusters, consequents by global one-step least squares.
+
+    Raises
+    ------
+    DataError : fewer distinct samples than rules.
+    """
+    if rules == 1:
+        return linear
+    layout = replace(linear.problem.layout, antecedents=antecedents)
+    z_range = antecedent_range(layout, linear.problem.runs)
+    problem = replace(linear.problem, layout=layout, z_range=z_range)
+    d = layout.depth
+    n_y = layout.n_y
+    z = np.vstack([layout.antecedent_values(W) for W in problem.runs])
+    Y = np.vstack([W[d:, :n_y] for W in problem.runs])
+    centre, width, _ = project(cluster(np.hstack([z, Y]), rules), z.shape[1], two_sided=False)
+    low, high = problem.z_range
+    phi = Partition(centre, width, width, low, high).firing(z)
+    E = np.vstack([layout.regressor_values(W) for W in problem.runs]) @ problem.basis.T
+    design = (phi[:, :, None] * E[:, None, :]).reshape(len(E), -1)
+    solution = np.linalg.lstsq(design, Y, rcond=1e-10)[0].reshape(rules, E.shape[1], n_y)
+    a = np.ascontiguousarray(solution.transpose(0, 2, 1))
+    return unrefined(replace(problem, offset=np.zeros_like(problem.offset)), Body(a, centre, width))
+
+
+def holds_integrator(theta: FloatArray, lags: int) -> bool:
+    """Whether consequents (R, 1, n_x) sum to one over the output's lags, their first terms, in every rule."""
+    sums = theta[:, 0, :lags].sum(axis=1)
+    return theta.shape[1] == 1 and lags > 0 and bool((np.abs(sums - 1.0) < ROUNDING).all())
+
+
+def slowest_pole(stage: Stage) -> float:
+    """The largest real pole of a linear stage of one output; 0 of other stages, and where there is none."""
+    layout = stage.problem.layout
+    if layout.n_y != 1 or layout.orders.na == 0 or stage.rules > 1:
+        return 0.0
+    theta = stage.problem.parameters(stage.body).theta[0, 0, : layout.orders.na]
+    poles = np.roots(np.concatenate([[1.0], -theta]))
+    return float(poles[np.abs(poles.imag) < ROUNDING].real.max(initial=0.0))
+
+
+def looks_integrating(stage: Stage) -> bool:
+    """A linear stage of one output with a real pole that its longest run cannot tell from one."""
+    longest = max(len(W) for W in stage.problem.runs)
+    return slowest_pole(stage) > 1.0 - 1.0 / longest
+
+
+def with_integrator(
+    stage: Stage, iterations: int, known: Sequence[Stage] = (), *, dearer: float = 1.5
+) -> tuple[Stage, ...]:
+    """The linear stage with its pole at one, refined; without it as well where it may be a slow lag.
+
+    A pole outside the unit circle is offered only where one on it explains the record badly.
+
+    Parameters
+    ----------
+    known : stages of lower orders that hold an integrator: further starts.
+    dearer : times the mean square error that keeping the integrator may cost in training.
+    """
+    problem = integrating(stage.problem)
+    theta = stage.problem.parameters(stage.body).theta[0].copy()
+    theta[0, 0] += 1.0 - theta[0, : problem.layout.orders.na].sum()
+    still = Body(np.zeros((1, 1, len(problem.basis))), stage.body.centre, stage.body.width)
+    near = unrefined(replace(problem, offset=theta), still)
+    nested = (embedded_start(lower, problem) for lower in reversed(known) if lower.problem.integrates)
+    held = linear_stage(problem, iterations, (*next(filter(None, nested), ()), near))
+    outside = slowest_pole(stage) > 1.0 and held.cost <= dearer * stage.cost
+    return (held,) if outside else (held, stage)
+
+
+def integrating(problem: Problem) -> Problem:
+    """The problem in which the sum over the output's lags stays at one."""
+    offset = np.zeros((1, len(problem.layout.regressors)))
+    offset[0, 0] = 1.0
+    basis = first_basis(problem.layout, problem.runs, integrating=True)
+    return replace(problem, basis=np.ascontiguousarray(basis), offset=offset)
 
 
 def with_variables(stage: Stage, antecedents: tuple[Antecedent, ...]) -> Stage:
@@ -199,10 +288,6 @@ class Insertion:
     antecedent: Antecedent
     rule: int
     place: float
-
-    def into(self, stage: Stage) -> Stage | None:
-        """The stage with that rule more, not refined; None where the region holds next to no samples."""
-        return next((grown for _, grown in _inserted_along(stage, self.antecedent, [self])), None)
 
 
 @dataclass(frozen=True, eq=False)
@@ -313,8 +398,10 @@ def settled(stage: Stage, how: Training) -> Stage:
 
 def same_insertion(stage: Stage, insertion: Insertion, how: Training) -> Stage | None:
     """A rule more where another part of the data wanted it, refined fully; None where it cannot be."""
-    grown = insertion.into(stage.under(ridge=how.ridge * stage.mean_square()))
-    return None if grown is None else settled(grown, how)
+    ridged = stage.under(ridge=how.ridge * stage.mean_square())
+    return next(
+        (settled(s, how) for _, s in _inserted_along(ridged, insertion.antecedent, [insertion])), None
+    )
 
 
 def rule_support(stage: Stage) -> FloatArray:

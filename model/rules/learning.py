@@ -7,23 +7,151 @@ a new record with its reason in words; intervals come with its model.
 
 from __future__ import annotations
 
-from dataclasses import replace
-from functools import partial
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
 
-from flysid.dataset import Dataset
+import numpy as np
+
+from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, FitError
+from flysid.model.base import Fitted
+from flysid.model.linear.settings import check_hint
 from flysid.model.rules import edits
-from flysid.model.rules.clustered_start import clustered_stage
-from flysid.model.rules.families import Family, fewest_rules, sweep_in_words
-from flysid.model.rules.first_steps import lag_starts, state_starts
-from flysid.model.rules.last_steps import refit_lags, refit_states, take_linear_side
+from flysid.model.rules.boundedness import is_bounded
+from flysid.model.rules.fitted import FittedTS, finished
+from flysid.model.rules.growth import clustered_stage
+from flysid.model.rules.judging import (
+    INTEGRATES,
+    Candidate,
+    Family,
+    fewest_rules,
+    hold_out,
+    sweep_in_words,
+    tolerant,
+)
+from flysid.model.rules.linear_starts import StateRealisation, as_linear, as_stage
+from flysid.model.rules.operating_points import described
+from flysid.model.rules.refit import on_all_runs, refit
+from flysid.model.rules.regressor_layout import runs_of, scaling
 from flysid.model.rules.search import search
-from flysid.model.rules.search_record import LinearSide, Search
+from flysid.model.rules.search_context import (
+    SPARE_ROWS,
+    SearchContext,
+    check,
+    named_antecedents,
+    order_choices,
+)
 from flysid.model.rules.search_settings import RuleSettings
-from flysid.model.rules.stages import Stage, ordered
+from flysid.model.rules.stages import Stage, on_runs_of, ordered
+from flysid.model.rules.state_systems import (
+    in_coordinates,
+    in_words,
+    linear_systems,
+    saturation_limits,
+    system_stage,
+)
+from flysid.model.selection import parts_to_choose_on
+from flysid.model.start import START_SHARE
+from flysid.split import MIN_FLIGHTS
 
 SWEEP = "Validation free-run error by number of rules"
 """How the note begins that says what was tried."""
+LinearSide = Callable[[RuleSettings, Dataset, Dataset | None], tuple[str, Fitted] | None]
+"""What the linear side chooses for settings and data, and its name; None where it has nothing."""
+_STEPS = 6  # of a refinement on a part of the data
+_HIGHEST_LINEAR = 12  # samples of lags that the linear side may choose on short records,
+_DEEPEST_DELAY = 40  # and on long ones, delay included
+_READABLE = 4  # states up to which rates of change and modes say more than uncorrelated numbers
+_ON_ALL = "The model was refined once more on the held-out part together with the rest."
+_AS_IT_WAS = (
+    "The held-out part only chose the model: refined once more on all the data, it was no longer stable."
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Search:
+    """What a search knows after each of its steps.
+
+    Attributes
+    ----------
+    own : the judging part was taken from the training data.
+    plain : the best single rule, judged over all parts.
+    starts : linear models that rules may be grown from.
+    best : the best family of models with 1, 2, 3, ... rules.
+    chosen : the model that is to be offered, as grown on the first part; `at` + 1 is its number of rules.
+    stage : the same on all the data.
+    notes, verdict : reasons, in words; those on the number of rules.
+    linear : the linear model that one rule is, where it is one.
+    fit : change of the training mean square by a second rule, in logarithms.
+    """
+
+    context: SearchContext
+    train: Dataset
+    validation: Dataset | None
+    own: bool
+    plain: Family
+    starts: tuple[Family, ...]
+    best: Family
+    chosen: Candidate
+    stage: Stage
+    at: int = 0
+    notes: tuple[str, ...] = ()
+    verdict: tuple[str, ...] = ()
+    linear: Fitted | None = None
+    fit: float = -np.inf
+
+    @classmethod
+    def begun(
+        cls,
+        context: SearchContext,
+        data: tuple[Dataset, Dataset | None],
+        own: bool,
+        plain: Family,
+        starts: Sequence[Family],
+        notes: Sequence[str],
+    ) -> Search:
+        """Before anything is grown: the best single rule is what is offered."""
+        one = plain.linear
+        return cls(context, *data, own, plain, tuple(starts), plain, one, one.stage, notes=tuple(notes))
+
+    @property
+    def models(self) -> list[Candidate]:
+        """Models by number of rules, as grown on the first part."""
+        return [self.plain.linear, *self.best.folds[0][1:]]
+
+    def said(self, *notes: str) -> Search:
+        """With notes more."""
+        return replace(self, notes=(*self.notes, *notes))
+
+    @property
+    def neighbour(self) -> Stage | None:
+        """The model with a rule more, or one fewer where growth ended."""
+        near = [*self.models[self.at + 1 :], *self.models[max(self.at - 1, 0) : self.at]]
+        return next((m.stage for m in near if m.stable), None)
+
+    @property
+    def least(self) -> int:
+        """Rows that a segment of a part must have."""
+        return self.context.least if self.stage.layout.hidden else self.stage.layout.depth + SPARE_ROWS
+
+    @cached_property
+    def bare(self) -> FittedTS:
+        """The fitted model, without what it does at operating points."""
+        return finished(self.stage, self.train, (*self.notes, *self.verdict))
+
+    @property
+    def model(self) -> FittedTS:
+        """The fitted model; it says what it does at operating points, and how surely."""
+        return described(self.bare, self.train, self.neighbour)
+
+    def again(self, data: Dataset) -> FittedTS:
+        """The model refined from where it is on a part of the data; itself for all of them."""
+        if data is self.train:
+            return self.bare
+        runs = runs_of(self.stage.layout, data.segments, self.least)
+        return finished(on_all_runs(self.stage, runs, _STEPS), data, ())
 
 
 def over_lags(
@@ -54,6 +182,111 @@ def over_states(settings: RuleSettings, train: Dataset, validation: Dataset | No
     for step in (grow, select, refit_states):
         found = step(found)
     return found
+
+
+def lag_starts(settings: RuleSettings, train: Dataset, validation: Dataset | None) -> Search:
+    """The data split, and linear models of several orders."""
+    check(settings)
+    check_hint(settings.nk_hint, len(train.inputs))
+    check_hint(settings.nk_least, len(train.inputs), "nk_least")
+    choices = order_choices(settings, len(train.inputs))
+    named = named_antecedents(settings, choices, train)
+    deepest = _deepest(settings, train) if len(choices) > 1 else 0
+    least = max(deepest, *(o.depth for o in choices), *(a.depth for a in named), 0) + SPARE_ROWS
+    long = len(train) >= settings.search.short
+    context, own = _context(settings, (train, validation), least, whole=long)
+    starts, notes = context.linear(choices)
+    if not any(s.linear.stable for s in starts):
+        context = replace(context, must_be_bounded=False)
+        starts = [tolerant(s, stressed=False) for s in starts]
+        notes.append(f"{INTEGRATES} Boundedness was not asked for.")
+    if context.folds:
+        notes.append("Little data: parts of it were held out in turn to choose the number of rules.")
+    plain = context.completed(starts[0])
+    return Search.begun(context, (train, validation), own, plain, starts, notes)
+
+
+def state_starts(settings: RuleSettings, train: Dataset, validation: Dataset | None) -> Search:
+    """Linear systems, and the data split as they need it."""
+    check(settings)
+    scaled = scaling(train)
+    systems = linear_systems(settings, train, validation, scaled)
+    least = max(s.orders.depth for s in systems) + 2 * max(map(len, systems)) + SPARE_ROWS
+    ends = saturation_limits(train)
+    context, own = _context(settings, (train, validation), least, scaled)
+    ridges = context.ridges[1:] or context.ridges
+    context = replace(context, promise=settings.search.hidden_gain, ridges=ridges)
+
+    def judged(system: StateRealisation) -> Family:
+        stages = [system_stage(system, fit, least, scaled, ends) for fit, _ in context.parts]
+        checks = [check for _, check in context.parts]
+        return Family(
+            tuple((context.judge(s, c),) for s, c in zip(stages, checks, strict=True)), system=system
+        )
+
+    families = sorted(map(judged, systems), key=lambda f: tolerant(f).rmse[0])
+    plain = tolerant(families[0])
+    most = 2 * settings.search.highest_order
+    starts = [f for f in families if f.linear.stage.layout.n <= most][: settings.search.linear_systems]
+    tried = "; ".join(dict.fromkeys(s.title for s in systems))
+    notes = [f"Tried, in several coordinates: {tried}."] if len(systems) > 1 else []
+    return Search.begun(context, (train, validation), own, plain, starts, [*notes, *in_words(ends, train)])
+
+
+def _context(
+    settings: RuleSettings,
+    data: tuple[Dataset, Dataset | None],
+    least: int,
+    scaled: tuple[FloatArray, FloatArray] | None = None,
+    *,
+    whole: bool = False,
+) -> tuple[SearchContext, bool]:
+    """The data split for segments of at least so many rows; whether the judging part is of the training data.
+
+    Parameters
+    ----------
+    scaled : shift and scale; None: of the fitting part.
+    whole : the judging part is whole flights, where there are enough.
+    """
+    train, validation = data
+    longest = max((len(s) for s in train.segments), default=0)
+    if longest < least:
+        raise DataError(
+            f"the longest segment has {longest} samples; this model needs {least}",
+            hint="record longer, allow longer gaps, or ask for lower orders or fewer states",
+        )
+    s = settings.search
+    folds: tuple[tuple[Dataset, Dataset], ...] = ()
+    if validation is not None and any(len(part) >= least for part in validation.segments):
+        parts, own = (train, validation), False
+    else:
+        parts, own = (_whole_flights if whole else hold_out)(train, least), True
+        if settings.rules == "auto" and settings.refine and len(train) < s.short:
+            folds = tuple(hold_out(train, least, fold) for fold in range(1, s.folds))
+    shift, scale = scaled or scaling(parts[0])
+    ridges = s.ridges if settings.ridge == "auto" else (settings.ridge,)
+    context = SearchContext(
+        settings, *parts, shift, scale, least, folds=folds, promise=s.rule_gain, ridges=ridges
+    )
+    return context, own
+
+
+def _whole_flights(train: Dataset, least: int) -> tuple[Dataset, Dataset]:
+    """The parts that the baseline is chosen on, where flights are enough: its rivals share their fits."""
+    if len(train.flights) >= MIN_FLIGHTS:
+        with suppress(DataError):
+            parts = parts_to_choose_on(train)
+            if all(any(len(s) >= least for s in part.segments) for part in parts):
+                return parts
+    return hold_out(train, least)
+
+
+def _deepest(settings: RuleSettings, train: Dataset) -> int:
+    """Samples that the linear side's models may look back."""
+    longest = max((len(s) for s in train.segments), default=0)
+    return min(
+        _DEEPEST_DELAY if len(train) > settings.search.short else _HIGHEST_LINEAR, int(START_SHARE * longest)
+    )
 
 
 def grow(found: Search) -> Search:
@@ -133,3 +366,93 @@ def merge_and_split(found: Search) -> Search:
         return found
     chosen = edits.merge_and_split(found.context, found.models, found.at)
     return replace(found, chosen=chosen, stage=ordered(chosen.stage))
+
+
+def take_linear_side(linear_side: LinearSide | None, found: Search) -> Search:
+    """One rule is the linear side's choice, parameter for parameter.
+
+    As it was where there is more than one rule, where the process integrates, which one rule can say exactly,
+    or where the choice is no equation over lags that runs free.
+    """
+    context = found.context
+    chosen = found.chosen.stage
+    if linear_side is None or chosen.rules > 1 or chosen.problem.integrates or not context.settings.refine:
+        return found
+    choice = linear_side(context.settings, found.train, found.validation)
+    model = None if choice is None else as_linear(choice[1])
+    if choice is None or model is None:
+        return found
+    least = max(context.least, model.orders.depth + SPARE_ROWS)
+    if not any(len(s) >= least for s in found.train.segments):
+        return found
+    whole = replace(context, fit_part=found.train, least=least)
+    stage = whole.ready(as_stage(model, whole.problem(model.orders)))
+    if not np.isfinite(stage.cost) or (context.must_be_bounded and not is_bounded(stage)):
+        return found
+    said = f"One rule is the linear side's choice, parameter for parameter: {choice[0].upper()}."
+    return replace(found, stage=stage, linear=choice[1], notes=(said, *choice[1].notes))
+
+
+def refit_lags(found: Search) -> Search:
+    """The chosen model refined on all the data, if it stays stable."""
+    context = found.context
+    settings = context.settings
+    if found.linear is not None:
+        return found
+    if not settings.refine:
+        method = "Consequents are one-step least squares; the simulation error was not refined."
+        return replace(found, verdict=(*found.verdict, method))
+    data = found.train if found.own else context.fit_part
+    runs = runs_of(found.stage.layout, data.segments, context.least)
+    stage = refit(replace(found.chosen, stage=found.stage), data, runs, settings.iterations)
+    notes = [_AS_IT_WAS if stage is found.stage else _ON_ALL] if found.own else []
+    if stage.problem.integrates and context.must_be_bounded:
+        notes.append(INTEGRATES)
+    method = (
+        "Consequents and memberships were refined on the simulation error with exact sensitivities; only "
+        "models that stayed bounded under random inputs were considered."
+    )
+    return replace(found, stage=stage, verdict=(*found.verdict, method)).said(*notes)
+
+
+def refit_states(found: Search) -> Search:
+    """The chosen model on all the data: one rule in the most readable coordinates, more grown again."""
+    context = found.context
+    family = found.plain if found.at == 0 else found.best
+    system = family.system
+    assert system is not None
+    ends = saturation_limits(found.train)
+
+    start = system_stage(system, found.train, context.least, (context.shift, context.scale), ends)
+    if found.at == 0:
+        stage, words = in_coordinates(start, "" if len(system) <= _READABLE else "plain")
+        drifts = not is_bounded(stage)
+    else:
+        words = family.words
+        start, _ = in_coordinates(start, family.coordinates)
+        drifts = not is_bounded(start)
+        stage = ordered(_on_everything(found, start, family.ridge, drifts=drifts))
+    hidden = f" Hidden states: {words}, in units of their spread in training." if stage.layout.hidden else ""
+    notes = [f"From {system.title}.{hidden}", *found.notes]
+    if drifts:
+        notes.append(INTEGRATES)
+    if stage.rules <= found.at:
+        count = f"{stage.rules} rules" if stage.rules > 1 else "One rule"
+        notes.append(f"{count} stayed bounded under random inputs.")
+    return replace(found, stage=stage, notes=tuple(notes))
+
+
+def _on_everything(found: Search, start: Stage, ridge: float, *, drifts: bool) -> Stage:
+    """The chosen model refined on all the data from the first part's.
+
+    Fewer rules where the model does not come back from bounded random inputs, though one rule does
+    (`drifts` is False).
+    """
+    for model in found.models[found.at : 0 : -1]:
+        stage = on_runs_of(model.stage, start)
+        stage = stage.under(ridge=ridge * stage.mean_square()).refined(
+            found.context.settings.iterations, 1e-6
+        )
+        if np.isfinite(stage.cost) and (drifts or is_bounded(stage)):
+            return stage
+    return start

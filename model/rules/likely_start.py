@@ -12,8 +12,9 @@ The search runs in coordinates in which the prior is a unit ball, whatever lags 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -21,12 +22,15 @@ from flysid.dataset import FloatArray
 from flysid.model.rules.free_run_error import run_sensitivities, started_run
 from flysid.model.rules.kernel import Parameters
 from flysid.model.rules.regressor_layout import Layout
+from flysid.model.start import full_window
 
 _STEPS = 12
 _SETTLED = 1e-10  # of the cost: one step nearly finds the start
 _HALVINGS = 4
 _CLOSED = 60  # rows that suffice to start a run while fitting
 _TWICE = 2.0  # spreads of training: a run may start outside of what training went through
+_PLACES = 8  # of the training data, along which starts are tried
+_REST = 20  # rows of zeros that put hidden states to rest
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,28 +146,17 @@ def _cost(misses: FloatArray, z: FloatArray) -> float:
 
 def start_spread(
     layout: Layout, runs: Sequence[FloatArray], par: Parameters, prior: Prior, horizon: int
-) -> StartSpread:
-    """How far free runs are spread whose start is told from their first rows, along simulated `runs`."""
-    return StartSpread(layout, tuple(_responses(layout, runs, par, prior, horizon)))
+) -> Callable[[int], float]:
+    """How far free runs err for want of the right start, by the number of samples that it is told from.
 
-
-@dataclass(frozen=True, eq=False)
-class StartSpread:
-    """Derivatives of free runs to their starts at places of the training data, see `start_spread`.
-
-    `responses`: (rows, n_y, q) each, in standard deviations of the simulation error and of the prior.
+    In standard deviations of the noise, to first order, along simulated `runs`; those of the start itself are
+    among the samples.
     """
+    responses = list(_responses(layout, runs, par, prior, horizon))
 
-    layout: Layout
-    responses: tuple[FloatArray, ...]
-
-    def __call__(self, rows: int) -> float:
-        """The error of a free run for want of the right start, in standard deviations of the noise.
-
-        To first order, with the start told from `rows` samples, those of the start itself among them.
-        """
+    def spread(rows: int) -> float:
         squares = []
-        for J in self.responses:
+        for J in responses:
             q = J.shape[2]
             seen = J[:rows].reshape(-1, q)
             sure = np.asarray(np.linalg.qr(np.vstack([seen, np.eye(q)]), mode="r"))
@@ -171,13 +164,13 @@ class StartSpread:
             squares.append((left * left).sum() / (len(J) * J.shape[1]))
         return float(np.sqrt(np.mean(squares))) if squares else 0.0
 
-
-_PLACES = 8
+    return spread
 
 
 def _responses(
     layout: Layout, runs: Sequence[FloatArray], par: Parameters, prior: Prior, horizon: int
 ) -> Iterator[FloatArray]:
+    """(rows, n_y, q) derivatives of free runs to their starts, in deviations of the error and the prior."""
     d = layout.depth
     long = [run for run in runs if len(run) > d + 1]
     for run in long[:: max(len(long) // _PLACES, 1)][:_PLACES]:
@@ -187,3 +180,84 @@ def _responses(
             start = W[layout.uncompared : d, : layout.n].ravel()
             _, J = run_sensitivities(layout, par, W, start)
             yield np.sqrt(prior.weight) * J @ prior.root
+
+
+@dataclass(frozen=True, eq=False)
+class LikelyStart:
+    """The most likely start, whose lags or hidden states training has an expectation of.
+
+    Attributes
+    ----------
+    prior : what training says about starts.
+    samples : measured samples that start a simulation.
+    """
+
+    prior: Prior
+    samples: int
+
+    def settled(self, dt_s: float) -> int:  # noqa: ARG002
+        """Samples after which predictions may lean on a free run."""
+        return self.samples
+
+    def rest(self, layout: Layout) -> int:
+        """Rows of zeros before a run from rest; as many as put hidden states to rest."""
+        return _REST + self.samples if layout.hidden else layout.depth
+
+    def write(self, layout: Layout, par: Parameters, W: FloatArray, known: int) -> None:
+        """Put the start into W (N, n + n_u), of which the outputs of `known` rows are measured.
+
+        At rest (`known` 0) hidden states are searched for, and lags are known: zeros.
+        """
+        d = layout.depth
+        if len(W) < d or not (known or layout.hidden):
+            return
+        rows = max(min(known or self.rest(layout), len(W)) - layout.uncompared, 1)
+        W[layout.uncompared : d, : layout.n] = initial_states(layout, [W], par, self.prior, rows)[0]
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON types only."""
+        prior = self.prior
+        return {
+            "prior": {"mean": prior.mean.tolist(), "root": prior.root.tolist(), "weight": prior.weight},
+            "n_init": self.samples,
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class MeasuredStart:
+    """The first outputs as measured, and what is known of their error: rules over lags, as 0.1.0 wrote them.
+
+    Attributes
+    ----------
+    gain : (samples n_y, samples (n_y + n_u) + 1) correction of the first rows, normalised.
+    samples : measured ones that start a simulation, as many as the rules look back.
+    """
+
+    gain: FloatArray
+    samples: int
+
+    def settled(self, dt_s: float) -> int:
+        """Samples after which predictions may lean on a free run."""
+        return full_window(self.samples, dt_s)
+
+    def rest(self, layout: Layout) -> int:  # noqa: ARG002
+        """Rows of zeros before a run from rest."""
+        return self.samples
+
+    def write(self, layout: Layout, par: Parameters, W: FloatArray, known: int) -> None:  # noqa: ARG002
+        """Put the start into W (N, n + n_u), of which the outputs of `known` rows are measured: corrected.
+
+        At rest (`known` 0) and in a record that ends with them they stand.
+        """
+        d = self.samples
+        if d <= known and d < len(W):
+            n_y = layout.n_y
+            window = np.append(W[:d].ravel(), 1.0)
+            W[:d, :n_y] += (self.gain @ window).reshape(d, n_y)
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON types only."""
+        return {"initial_gain": self.gain.tolist()}
+
+
+RunStart = MeasuredStart | LikelyStart

@@ -24,8 +24,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from flysid.dataset import FloatArray
+from flysid.model.linear_matrix_inequalities import slackless, symmetric_basis, value_at
 from flysid.model.polynomials import ROUNDING
-from flysid.model.rules.barrier import slackless, symmetric_basis, value_at
 from flysid.model.threads import on_one_thread
 
 MOST_STATES = 16

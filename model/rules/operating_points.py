@@ -1,10 +1,10 @@
 """What a model of rules does about the places at which its vehicle rests, and how sure that is.
 
-Numbers are of tangents (`flysid.model.rules.steady_map`) at places spread over what was flown. Their errors
+Numbers are of tangents (`flysid.model.rules.local_models`) at places spread over what was flown. Their errors
 are to first order, the place solved anew for every step: noise alone. What a model cannot express, no
 covariance shows; four things do, and as they speak of one and the same error, the largest of them is added:
 what the model with one rule more says otherwise, or where growth ended with one fewer; how much wider errors
-that still depend on what is simulated make the noise's share (`flysid.model.rules.lack_of_fit`); that a
+that still depend on what is simulated make the noise's share (`flysid.model.rules.rule_uncertainty`); that a
 condition on an input switches all its lags at once, which makes a time as unsure as these are apart; a floor.
 A blend of few rules winds about the truth and crosses it, and so does the other model's: how far the two are
 apart at one place says little of the error there, but in the mean square over all places they are as far
@@ -28,11 +28,10 @@ from flysid.errors import DataError
 from flysid.model.base import OperatingPoint
 from flysid.model.covariance import root_of
 from flysid.model.polynomials import Z95
-from flysid.model.rules.lack_of_fit import scale_factor
+from flysid.model.rules.local_models import Place, SteadyMap
 from flysid.model.rules.rule_model import RuleModel
-from flysid.model.rules.rule_uncertainty import Uncertainty, uncertainty
+from flysid.model.rules.rule_uncertainty import Uncertainty, scale_factor, uncertainty
 from flysid.model.rules.stages import Stage
-from flysid.model.rules.steady_map import Place, SteadyMap
 from flysid.model.rules.vocabulary import Axis
 
 _FLOWN = (0.01, 0.99)  # quantiles of signals within which a model is asked

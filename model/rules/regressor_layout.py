@@ -40,6 +40,16 @@ class Antecedent:
     lag: int
     minus: int = -1
 
+    @property
+    def depth(self) -> int:
+        """Samples that it looks back."""
+        return max(self.lag, self.minus)
+
+    def along(self, w: FloatArray, first: int) -> FloatArray:
+        """(N - first,) what it is along a record (N,) of its signal, from a row on that is deep enough."""
+        value = w[first - self.lag : len(w) - self.lag]
+        return value if self.minus < 0 else value - w[first - self.minus : len(w) - self.minus]
+
     def name(self, signals: Sequence[Signal]) -> str:
         """ "v_x(k-1)", "theta_in(k)" or "v_x(k-1)-v_x(k-2)"."""
         first = lagged_name(signals[self.column].name, self.lag)
@@ -115,7 +125,7 @@ class Layout:
     @property
     def moving(self) -> int:
         """Rows before the first computed one that the free run depends on."""
-        z = (max(a.lag, a.minus) for a in self.antecedents if a.column < self.n)
+        z = (a.depth for a in self.antecedents if a.column < self.n)
         return min(self.depth, max(self.orders.na, *z, 0))
 
     @property
@@ -132,7 +142,7 @@ class Layout:
     @cached_property
     def depth(self) -> int:
         """Rows that a simulation starts from."""
-        return max([self.orders.depth, *(max(a.lag, a.minus) for a in self.antecedents)])
+        return max([self.orders.depth, *(a.depth for a in self.antecedents)])
 
     @property
     def regressors(self) -> list[tuple[int, int]]:
@@ -170,12 +180,8 @@ class Layout:
     def antecedent_values(self, W: FloatArray) -> FloatArray:
         """(N - depth, n_z) antecedent variables of normalised W, from row `depth` on."""
         d = self.depth
-        n = len(W)
-        columns = []
-        for a in self.antecedents:
-            z = W[d - a.lag : n - a.lag, a.column]
-            columns.append(z if a.minus < 0 else z - W[d - a.minus : n - a.minus, a.column])
-        return np.stack(columns, axis=1) if columns else np.empty((max(n - d, 0), 0))
+        columns = [a.along(W[:, a.column], d) for a in self.antecedents]
+        return np.stack(columns, axis=1) if columns else np.empty((max(len(W) - d, 0), 0))
 
     def regressor_values(self, W: FloatArray) -> FloatArray:
         """(N - depth, n_x) regressors along normalised W, from row `depth` on."""
@@ -292,19 +298,10 @@ def check_they_move(antecedents: Sequence[Antecedent], train: Dataset) -> None:
     signals = (*train.outputs, *train.inputs)
     for antecedent in antecedents:
         columns = [np.hstack([s.y, s.u])[:, antecedent.column] for s in train.segments]
-        values = np.concatenate([_lag(antecedent, w) for w in columns])
+        values = np.concatenate([antecedent.along(w, antecedent.depth) for w in columns])
         size = max(float(np.abs(w).max(initial=0.0)) for w in columns)
         if len(values) and np.ptp(values) <= ROUNDING * size:
             raise DataError(
                 f"the antecedent {antecedent.name(signals)} stays at {values[0]:g} in the training data",
                 hint="no rule can be told from another by it: leave it out, or name a variable that moves",
             )
-
-
-def _lag(antecedent: Antecedent, w: FloatArray) -> FloatArray:
-    """What an antecedent is along one record (N,) of its signal, from where all its lags are known."""
-    deepest = max(antecedent.lag, antecedent.minus)
-    first = w[deepest - antecedent.lag : len(w) - antecedent.lag]
-    if antecedent.minus < 0:
-        return first
-    return first - w[deepest - antecedent.minus : len(w) - antecedent.minus]

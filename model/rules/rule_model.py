@@ -24,12 +24,12 @@ from flysid.model.noise import output_error_ahead
 from flysid.model.regressors import lagged_name
 from flysid.model.rules.free_run_error import widened
 from flysid.model.rules.kernel import Parameters, firing, free_run, predict
+from flysid.model.rules.likely_start import LikelyStart, RunStart
 from flysid.model.rules.memberships import Partition
 from flysid.model.rules.operating_words import sentences
 from flysid.model.rules.phrases import condition_in_words, equation, in_words, push_in_words
-from flysid.model.rules.recursion import ComplexArray, Recursion, time_constant, unheld
+from flysid.model.rules.recursion import Recursion, time_constant, unheld
 from flysid.model.rules.regressor_layout import Layout
-from flysid.model.rules.run_start import LikelyStart, RunStart
 from flysid.model.start import FreeRuns, searched_start, start_window
 
 
@@ -239,10 +239,6 @@ class RuleModel(FreeRuns):
         """Every rule by itself over the outputs, physical units: hidden states are eliminated."""
         found = self.recursions()
         return tuple(r.without_hidden(self.layout.n_y) for r in found) if self.layout.hidden else found
-
-    def local_poles(self) -> tuple[ComplexArray, ...]:
-        """Poles of every rule by itself, slowest first."""
-        return tuple(r.poles for r in self.recursions())
 
     def rules(self) -> tuple[Rule, ...]:
         """Every rule in words."""

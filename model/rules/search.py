@@ -16,9 +16,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from flysid.model.linear.data import SEARCH_ROWS
-from flysid.model.rules.families import Family, tolerant
 from flysid.model.rules.growth import Insertion, Training, one_rule_more, same_insertion, thinned
-from flysid.model.rules.judging import EXACT
+from flysid.model.rules.judging import EXACT, Family, tolerant
 from flysid.model.rules.search_context import SearchContext
 from flysid.model.rules.stages import Stage
 from flysid.model.rules.state_systems import coordinate_names, in_coordinates

@@ -25,6 +25,7 @@ class SearchSettings:
     highest_order : lags of the outputs up to which linear models are tried.
     lanes : linear starts, those from which two rules do best, that are grown over all parts.
     exchanges : rounds in which a chosen model of long records is found again by way of one rule more.
+    hidden_gain : logarithms of the mean square that hidden states must win; 0.3 is about 14 % of the error.
     hidden_states : rules over hidden states compete where the data hint at them (`BestTS`).
     linear_systems : linear state spaces, best first, whose coordinates hidden rules are grown in.
     ridges : weights on the difference of rules, in shares of the error that is left, rising; those after the
@@ -44,6 +45,7 @@ class SearchSettings:
     highest_order: int = 4
     lanes: int = 2
     exchanges: int = 3
+    hidden_gain: float = 0.3
     hidden_states: bool = True
     linear_systems: int = 4
     ridges: tuple[float, ...] = (0.01, 0.1, 1.0)
@@ -72,7 +74,7 @@ class SearchSettings:
                 raise UsageError(f"{name}={getattr(self, name)!r}", hint="give a whole number, 0 or more")
         if self.folds > QUARTERS:
             raise UsageError(f"folds={self.folds!r}", hint="a record has four quarters")
-        gains = (self.rule_gain, *self.ridges)
+        gains = (self.rule_gain, self.hidden_gain, *self.ridges)
         if not self.ridges or not all(isinstance(g, int | float) and 0.0 <= g < float("inf") for g in gains):
             raise UsageError(f"gains and ridges {gains}", hint="numbers of 0 or more, and one ridge at least")
 

@@ -17,17 +17,15 @@ import numpy as np
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, FitError, UsageError
 from flysid.model.polynomials import NEARLY_ONE
-from flysid.model.rules.assembly import at_stage, free_run_rmse
 from flysid.model.rules.boundedness import is_bounded
 from flysid.model.rules.consequents import refuse_few, refuse_other_data
 from flysid.model.rules.fitted import FittedTS
-from flysid.model.rules.growth import best_started, whitening
-from flysid.model.rules.integrator import holds_integrator
+from flysid.model.rules.growth import best_started, holds_integrator, whitening
 from flysid.model.rules.lyapunov import certificate_of
 from flysid.model.rules.operating_points import described
 from flysid.model.rules.phrases import from_to
 from flysid.model.rules.recursion import Recursion, companion, rule_radius
-from flysid.model.rules.refit import as_problem
+from flysid.model.rules.refit import as_problem, at_stage, free_run_rmse
 from flysid.model.rules.regressor_layout import Layout, runs_of
 from flysid.model.rules.search_settings import RuleSettings
 from flysid.model.rules.stages import Stage, ordered

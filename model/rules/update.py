@@ -20,7 +20,6 @@ import numpy as np
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, UsageError
 from flysid.model.polynomials import ROUNDING
-from flysid.model.rules.assembly import free_run_rmse, with_noise_model
 from flysid.model.rules.boundedness import is_bounded
 from flysid.model.rules.consequents import refuse_other_data, weighted
 from flysid.model.rules.fitted import FittedTS
@@ -28,7 +27,7 @@ from flysid.model.rules.growth import best_started
 from flysid.model.rules.kernel import Parameters, firing
 from flysid.model.rules.phrases import from_to
 from flysid.model.rules.recursion import rule_radius
-from flysid.model.rules.refit import as_problem
+from flysid.model.rules.refit import as_problem, free_run_rmse, with_noise_model
 from flysid.model.rules.regressor_layout import Layout, runs_of
 from flysid.model.rules.rule_uncertainty import run_slopes, steep, without_start
 from flysid.model.rules.stages import Stage

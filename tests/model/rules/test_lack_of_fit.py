@@ -7,7 +7,7 @@ from scipy.signal import lfilter
 
 from bench.hidden_plants import LINEAR, PLANTS
 from flysid.dataset import Dataset, Segment
-from flysid.model.rules.lack_of_fit import scale_factor
+from flysid.model.rules.rule_uncertainty import scale_factor
 from flysid.model.ts import TS
 
 ONE = TS(rules=1, na=2, nb=2, nk=1)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from flysid.dataset import FloatArray
-from flysid.model.rules.barrier import cheapest
+from flysid.model.linear_matrix_inequalities import cheapest
 from flysid.model.rules.lyapunov import certificate_of, common_lyapunov
 
 

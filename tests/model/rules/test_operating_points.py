@@ -14,9 +14,9 @@ from bench.rule_words import own_answer, truth
 from bench.ts_intervals import experiment, known_model
 from flysid.dataset import Dataset, FloatArray, Signal
 from flysid.model.rules.fitted import FittedTS
+from flysid.model.rules.local_models import SteadyMap
 from flysid.model.rules.operating_points import described, operating_points
 from flysid.model.rules.rule_uncertainty import uncertainty
-from flysid.model.rules.steady_map import SteadyMap
 from flysid.model.ts import TS
 
 DRAG = PLANTS["vehicle with drag and a lagging actuator"]

@@ -15,7 +15,7 @@ from scipy.signal import lfilter
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, UsageError
 from flysid.model.base import load
-from flysid.model.rules import last_steps, learning
+from flysid.model.rules import learning
 from flysid.model.rules.search_settings import EFFORTS
 from flysid.model.ts import TS, FittedTS
 from flysid.model.ts_state_space import TSStateSpace
@@ -137,7 +137,7 @@ def test_a_last_refinement_that_was_not_taken_is_not_claimed(monkeypatch: pytest
     settings = TS(rules=2, na=2, nb=1, nk=1)
     claim = "refined once more on the held-out part"
     assert any(claim in note for note in settings.fit(data).notes)
-    monkeypatch.setattr(last_steps, "refit", lambda chosen, *_: chosen.stage)
+    monkeypatch.setattr(learning, "refit", lambda chosen, *_: chosen.stage)
     notes = settings.fit(data).notes
     assert not any(claim in note for note in notes)
     assert any("it was no longer stable" in note for note in notes)

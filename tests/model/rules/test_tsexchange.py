@@ -9,10 +9,9 @@ import pytest
 
 from bench.ts_intervals import known_model
 from flysid.model.rules.edits import merge_and_split
-from flysid.model.rules.families import Family, fewest_rules, sweep_in_words
 from flysid.model.rules.fitted import FittedTS
 from flysid.model.rules.growth import unrefined
-from flysid.model.rules.judging import Candidate
+from flysid.model.rules.judging import Candidate, Family, fewest_rules, sweep_in_words
 from flysid.model.rules.search_context import SearchContext
 from flysid.model.rules.stages import Stage, inserted
 from tests.known_rules import context_of, stage_of

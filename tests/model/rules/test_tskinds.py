@@ -12,9 +12,9 @@ from flysid.dataset import Dataset
 from flysid.errors import UsageError
 from flysid.model.arx import ARX
 from flysid.model.rules.consequents import refit_consequents
+from flysid.model.rules.edits import simplifications
 from flysid.model.rules.fitted import FittedTS
 from flysid.model.rules.search_settings import SearchSettings
-from flysid.model.rules.simplify import simplifications
 from flysid.model.rules.stabilise import with_stable_rules
 from flysid.model.rules.update import update
 from flysid.model.static_ts import StaticTS

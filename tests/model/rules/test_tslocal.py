@@ -9,8 +9,8 @@ import pytest
 
 from flysid.dataset import Dataset
 from flysid.errors import UsageError
-from flysid.model.rules.control_system import to_nonlinear_system
 from flysid.model.rules.explanation import explain, outside_share
+from flysid.model.rules.fitted import to_nonlinear_system
 from flysid.model.ts import TS, FittedTS
 from tests.bent_plant import flight
 

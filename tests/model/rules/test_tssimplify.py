@@ -10,9 +10,9 @@ import pytest
 from bench.ts_intervals import experiment, known_model
 from flysid.dataset import Dataset
 from flysid.errors import DataError
+from flysid.model.rules.edits import simplifications
 from flysid.model.rules.fitted import FittedTS
 from flysid.model.rules.regressor_layout import Antecedent
-from flysid.model.rules.simplify import simplifications
 
 
 @pytest.fixture(scope="module")

@@ -10,8 +10,8 @@ import pytest
 from flysid.dataset import Dataset, FloatArray
 from flysid.model.linear_choice import free_run_errors
 from flysid.model.one_rule import linear_choice
+from flysid.model.rules.contest import unproven
 from flysid.model.rules.search_settings import EFFORTS
-from flysid.model.rules.structure_choice import unproven
 from flysid.model.ts import TS
 from flysid.model.ts_best import LINEAR_ENOUGH, BestTS
 
