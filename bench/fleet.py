@@ -66,7 +66,7 @@ def fill(inbox: Place, count: int, rows: int = 3000) -> None:
     for n in range(count):
         lines = [f"{step}{(i * 31 + n) % 997 / 100:.2f},{n}" for i, step in enumerate(steps)]
         text = "time_s,command,response,number\n" + "\n".join(lines) + "\n"
-        inbox.put(f"v{n % 20:03d}/flight{n:05d}.csv", text.encode())
+        inbox.put(f"v{n % 200:03d}/flight{n:05d}.csv", text.encode())
 
 
 def overhead(count: int) -> None:
@@ -243,7 +243,7 @@ def compaction(count: int) -> None:
         list(ingest(find(["s3://inbox"], str(lake)), settings, Threads(1)))
         objects = sum(1 for _ in lake.list())
         own = files_of(lake, "table", "vehicle = 'v003'")
-        print(f"one vehicle of 20: {len(own)} of {objects} objects hold its rows")
+        print(f"one vehicle of 200: {len(own)} of {objects} objects hold its rows")
         before, many = measured(lambda: column(lake, "response"))
         began = time.process_time()
         done = compact(lake)
