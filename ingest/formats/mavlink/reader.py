@@ -55,8 +55,9 @@ MAX_NS = (1 << 63) - 1
 
 def sniff(head: bytes, name: str) -> float:  # noqa: ARG001
     """Confidence that these bytes begin a tlog or raw MAVLink: do checked frames chain?"""
-    if is_capture(head):
-        return 0.95 if holds_mavlink(head, load_dialect().crc_extra) else 0.0
+    behind_zeros = head.lstrip(b"\0")
+    if is_capture(behind_zeros):
+        return 0.95 if holds_mavlink(behind_zeros, load_dialect().crc_extra) else 0.0
     if not any(may_chain(head, stamp) for stamp in (STAMP_BYTES, 0)):
         return 0.0
     frames, _ = count_frames(head, stamp_bytes(head))
@@ -88,8 +89,11 @@ class _Reader:
 
 def read(view: memoryview, name: str, limits: Limits) -> Parts:
     """Parts of a tlog, a raw MAVLink file or a capture; see `Format.read`."""
-    if is_capture(bytes(view[:HEAD_BYTES])):
-        return (yield from _read_capture(view, name, limits))
+    head = bytes(view[:HEAD_BYTES])
+    skipped = len(head) - len(head.lstrip(b"\0"))  # a stamp may begin with zeros, a capture does not
+    if is_capture(head[skipped:]):
+        summary = yield from _read_capture(view[skipped:], name, limits)
+        return replace(summary, damage=summary.damage.behind_zeros(skipped)) if skipped else summary
     stamp = first_stamp_bytes(view)
     reader = _Reader(load_dialect(), make_scanner(DEFAULT, stamp, len(view)))
     position = 0

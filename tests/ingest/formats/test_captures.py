@@ -520,6 +520,19 @@ def test_a_capturing_clock_that_is_set_costs_no_packet(step_s: int) -> None:
     assert flight.damage.bytes_skipped == 0
 
 
+@pytest.mark.parametrize("pack", [pcap, pcapng])
+@pytest.mark.parametrize("size", [3, 9, 17, 300_000])
+def test_zeros_ahead_of_a_capture_hide_nothing(
+    pack: Callable[[list[Packet]], bytes], size: int, tmp_path: Path
+) -> None:
+    """Up to eight of them may belong to a tlog's first stamp; none does to a capture."""
+    path = tmp_path / "log"
+    path.write_bytes(bytes(size) + pack(over_udp(flying(sender(), 60))))
+    flight = flysid.read(path)
+    assert flight.rows == 60
+    assert flight.damage.bytes_skipped == size
+
+
 @pytest.mark.parametrize("name", CARRIED)
 def test_damaged_captures_keep_what_the_damage_leaves(name: str) -> None:
     for outcome in (
