@@ -1,4 +1,7 @@
-"""Whether two flights on one grid of time are the same flight: tests 2 and 3 of `copies`."""
+"""Whether two flights on one grid of time are the same flight: tests 2 and 3 of `copies`, at given lags.
+
+Both are compiled: of many flights millions of pairs are judged.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +9,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+import numpy.typing as npt
+from numba import njit
 
 from flysid.stretch import FloatArray
 
@@ -19,35 +24,14 @@ NEIGHBOURS = 2  # samples on either side of one that another recorder may have m
 SAME_SHARE = 0.5  # of a flight whose outputs agree so well
 SAME_INPUT = 0.5  # of its spread: steps fall between the samples of the other recorder
 SIGMAS = 3.5  # of a correlation beyond the largest that chance makes over all lags
+COLUMNS = 2 * NEIGHBOURS + 3  # a sample and its neighbours, a constant, and what they are to explain
+FIRST_ROWS = 4 * (COLUMNS - 1)  # samples that are asked first: four for each number that is fitted to them
+ROUNDING = 1e-12  # of a column's squares: less than this left of it is rounding
 
+Indices = npt.NDArray[np.int64]
 
-@dataclass(frozen=True, eq=False)
-class Record:
-    """(N,) one signal of a flight; NaN in gaps, which count as 0 in its spectrum."""
-
-    x: FloatArray
-
-    @cached_property
-    def size(self) -> float:
-        """The largest magnitude: squares of huge units would overflow."""
-        return float(np.nanmax(np.abs(self.x))) or 1.0
-
-    @cached_property
-    def spread(self) -> float:
-        """The standard deviation, in units of `size`."""
-        return float(np.nanstd(self.x / self.size))
-
-    def without_mean(self) -> FloatArray:
-        """0 in gaps."""
-        known = np.isfinite(self.x)
-        mean = self.x[known].mean() if known.any() else 0.0
-        return np.where(known, self.x - mean, 0.0)
-
-    def powers(self) -> FloatArray:
-        """(3, N) where it is known, itself, its square; in units of its size."""
-        known = np.isfinite(self.x)
-        x = np.where(known, self.x / self.size, 0.0)
-        return np.stack([known, x, x**2])
+compiled = njit(cache=True, error_model="numpy")
+summing = njit(cache=True, error_model="numpy", fastmath={"reassoc", "contract"})
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,20 +45,8 @@ class Grid:
 
     @cached_property
     def samples(self) -> int:
+        """How many of the remainder are known."""
         return int(np.isfinite(self.e[:, 0]).sum())
-
-    @cached_property
-    def outputs(self) -> tuple[Record, ...]:
-        return tuple(Record(column) for column in self.y.T)
-
-    @cached_property
-    def moves(self) -> tuple[Record, ...]:
-        """How the outputs change from sample to sample."""
-        return tuple(Record(column) for column in np.diff(self.y, axis=0).T)
-
-    @cached_property
-    def remainders(self) -> tuple[Record, ...]:
-        return tuple(Record(column) for column in self.e.T)
 
     @cached_property
     def flown(self) -> int:
@@ -82,119 +54,159 @@ class Grid:
         return int(np.isfinite(self.y[:, 0]).sum())
 
 
-def same_noise(theirs: Grid, mine: Grid) -> str:
-    """How two flights share their noise, or ''."""
-    if min(theirs.samples, mine.samples) < LEAST_NOISE:
-        return ""
-    for a, b in zip(theirs.remainders, mine.remainders, strict=True):
-        x, z = _overlapping(a.x, b.x, _best_lag(a, b))
-        if len(x) < max(LEAST_NOISE, NOISE_SHARE * mine.samples):
+@compiled
+def same_noise(e_a: FloatArray, e_b: FloatArray, lags: Indices, least: float) -> tuple[int, float]:
+    """How many samples of (n_y, N) remainders overlap where they share their noise, and its correlation.
+
+    Parameters
+    ----------
+    lags : (n_y,) of b behind a. least : samples that must overlap.
+    """
+    # the largest of so many lags by chance, in standard deviations
+    limit = np.sqrt(2.0 * np.log(float(e_a.shape[1] + e_b.shape[1]))) + SIGMAS
+    for j in range(len(lags)):
+        x, z = _overlapping(e_a[j], e_b[j], lags[j])
+        if len(x) < max(LEAST_NOISE, least):
             continue
-        x = x - x.mean()
-        z = z - z.mean()
-        if not (x.any() and z.any()):
+        rho = _correlation(x, z)
+        if rho > LEAST_CORRELATION and rho * np.sqrt(float(len(x))) > limit:
+            return len(x), rho
+    return 0, 0.0
+
+
+@summing
+def _correlation(x: FloatArray, z: FloatArray) -> float:
+    """0 where one of them stands still."""
+    middle, other = np.mean(x), np.mean(z)
+    xx = zz = xz = 0.0
+    for k in range(len(x)):
+        a = x[k] - middle
+        b = z[k] - other
+        xx += a * a
+        zz += b * b
+        xz += a * b
+    both = np.sqrt(xx * zz)
+    return xz / both if both > 0.0 else 0.0
+
+
+@compiled
+def same_output(
+    a: tuple[FloatArray, FloatArray],
+    b: tuple[FloatArray, FloatArray],
+    lag: int,
+    least: float,
+    spread: FloatArray,
+) -> int:
+    """How many samples overlap where all outputs agree, and the inputs roughly; 0 where they do not.
+
+    Parameters
+    ----------
+    a, b : (n_u, N) inputs and (n_y, N) outputs. least : samples that must overlap.
+    spread : (n_y,) standard deviation of b's outputs; 0 of what stands still.
+    """
+    (u_a, y_a), (u_b, y_b) = a, b
+    fewest = 0
+    for j in range(len(spread)):
+        if spread[j] == 0.0:
             continue
-        # squares of tiny units would vanish
-        x = x / np.abs(x).max()
-        z = z / np.abs(z).max()
-        rho = float(x @ z / np.sqrt((x @ x) * (z @ z)))
-        # the largest of so many lags, in standard deviations
-        chance = np.sqrt(2.0 * np.log(len(a.x) + len(b.x)))
-        if rho > LEAST_CORRELATION and rho * np.sqrt(len(x)) > chance + SIGMAS:
-            share = 100.0 * len(x) / mine.samples
-            return f"its noise is the same over {share:.0f} % of it (correlation {rho:.2f})"
-    return ""
+        x, z = _overlapping(y_a[j], y_b[j], lag)
+        if len(x) < max(LEAST_OVERLAP, least) or _apart(x, z, SAME_OUTPUT * spread[j]):
+            return 0
+        fewest = len(x) if fewest == 0 else min(fewest, len(x))
+    for j in range(len(u_b) if fewest else 0):
+        x, z = _overlapping(u_a[j], u_b[j], lag)
+        # a step may be a sample late, where values are held
+        if np.any(x != z) and _apart(x, z, SAME_INPUT * float(np.std(z))):
+            return 0
+    return fewest
 
 
-def same_output(theirs: Grid, mine: Grid) -> str:
-    """How the outputs of two flights agree, or ''; their inputs must agree roughly."""
-    if min(theirs.flown, mine.flown) < LEAST_OVERLAP:
-        return ""
-    pairs = [*zip(theirs.outputs, mine.outputs, strict=True), *zip(theirs.moves, mine.moves, strict=True)]
-    lags = dict.fromkeys(_best_lag(a, b) for a, b in pairs)  # a part of a flight shows by its moves
-    least = max(LEAST_OVERLAP, SAME_SHARE * mine.flown) - 1  # of samples, so of moves
-    lags.update(
-        dict.fromkeys(_closest_lag(a, b, least) for a, b in zip(theirs.moves, mine.moves, strict=True))
-    )
-    share = max((_share_of_same(theirs, mine, lag) for lag in lags), default=0.0)
-    return (
-        f"its outputs are the same to within {100.0 * SAME_OUTPUT:.0f} % over {100.0 * share:.0f} % of it"
-        if share
-        else ""
-    )
-
-
-def _share_of_same(theirs: Grid, mine: Grid, lag: int) -> float:
-    """The share of a flight whose outputs agree with another's at some lag; 0 where one of them does not."""
-    shares = list[float]()
-    for a, b in zip(theirs.outputs, mine.outputs, strict=True):
-        if b.spread == 0.0:
-            continue
-        x, z = _overlapping(a.x, b.x, lag)
-        if len(x) < max(LEAST_OVERLAP, SAME_SHARE * mine.flown):
-            return 0.0
-        if _apart(x / b.size, z / b.size, SAME_OUTPUT * b.spread):
-            return 0.0
-        shares.append(len(x) / mine.flown)
-    alike = all(_alike(*_overlapping(a, b, lag)) for a, b in zip(theirs.u.T, mine.u.T, strict=True))
-    return min(1.0, *shares) if shares and alike else 0.0
-
-
+@compiled
 def _apart(x: FloatArray, z: FloatArray, limit: float) -> bool:
     """Whether two records differ by more than `limit` (RMS), one of them filtered as suits them best.
 
     Another recorder has its own zero and rounds its factors, samples at other times, and smooths: a constant
-    and five neighbours of each sample take all that out. Which of them it did that to is not known.
+    and five neighbours of each sample take all that out. Which of them it did that to is not known. What few
+    samples leave of a best fit is never more than what all of them leave: these are asked first.
     """
-    return _filtered_apart(x, z, limit) and _filtered_apart(z, x, limit)
-
-
-def _filtered_apart(x: FloatArray, z: FloatArray, limit: float) -> bool:
-    """Whether samples of z around each one of x leave more than `limit` of it, or are larger or smaller."""
     rows = len(x) - 2 * NEIGHBOURS
-    near = [z[k : k + rows] for k in range(2 * NEIGHBOURS + 1)]
-    columns = np.stack([np.ones(rows), *near, x[NEIGHBOURS : NEIGHBOURS + rows]], axis=1)
-    (triangle, _) = np.linalg.qr(columns, "raw")  # transposed
-    rest = abs(triangle[-1, columns.shape[1] - 1])
-    if rest > limit * np.sqrt(max(rows - columns.shape[1] + 1, 1)):
+    squares = limit**2 * max(rows - COLUMNS + 1, 1)
+    step = max(1, rows // FIRST_ROWS)
+    if step > 1 and _left(x, z, step)[0] > squares and _left(z, x, step)[0] > squares:
         return True
-    weights = np.linalg.lstsq(columns[:, :-1], columns[:, -1], rcond=None)[0]
-    return bool(abs(weights[1:].sum() - 1.0) > SAME_GAIN)  # larger or smaller flights, not another's factor
+    return _differs(_left(x, z, 1), squares) and _differs(_left(z, x, 1), squares)
 
 
-def _alike(x: FloatArray, z: FloatArray) -> bool:
-    """Whether two records of an input are: a step may be a sample late, where values are held."""
-    return not _apart(x, z, SAME_INPUT * float(np.std(z))) or not np.any(x != z)
+@compiled
+def _differs(left: tuple[float, float], squares: float) -> bool:
+    """Whether too much is left, or one flight is larger or smaller, not another's factor."""
+    return left[0] > squares or abs(left[1] - 1.0) > SAME_GAIN
 
 
-def _best_lag(theirs: Record, mine: Record) -> int:
-    """The lag of mine behind theirs at which their product is largest; NaN counts as 0."""
-    size = 1 << int(np.ceil(np.log2(len(theirs.x) + len(mine.x))))
-    a, b = (np.fft.rfft(s.without_mean(), size) for s in (theirs, mine))
-    at = int(np.argmax(np.fft.irfft(a * np.conj(b), size)))
-    return at if at < len(theirs.x) else at - size
+@compiled
+def _left(x: FloatArray, z: FloatArray, step: int) -> tuple[float, float]:
+    """What a constant and neighbours in z leave of the squares of every step-th x, and their factor.
+
+    The neighbours stand as differences: where they change slowly, they are nearly alike.
+    """
+    gram = np.zeros((COLUMNS, COLUMNS))
+    row = np.empty(COLUMNS)
+    for k in range(NEIGHBOURS, len(x) - NEIGHBOURS, step):
+        before = z[k - 1] + z[k + 1]
+        after = z[k + 1] - z[k - 1]
+        row[0] = 1.0
+        row[1] = z[k]
+        row[2] = after
+        row[3] = before - 2.0 * z[k]
+        row[4] = z[k + 2] - z[k - 2] - 2.0 * after
+        row[5] = z[k + 2] + z[k - 2] - 4.0 * before + 6.0 * z[k]
+        row[6] = x[k]
+        for p in range(COLUMNS):
+            for q in range(p + 1):
+                gram[p, q] += row[p] * row[q]
+    return _fitted(gram)
 
 
-def _closest_lag(theirs: Record, mine: Record, least: float) -> int:
-    """The lag of mine behind theirs at which they differ least, where at least so many samples overlap."""
-    size = 1 << int(np.ceil(np.log2(len(theirs.x) + len(mine.x))))
-    a = np.fft.rfft(theirs.powers(), size)
-    b = np.conj(np.fft.rfft(mine.powers(), size))
-    larger = max(theirs.size, mine.size)
-    p, q = theirs.size / larger, mine.size / larger
-    apart = p**2 * a[2] * b[0] + q**2 * a[0] * b[2] - 2.0 * p * q * a[1] * b[1]
-    count, gap = np.fft.irfft([a[0] * b[0], apart], size)
-    mean = np.where(count > least - 0.5, gap / np.maximum(count, 1.0), np.inf)
-    at = int(np.argmin(mean))
-    return at if at < len(theirs.x) else at - size
+@compiled
+def _fitted(gram: FloatArray) -> tuple[float, float]:
+    """What a best fit leaves of the last column's squares, and the weight of the second column.
+
+    Columns that are but rounding explain nothing; what stands still has no factor.
+    """
+    last = len(gram) - 1
+    whole = np.diag(gram).copy()
+    used = np.zeros(last, dtype=np.bool_)
+    for c in range(last):
+        used[c] = gram[c, c] > ROUNDING * whole[c]
+        for p in range(c + 1, last + 1 if used[c] else 0):
+            share = gram[p, c] / gram[c, c]
+            for q in range(c + 1, p + 1):
+                gram[p, q] -= share * gram[q, c]
+    weights = np.zeros(last)
+    for c in range(last - 1, 0, -1):
+        if used[c]:
+            rest = gram[last, c]
+            for p in range(c + 1, last):
+                rest -= weights[p] * gram[p, c]
+            weights[c] = rest / gram[c, c]
+    return float(gram[last, last]), weights[1] if used[1] else 1.0
 
 
+@compiled
 def _overlapping(a: FloatArray, b: FloatArray, lag: int) -> tuple[FloatArray, FloatArray]:
     """The samples of a and of b moved by `lag` that both have."""
-    mine = a[max(lag, 0) :]
-    theirs = b[max(-lag, 0) :]
-    common = min(len(mine), len(theirs))
-    mine = mine[:common]
-    theirs = theirs[:common]
-    both = np.isfinite(mine) & np.isfinite(theirs)
-    return mine[both], theirs[both]
+    first = max(lag, 0)
+    other = max(-lag, 0)
+    common = max(0, min(len(a) - first, len(b) - other))
+    x = a[first : first + common]
+    z = b[other : other + common]
+    n = 0
+    last = 0
+    for k in range(common):
+        if not np.isnan(x[k] + z[k]):
+            n += 1
+            last = k + 1
+    if n == 0 or np.all(np.isfinite(x[last - n : last] + z[last - n : last])):
+        return x[last - n : last], z[last - n : last]
+    both = np.isfinite(x + z)
+    return x[both], z[both]

@@ -16,12 +16,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
-from flysid.alike import Grid, same_noise, same_output
 from flysid.stretch import FloatArray, Stretch
+
+if TYPE_CHECKING:
+    from flysid.alike import Grid  # compiled code: only where flights are compared
 
 Hashes = npt.NDArray[np.uint64]
 Indices = npt.NDArray[np.int64]
@@ -169,21 +172,15 @@ def _row_hashes(stretch: Stretch, step: FloatArray) -> tuple[Hashes, Indices]:
 
 
 def _same_flight(train: Sequence[Stretch], test: Sequence[Stretch], dt_s: float) -> Copy | None:
-    """Tests 2 and 3, of the pairs that are likely."""
-    from flysid.likely_copies import likely_copies  # compiled code: only where flights are compared
+    """Tests 2 and 3."""
+    from flysid.same_flights import same_flights
 
     theta = _linear_model([*train, *test])
     known, held = (_on_grids(part, theta, dt_s) for part in (train, test))
     names, others = list(held), list(known)
-    for i, k in likely_copies(list(known.values()), list(held.values())):
-        name, other = names[i], others[k]
-        how = (
-            ""
-            if other == name
-            else same_noise(known[other], held[name]) or same_output(known[other], held[name])
-        )
-        if how:
-            return Copy(name, other, how)
+    for i, k, how in same_flights(list(known.values()), list(held.values())):
+        if others[k] != names[i]:
+            return Copy(names[i], others[k], how)
     return None
 
 
@@ -239,6 +236,8 @@ def _on_grids(stretches: Sequence[Stretch], theta: FloatArray | None, dt_s: floa
 
 
 def _on_grid(stretches: Sequence[Stretch], theta: FloatArray | None, dt_s: float) -> Grid:
+    from flysid.alike import Grid
+
     ordered = sorted(stretches, key=lambda s: s.t0_ns)
     starts = []
     stop = 0

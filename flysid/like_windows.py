@@ -19,17 +19,19 @@ import numpy.typing as npt
 from scipy.fft import dct
 from scipy.spatial import cKDTree
 
+from flysid.alike import SAME_OUTPUT
 from flysid.stretch import FloatArray
 
 Indices = npt.NDArray[np.int64]
 
-WINDOW = 48  # samples of a window
-COSINES = 12  # of each: what is faster is noise
-STEP = 8  # samples between the windows of a held-out flight
-APART = 0.06  # of its spread: how far a copy may lie from the flight, root mean square over a window
+SLOWEST = 4  # times slower than the flight's grid another recorder may sample: what is faster is noise
+COARSEST = 0.3  # of the spread: its rounding
+WINDOW = 48  # samples; five times as many, with the step, has a flight whose every copy shares a window whole
+STEP = WINDOW // 6  # samples between the windows of a held-out flight
+COSINES = WINDOW // SLOWEST  # up to half the slowest recorder's rate
+APART = SAME_OUTPUT + COARSEST / np.sqrt(12.0 * SLOWEST)  # of the spread: what rounding leaves in these
 FARTHEST = 0.2  # of a window's size: beyond it, windows are not alike
-POINTS = 1 << 18  # in a tree
-SURE_OVERLAP = WINDOW + STEP  # any overlap of so many samples holds a window of the held-out flight
+POINTS = 1 << 18  # in a tree: some 50 MB
 SLOW_SHAPES = dct(np.eye(WINDOW), norm="ortho", axis=0)[1 : COSINES + 1].T
 """(WINDOW, COSINES) the first cosines."""
 
@@ -50,18 +52,31 @@ class Windows:
     flight: Indices
 
 
-def pairs_alike(theirs: Sequence[FloatArray], mine: Sequence[FloatArray]) -> Iterator[tuple[int, int]]:
+def sure_overlap() -> int:
+    """Any overlap of so many samples holds a window of the held-out flight."""
+    return WINDOW + STEP
+
+
+def pairs_alike(
+    theirs: Sequence[FloatArray],
+    mine: Sequence[FloatArray],
+    *,
+    apart: float = APART,
+    farthest: float = FARTHEST,
+) -> Iterator[tuple[int, int]]:
     """Numbers of a flight of `mine` and one of `theirs` that have a window in common, each pair once.
 
     Parameters
     ----------
     theirs, mine : one output of every flight, without gaps.
+    apart : how far a copy may lie from the flight, root mean square over a window, of the flight's spread.
+    farthest : of a window's size: beyond it, windows are not alike.
     """
     if not len(theirs) or not len(mine):
         return
     asked = _joined([_asked(y, i) for i, y in enumerate(mine)])
     spread = np.array([np.std(y) for y in mine])[asked.flight]
-    reach = np.minimum(APART * spread / np.maximum(asked.size, 1e-300), FARTHEST)
+    reach = np.minimum(apart * spread / np.maximum(asked.size, 1e-300), farthest)
     for first, last in _batches([len(y) for y in theirs]):
         known = _joined([_known(y, k) for k, y in enumerate(theirs[first:last], start=first)])
         tree = cKDTree(known.points, balanced_tree=False)

@@ -7,12 +7,14 @@ import pytest
 from scipy.signal import lfilter
 
 from flysid import copies
-from flysid.alike import same_noise, same_output
+from flysid.alike import Grid
 from flysid.copies import find_copy
 from flysid.dataset import Dataset, FloatArray, Segment, Signal
 from flysid.errors import DataError
 from flysid.ingest.align.resample import Series, decimate, hold, linear
-from flysid.likely_copies import likely_copies
+from flysid.like_windows import pairs_alike
+from flysid.same_flights import same_flights
+from tests.flysid.plain_copies import are_same
 
 BASE_S = 0.01
 DT_S = 0.04
@@ -239,17 +241,18 @@ def odd_flights(seed: int) -> list[Segment]:
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_no_copy_is_lost_before_it_is_judged(seed: int) -> None:
+def test_the_compiled_judge_says_what_its_rules_say(seed: int) -> None:
     every = odd_flights(seed)
     theta = copies._linear_model(every)
     known, held = (list(copies._on_grids(part, theta, DT_S).values()) for part in (every[:8], every[8:]))
-    judged = {
-        (i, k)
-        for i, mine in enumerate(held)
-        for k, theirs in enumerate(known)
-        if same_noise(theirs, mine) or same_output(theirs, mine)
+    plain = {
+        (i, k) for i, mine in enumerate(held) for k, theirs in enumerate(known) if are_same(theirs, mine)
     }
-    assert judged <= set(likely_copies(known, held))
+    assert pairs(known, held) == plain
+
+
+def pairs(known: list[Grid], held: list[Grid], every_pair: int = 10**9) -> set[tuple[int, int]]:
+    return {(i, k) for i, k, _ in same_flights(known, held, every_pair=every_pair)}
 
 
 def test_one_copy_among_a_hundred_flights_is_found_and_no_other_is_proposed() -> None:
@@ -259,8 +262,8 @@ def test_one_copy_among_a_hundred_flights_is_found_and_no_other_is_proposed() ->
     assert find_copy([*flights[::2], long], flights[1::2], DT_S) is None
     for known, held in (([*flights[::2], long], [copy]), ([*flights[::2], copy], [long])):
         theta = copies._linear_model([*known, *held])
-        grids = [list(copies._on_grids(part, theta, DT_S).values()) for part in (known, held)]
-        assert set(likely_copies(*grids)) <= {(0, len(known) - 1)}
+        theirs, mine = (list(copies._on_grids(part, theta, DT_S).values()) for part in (known, held))
+        assert pairs(theirs, mine) <= {(0, len(known) - 1)}
     found = find_copy([*flights[::2], long], [*flights[1::2], copy], DT_S)
     assert found is not None
     assert (found.held_out, found.training) == ("copy", "long")
@@ -290,11 +293,14 @@ def test_copies_among_very_many_flights_share_a_window(case: str, part: float) -
     for train, test in ((known, held), (held, known)):
         theta = copies._linear_model([*train, *test])
         theirs, mine = (list(copies._on_grids(p, theta, DT_S).values()) for p in (train, test))
-        judged = {k for k in range(8) if same_noise(theirs[k], mine[k]) or same_output(theirs[k], mine[k])}
-        found = set(likely_copies(theirs, mine, every_pair=0))
-        assert {(k, k) for k in judged} <= found
+        judged = pairs(theirs, mine)
+        assert pairs(theirs, mine, every_pair=0) == judged
+        assert judged <= {(k, k) for k in range(8)}
         assert len(judged) == 8 or case in RATES
-        assert len(found) <= 9  # of 64: others have no window in common, or one by chance
+        near = set(
+            pairs_alike(*([grid.y[np.isfinite(grid.y[:, 0]), 0] for grid in p] for p in (theirs, mine)))
+        )
+        assert len(near) <= 9  # of 64: others have no window in common, or one by chance
 
 
 def test_the_model_of_many_flights_is_not_that_of_their_starts(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -317,7 +323,7 @@ def test_flights_with_gaps_and_short_ones_are_compared_with_all() -> None:
     flights = odd_flights(3)
     theta = copies._linear_model(flights)
     grids = list(copies._on_grids(flights, theta, DT_S).values())
-    assert set(likely_copies(grids, grids, every_pair=0)) == set(likely_copies(grids, grids))
+    assert pairs(grids, grids, every_pair=0) == pairs(grids, grids)
 
 
 def test_outputs_in_units_far_apart_are_no_copies() -> None:
