@@ -126,8 +126,8 @@ def _rare_words(pair: Pair, shown: bool) -> list[str]:
     often_pct = 100.0 * (1.0 - ALPHA ** (1.0 / pair.units))
     if not shown or often_pct > 50.0:  # of fewer than five flights more is said, or too little to say this
         return []
-    kinds = f"kinds of flight that make up less than {often_pct:.0f} % of all"
-    return [f"{pair.units} flights may leave out {kinds}"]
+    kind = f"a kind of flight that makes up less than {often_pct:.0f} % of all"
+    return [f"among {pair.units} flights {kind} may be missing"]
 
 
 def _pooled_words(pair: Pair) -> list[str]:

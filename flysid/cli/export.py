@@ -10,6 +10,7 @@ from flysid.cli.addresses import SOURCE
 from flysid.cli.display import Display
 from flysid.cli.source import Words, opened_flights, reading_options
 from flysid.errors import UsageError
+from flysid.progress import tell
 
 KINDS = ("csv", "parquet", "mat", "xlsx", "mcap")
 
@@ -132,4 +133,5 @@ def export_flight(
         single = len(tables) == 1 or kind in ("mat", "xlsx", "mcap")
         target = out or Path(f"{logs[0].name}.{kind}" if single else f"{logs[0].name}-{kind}")
         check_target(target, force)
+        tell("writing", log=target.name)
         click.echo(str(export_tables(tables, kind, target)))

@@ -11,8 +11,9 @@ import click
 
 from flysid.cli.addresses import SOURCE, here
 from flysid.cli.display import Display
-from flysid.cli.output import aligned, check_target, printable, say
+from flysid.cli.output import aligned, check_target, explain, printable, say
 from flysid.cli.source import READING_OF_A_LOOK, Words, opened_flights, reading_options
+from flysid.showing import folded
 
 if TYPE_CHECKING:
     from flysid.loops.judged import Judged
@@ -67,10 +68,10 @@ def command(
     if as_json:
         click.echo(json.dumps([j.to_dict() for j in found], indent=1, allow_nan=False))
     else:
-        click.echo("\n\n".join("\n".join(printable(line) for line in j.lines()) for j in found))
+        click.echo("\n\n".join("\n".join(folded(printable(line)) for line in j.lines()) for j in found))
         _print_sets(found)
         if known:
-            say(CAUTION)
+            explain(CAUTION)
     if plot is not None and known:
         from flysid.loops.nyquist import draw_nyquist
 

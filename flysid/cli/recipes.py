@@ -10,6 +10,7 @@ import click
 
 from flysid.cli import complete
 from flysid.cli.addresses import SOURCE
+from flysid.cli.display import Display
 
 if TYPE_CHECKING:
     from flysid.ingest.align.recipe import Recipe, Source
@@ -58,7 +59,7 @@ def _served(source: Path | None) -> dict[str, tuple[str, ...]]:
         return {name: tuple(load_recipe(name).channels) for name in shipped_recipes()}
     from flysid.cli.source import opened_flights
 
-    with opened_flights(source) as lake:
+    with Display().shown(), opened_flights(source, share=1.0) as lake:
         return lake.recipes()
 
 

@@ -11,9 +11,11 @@ from typing import TYPE_CHECKING
 import click
 
 from flysid.cli.addresses import SOURCE
-from flysid.cli.output import ExitCode, printable, say
+from flysid.cli.display import Display
+from flysid.cli.output import ExitCode, explain, printable, say
 from flysid.cli.source import format_option
 from flysid.errors import FormatError
+from flysid.progress import tell
 
 if TYPE_CHECKING:
     from flysid.ingest.formats.common.scrub_rules import Gps
@@ -46,11 +48,13 @@ def command(log: Path, output: Path, gps: Gps, format_: str, force: bool, as_jso
     from flysid.ingest.formats.scrubbing import KEPT, scrub_log
 
     work = partial(scrub_log, out=output, gps=gps, force=force, limits=Limits(format=format_))
-    done = apart(work, log)
+    with Display(quiet=quiet).shown():
+        tell("scrubbing", log=log.name)
+        done = apart(work, log)
     click.echo(as_json_text(done, output) if as_json else table(done))
     for note in done.notes:
-        say(note, quiet)
-    say(KEPT, quiet)
+        explain(note, quiet)
+    explain(KEPT, quiet)
     say(f"written: {output}", quiet)
     return ExitCode.LOSSES if any(what == UNREADABLE for what, _ in done.removed) else 0
 

@@ -15,7 +15,7 @@ import click
 
 from flysid.cli import complete
 from flysid.cli.output import say
-from flysid.errors import FormatError, RecipeError, UsageError
+from flysid.errors import FlysidError, FormatError, RecipeError, UsageError
 
 if TYPE_CHECKING:
     from flysid.ingest.lake.chosen_flights import Selection
@@ -233,17 +233,18 @@ def opened(
         target = place or Path(folder) / "data"
         recipe = Path(folder) / "quick.toml"
         try:
-            whole = open_lake(
-                data if is_ingested(data) else _taken_in(data, target, words, quiet, READING_OF_A_FIT)
-            )
-            lake = select(whole, selection)
-            if not selection.pool:
-                require_one_vehicle(lake)
-            if words.recipe:
-                require_fit(lake, words.recipe)
-            else:
-                recipe.write_text(_written(words, lake), "utf-8")
-            yield lake, words.recipe or str(recipe)
+            with _naming(data, target):
+                whole = open_lake(
+                    data if is_ingested(data) else _taken_in(data, target, words, quiet, READING_OF_A_FIT)
+                )
+                lake = select(whole, selection)
+                if not selection.pool:
+                    require_one_vehicle(lake)
+                if words.recipe:
+                    require_fit(lake, words.recipe)
+                else:
+                    recipe.write_text(_written(words, lake), "utf-8")
+                yield lake, words.recipe or str(recipe)
         except BaseException:
             if place is not None:
                 shutil.rmtree(place, ignore_errors=True)
@@ -295,7 +296,20 @@ def opened_flights(
         yield open_lake(source)
         return
     with TemporaryDirectory() as folder:
-        yield open_lake(_taken_in(source, Path(folder) / "data", words, True, share))
+        place = Path(folder) / "data"
+        with _naming(source, place):
+            yield open_lake(_taken_in(source, place, words, True, share))
+
+
+@contextmanager
+def _naming(source: Path, place: Path) -> Iterator[None]:
+    """An error in the block names the logs as the user did, not the folder that they were read into."""
+    try:
+        yield
+    except FlysidError as error:
+        if error.path == str(place):
+            error.path = str(source)
+        raise
 
 
 def _refuse_reading_again(data: Path, words: Words) -> None:

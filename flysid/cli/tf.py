@@ -20,6 +20,7 @@ from flysid.cli.source import (
     selection_options,
     words_options,
 )
+from flysid.showing import folded
 
 if TYPE_CHECKING:
     from flysid.ingest.lake.chosen_flights import Selection
@@ -187,6 +188,7 @@ def text_of(channel: ChannelTransfers, table: bool) -> str:
     from flysid.cli.output import printable
 
     lines = [printable(line) for text in channel.lines() for line in text.split("\n")]
+    lines = [folded(line) if line.startswith("- ") else line for line in lines]  # no polynomial is broken
     if table:
         for i, output in enumerate(channel.data.outputs):
             for j, source in enumerate(channel.data.inputs):

@@ -180,20 +180,30 @@ def clock(seconds: float) -> str:
 
 def beginnings(log: Log) -> dict[int, int]:
     """Boot -> time of the first sample of the log's longest stream, ns: the zero of times that people say."""
+    return {boot: first for boot, (first, _) in _lasting(log).items()}
+
+
+def _lasting(log: Log) -> dict[int, Span]:
+    """Boot -> times of the first and the last sample of the log's longest stream, ns."""
     longest = max(log.rows, key=lambda stream: log.rows[stream], default=None)
     if longest is None:
         return {}
     table = log.table(longest, [BOOT, TIME])
     boots = int_values(table[BOOT])
     times = int_values(table[TIME])
-    return {int(boot): int(times[boots == boot].min()) for boot in np.unique(boots)}
+    of = {int(boot): times[boots == boot] for boot in np.unique(boots)}
+    return {boot: (int(own.min()), int(own.max())) for boot, own in of.items()}
 
 
 def _between(log: Log, low_s: float, high_s: float, said: str) -> Allowed:
     spans: dict[int, Sequence[Span]] = {}
-    for boot, start in beginnings(log).items():
+    lasting = _lasting(log)
+    for boot, (start, _) in lasting.items():
         end = FOREVER if high_s == float("inf") else start + round(high_s * 1e9)
         spans[boot] = [(start + round(low_s * 1e9), end)]
+    longest_s = max((last - first for first, last in lasting.values()), default=0) * 1e-9
+    if longest_s < low_s:
+        return Allowed(spans, never=(f"{said} never holds: the longest stream ends after {longest_s:.0f} s",))
     return Allowed(spans, (f"only {said} of the flight, as asked",))
 
 

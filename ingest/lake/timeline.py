@@ -113,9 +113,11 @@ def read_fields(log: Log, arguments: Sequence[str], *, most_lines: int = 8) -> l
 def read_channels(log: Log, recipe: Recipe) -> list[list[Curve]]:
     """The channels of a recipe that the log holds: what was asked for and what came, in one panel.
 
-    Inputs and outputs of different units stand in panels of their own, one below the other.
+    Inputs and outputs of different units stand in panels of their own, one below the other. A panel whose
+    curves are all drawn above, as the output of several channels is, is left out.
     """
     panels: list[list[Curve]] = []
+    drawn: set[str] = set()
     for channel in recipe.channels:
         by_unit: dict[str, list[Curve]] = {}
         try:
@@ -125,7 +127,11 @@ def read_channels(log: Log, recipe: Recipe) -> list[list[Curve]]:
                 by_unit.setdefault(spec.unit, []).append(curve)
         except RecipeError:
             continue  # this log lacks one of the channel's signals
-        panels += by_unit.values()
+        for panel in by_unit.values():
+            names = {curve.name for curve in panel}
+            if not names <= drawn:
+                panels.append(panel)
+            drawn |= names
     return panels
 
 

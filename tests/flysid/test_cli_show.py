@@ -112,6 +112,17 @@ def test_what_cannot_be_meant_is_refused(data: Path) -> None:
         assert isinstance(done.exception, UsageError), arguments
 
 
+def test_an_error_names_the_log_as_the_user_did(tmp_path: Path) -> None:
+    """Not the folder that it was read into, which is gone by then."""
+    log = tmp_path / "rig.csv"
+    log.write_text("Time (s),Speed [rad/s]\n" + "".join(f"{k / 50},{k}\n" for k in range(200)))
+    run = str(tmp_path / "run")
+    for words in (["show", str(log), "no", "flight"], ["fit", str(log), "-r", "px4-rates", "-o", run]):
+        error = CliRunner().invoke(root, words).exception
+        assert isinstance(error, UsageError)
+        assert error.path == str(log)
+
+
 def test_a_table_is_shown_and_drawn_whole(tmp_path: Path) -> None:
     """Of one stream, without a recipe, no field need be named; the time itself is not drawn."""
     log = tmp_path / "rig.csv"

@@ -43,7 +43,8 @@ def test_a_verdict_says_which_flights_may_be_missing() -> None:
         low, high = (FirstOrder(a=POLE, b=gain * (1.0 - POLE), dt_s=DT_S) for gain in (0.9, 1.1))
         named = {"arx": low, "ts": replace(high, structure="ts", labels=("R1", "R2"))}
         pair = compare(named, data, horizons=[FREE_RUN]).verdict["y"]
-        said = f"{count} flights may leave out kinds of flight that make up less than {share} % of all"
+        kind = f"a kind of flight that makes up less than {share} % of all"
+        said = f"among {count} flights {kind} may be missing"
         assert pair.verdict == "better"
         assert (said in scope_words(pair)) is (share < 50)
 

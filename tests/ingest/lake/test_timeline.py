@@ -130,6 +130,7 @@ def test_channels_put_what_was_asked_for_beside_what_came() -> None:
             "channels": {
                 "roll": {"inputs": ["roll_in"], "outputs": ["roll"]},
                 "other": {"inputs": ["roll_in"], "outputs": ["lost"]},
+                "drawn already": {"inputs": ["roll"], "outputs": ["roll_in"]},
             },
         }
     )
