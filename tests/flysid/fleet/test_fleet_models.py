@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -119,6 +121,8 @@ def test_vehicles_with_too_few_flights_are_named(lake: Lake) -> None:
     assert "Vehicle 000002" in page
     assert "compare the torques" in page  # what the channel cannot show
     assert "too few vehicles to say" in page
+    levels = [int(level) for level in re.findall("<h([1-6])", page)]
+    assert all(below - above <= 1 for above, below in pairwise(levels))  # what axe-core calls heading-order
 
 
 def test_a_date_splits_flights(gathered: Gathered) -> None:
