@@ -45,6 +45,7 @@ bench-ingest: $(VENV)/.installed  ## readers against their peers, ratios in CPU 
 soak: $(VENV)/.installed  ## hours: long campaigns (docs/reliability.md), the verdict against known truth
 	$(BIN)/python -m bench.verdict_coverage 1000
 	$(BIN)/python -m bench.monte_carlo 1000
+	FLYSID_ALL_SIZES=1 $(BIN)/python -m pytest tests/flysid/studio/test_journey.py
 	$(BIN)/python -m soak
 
 bench-model: $(VENV)/.installed  ## linear and fuzzy models against their peers (installed with pip beforehand), ratios

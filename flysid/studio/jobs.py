@@ -29,6 +29,8 @@ from flysid.studio.folders import NotThere
 from flysid.studio.runner import NOTE
 from flysid.studio.warm import Warm
 
+PROGRAM = "flysid"
+"""What a job runs, as `python -m` does."""
 State = Literal["queued", "running", "done", "failed", "cancelled", "interrupted"]
 Lane = Literal["read", "fit"]
 LOOK_EVERY_S = 0.1
@@ -207,7 +209,7 @@ def _process_of(folder: Path) -> subprocess.Popen[bytes]:
     """A job, begun in a process group of its own."""
     with (folder / "log").open("wb") as log, (folder / "out").open("wb") as out:
         return subprocess.Popen(
-            [sys.executable, "-m", "flysid.studio.runner", str(folder.absolute())],
+            [sys.executable, "-m", "flysid.studio.runner", PROGRAM, str(folder.absolute())],
             stdin=subprocess.DEVNULL,
             stdout=out,
             stderr=log,

@@ -1,4 +1,4 @@
-"""One job: `python -m flysid.studio.runner FOLDER` runs the command of FOLDER/job.json, notes how it ended.
+"""One job: `python -m flysid.studio.runner flysid FOLDER` runs FOLDER/job.json's words, notes how that ended.
 
 Its progress goes to stderr as JSON. The note is what a later studio finds of a job that another began.
 """
@@ -15,9 +15,9 @@ from flysid.files import write_atomically
 NOTE = "ended.json"
 
 
-def main(folder: Path) -> None:
-    """Run the command line with the job's words; write the exit code when it has ended."""
-    command = [sys.executable, "-m", "flysid", *words_of(folder)]
+def main(program: str, folder: Path) -> None:
+    """Run a module with the job's words, as `python -m` does; write the exit code when it has ended."""
+    command = [sys.executable, "-m", program, *words_of(folder)]
     note(folder, subprocess.run(command, stdin=subprocess.DEVNULL, check=False).returncode)
 
 
@@ -32,4 +32,4 @@ def note(folder: Path, code: int) -> None:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]))
+    main(sys.argv[1], Path(sys.argv[2]))

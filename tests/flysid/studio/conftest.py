@@ -28,7 +28,7 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def judged(data: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
     """A studio with one run of the vertical channel, fitted and judged as the page does it."""
     own = Path(shutil.copytree(data, tmp_path_factory.mktemp("judged") / "data"))
-    with studio(own) as running:
+    with studio(own, module="tests.arx_flysid") as running:
         job = running.send("POST", "fits", FIT).json
         ended = running.wait(job["id"], 400)
         assert ended["state"] == "done", running.get(f"jobs/{job['id']}").body

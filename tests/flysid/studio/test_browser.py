@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import random
-import shutil
 import time
 from collections.abc import Iterator
 from dataclasses import replace
@@ -164,19 +163,6 @@ def test_a_page_that_is_left_while_it_loads_leaves_nothing(page: Page, server: S
     assert page.js("return location.hash") == "#/runs"
     assert page.find("h1").text == "Runs"
     assert len(page.all("main .work")) == 1
-
-
-def test_a_dropped_log_is_plotted(browser: Any, tmp_path: Path) -> None:
-    browser.set_window_size(1280, 1000)
-    log = tmp_path / "a flight <b>.tlog"
-    shutil.copy(SAMPLES / "01-multisine-seed1.tlog", log)
-    with studio(tmp_path / "data") as server:
-        page = Page(browser, server)
-        assert "drop a log" in page.find("#main").text.lower()
-        page.find("input[type=file]").send_keys(str(log))
-        until(lambda: page.all(".uplot"), 60)
-        assert page.drawn()
-        assert not page.wrong()
 
 
 def test_a_log_that_changes_while_it_is_sent(browser: Any, tmp_path: Path) -> None:

@@ -1,12 +1,15 @@
-"""The whole way by keyboard alone: a log, channels, a stretch left out, two fits, a verdict, compared."""
+"""The whole way by keyboard alone: a log, channels, a stretch left out, a fit, a verdict, compare, export."""
 
 from __future__ import annotations
 
 import os
 import shutil
 import signal
+from itertools import product
 from pathlib import Path
 from typing import Any
+
+import pytest
 
 from tests.browser import needs_browser
 from tests.flysid.studio.page import Page, until
@@ -14,29 +17,40 @@ from tests.flysid.studio.server import SAMPLES, studio
 
 pytestmark = needs_browser
 
+SIZES = [*product((390, 768, 1280), (False, True))] if os.environ.get("FLYSID_ALL_SIZES") else [(390, True)]
+"""Width and darkness of the page; the others in `make soak`."""
 
-def test_from_a_log_to_a_verdict_by_keys_alone(browser: Any, tmp_path: Path) -> None:
+
+@pytest.mark.parametrize(("width", "is_dark"), SIZES)
+def test_from_a_log_to_a_verdict_by_keys_alone(
+    browser: Any, tmp_path: Path, width: int, is_dark: bool
+) -> None:
     """The browser's own file dialogue is the one step that the page does not make."""
-    browser.set_window_size(1280, 1000)
-    log = shutil.copy(SAMPLES / "01-multisine-seed1.tlog", tmp_path / "flight.tlog")
-    with studio(tmp_path / "data") as server:
+    browser.set_window_size(width, 1000)
+    log = shutil.copy(SAMPLES / "01-multisine-seed1.tlog", tmp_path / "a flight <b>.tlog")
+    with studio(tmp_path / "data", module="tests.arx_flysid") as server:
         page = Page(browser, server)
+        page.darken(is_dark)
+        assert "drop a log" in page.find("#main").text.lower()
         page.tab_to("input[type=file]")
         page.find("input[type=file]").send_keys(str(log))
         until(lambda: page.all(".uplot"), 120)
+        assert page.drawn()
         choose(page)
         leave_out_a_stretch(page)
-        for is_closed in (True, False):
-            fit(page, is_closed)
+        fit(page)
         page.keys("\ue007")  # the button has the focus: see the verdict
         until(lambda: page.all("iframe"), 60)
         assert "flight" in page.find("tbody").text
         until(lambda: page.all(".explain"), 60)
         assert not page.barriers()
         back_to_the_worst_second(page)
+        [run] = (tmp_path / "data.studio" / "runs").iterdir()
+        shutil.copytree(run, run.with_name("another"))
         compare(page)
         keep_a_model(page)
         assert not page.wrong()
+        page.darken(False)
 
 
 def choose(page: Page) -> None:
@@ -64,10 +78,10 @@ def leave_out_a_stretch(page: Page) -> None:
     assert not page.barriers()
 
 
-def fit(page: Page, is_closed: bool) -> None:
-    """With the quickest models; the verdict is offered when it is there.
+def fit(page: Page) -> None:
+    """With the quickest models. The page is closed in the middle of it and opened again.
 
-    `is_closed`: the page is closed in the middle of it, and opened again.
+    The verdict is offered when it is there.
     """
     for name in ("polynarx", "static_ts", "ts"):
         if page.js("return document.querySelector(arguments[0]).checked", f"[value={name}]"):
@@ -75,18 +89,15 @@ def fit(page: Page, is_closed: bool) -> None:
             page.keys(" ")
     page.tab_to(".right > button.main")
     page.keys("\ue007")
-    if is_closed:
-        fitting = until(lambda: [j for j in page.server.get("jobs").json["jobs"] if is_fitting(j)])[0]
-        os.killpg(fitting["pid"], signal.SIGSTOP)  # else it might be through before the page is back
-        try:
-            until(lambda: page.all(".job progress"))
-            page.go(page.js("return location.hash"))
-            until(lambda: page.all(".job progress"))
-            assert page.server.get(f"jobs/{fitting['id']}").json["state"] == "running"
-        finally:
-            os.killpg(fitting["pid"], signal.SIGCONT)
-    else:
+    fitting = until(lambda: [j for j in page.server.get("jobs").json["jobs"] if is_fitting(j)])[0]
+    os.killpg(fitting["pid"], signal.SIGSTOP)  # else it might be through before the page is back
+    try:
         until(lambda: page.all(".job progress"))
+        page.go(page.js("return location.hash"))
+        until(lambda: page.all(".job progress"))
+        assert page.server.get(f"jobs/{fitting['id']}").json["state"] == "running"
+    finally:
+        os.killpg(fitting["pid"], signal.SIGCONT)
     until(lambda: page.js("return document.activeElement.textContent") == "See the verdict", 300)
 
 
