@@ -15,11 +15,11 @@ export async function showLive(main, _query, stay) {
   const charts = about.channels.flatMap((channel) => channel.outputs.map((output, j) => new Chart(channel, output, j, view, changed)));
   const work = el("div", { class: "work" },
     el("h1", {}, "Live: " + about.links.join(", ")), file,
-    el("div", { class: "tools" }, follow,
-      el("button", { onclick: () => look(view.span / 1.5) }, "Shorter"), el("button", { onclick: () => look(view.span * 1.5) }, "Longer"), shown),
     charts.length
-      ? el("p", { class: "hint" }, swatch("ink"), " measured ", swatch("c0"), " expected one step ahead ", swatch("c1"),
-        " free run, with the band that holds 99.5 % of nominal samples. Wheel or + and \u2212 change the window; arrows and drag look back.")
+      ? [el("div", { class: "tools" }, follow,
+        el("button", { onclick: () => look(view.span / 1.5) }, "Shorter"), el("button", { onclick: () => look(view.span * 1.5) }, "Longer"), shown),
+      el("p", { class: "hint" }, swatch("ink"), " measured ", swatch("c0"), " expected one step ahead ", swatch("c1"),
+        " free run, with the band that holds 99.5 % of nominal samples. Wheel or + and \u2212 change the window; arrows and drag look back.")]
       : el("p", { class: "hint" }, "No model is watched. Start the studio with --watch RUN to see one beside the link."),
     charts.map((chart) => chart.box),
     el("h2", {}, "Alarms and remarks"), none, alarms,
