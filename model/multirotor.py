@@ -17,7 +17,7 @@ What it leaves out: what rotors' own inertia does to yaw, coupling of axes, tran
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -34,6 +34,7 @@ from flysid.model.freerun import saturated
 from flysid.model.linear.data import Parts
 from flysid.model.polynomials import Z95
 from flysid.model.rotorcraft.axis_fit import FittedAxis, Record, fit_axis
+from flysid.model.rotorcraft.battery import find_battery, is_voltage, quietened, voltage_of
 from flysid.model.rotorcraft.rotor_axis import (
     CURVE,
     DAMPING,
@@ -121,7 +122,7 @@ class Multirotor:
             raise DataError(
                 f"{len(u)} samples are too few for a physical model", hint=f"record at least {needed}"
             )
-        battery = _battery_of(train.inputs)
+        battery = find_battery(train.inputs)
         if battery is not None and not (u[:, battery] > 0.0).all():
             raise DataError(f"{train.inputs[battery].name} is not above 0 V throughout")
         motors = [j for j in range(u.shape[1]) if j != battery]
@@ -130,7 +131,7 @@ class Multirotor:
         curved = bool((u >= 0.0).all()) if self.curve is None else self.curve
         kinds = tuple(self._integrates(signal) for signal in train.outputs)
         u_mean = u.mean(axis=0)
-        voltages = [_quietened(_volts(s.u, battery, u_mean)) for s in train.segments]
+        voltages = [quietened(voltage_of(s.u, battery, u_mean)) for s in train.segments]
         axes = []
         for i, integrates in enumerate(kinds):
             records: list[Record] = [
@@ -183,7 +184,7 @@ class FittedMultirotor(FreeRuns):
     @property
     def battery(self) -> int | None:
         """Which input is the battery's voltage."""
-        return _battery_of(self.inputs)
+        return find_battery(self.inputs)
 
     @property
     def motors(self) -> list[int]:
@@ -224,16 +225,14 @@ class FittedMultirotor(FreeRuns):
             unit = f"{unit}/s"
         if self.battery is not None:
             found += self._battery_figures(output)
-        mean = self.u_mean / self.u_scale
-        for at, j in enumerate(self.motors, start=FIRST):
+        per_torque, by_curve = self._effects(output)
+        for at, j in enumerate(self.motors):
             command = self.inputs[j]
-            about = 1.0 - theta[CURVE] + 2.0 * theta[CURVE] * mean[j]
+            torque = theta[FIRST + at]
             slope = np.zeros(len(theta))
-            slope[at] = about
-            slope[CURVE] = theta[at] * (2.0 * mean[j] - 1.0)
-            per = size / float(self.u_scale[j])
-            value = per * theta[at] * about
-            half = Z95 * abs(per) * math.sqrt(max(float(slope @ axis.covariance @ slope), 0.0))
+            slope[[FIRST + at, CURVE]] = per_torque[at], torque * by_curve[at]
+            value = float(torque * per_torque[at])
+            half = Z95 * math.sqrt(max(float(slope @ axis.covariance @ slope), 0.0))
             per_unit = f"{unit} per {command.unit or '1'}"
             found.append(AxisFigure(f"effect of {command.name}", value, per_unit, half, value))
         half = Z95 * size * float(np.sqrt(max(axis.covariance[TRIM, TRIM], 0.0)))
@@ -267,12 +266,19 @@ class FittedMultirotor(FreeRuns):
         error = math.sqrt(max(float(axis.covariance[-1, -1]), 0.0)) if known else np.nan
         return ratio, Z95 * error * abs(far) * ratio
 
+    def _effects(self, output: int) -> FloatArray:
+        """(2, n) every command's effect about its mean over its torque, and its slope by the thrust curve."""
+        mean = (self.u_mean / self.u_scale)[self.motors]
+        curve = self.axes[output].theta[CURVE]
+        per = self.y_scale[output] / self.u_scale[self.motors]
+        return np.asarray(per * [1.0 - curve + 2.0 * curve * mean, 2.0 * mean - 1.0])
+
     def _torques(self, axis: FittedAxis) -> FloatArray:
         return axis.theta[FIRST : FIRST + len(self.motors)]
 
     def _driven(self, u: FloatArray) -> tuple[FloatArray, FloatArray | None]:
         """Commands over their largest (N, n), and the logarithm of the voltage over its mean (N,)."""
-        return u[:, self.motors] / self.u_scale[self.motors], _volts(u, self.battery, self.u_mean)
+        return u[:, self.motors] / self.u_scale[self.motors], voltage_of(u, self.battery, self.u_mean)
 
     def _figure(self, axis: FittedAxis, name: str, index: int, unit: str, least: float = 0.0) -> AxisFigure:
         value = float(axis.theta[index])
@@ -359,11 +365,8 @@ class FittedMultirotor(FreeRuns):
         gain = np.full((len(self.outputs), len(self.inputs)), np.nan)
         slow = 0.0
         for i, axis in enumerate(self.axes):
-            about = 1.0 - axis.theta[CURVE] + 2.0 * axis.theta[CURVE] * self.u_mean / self.u_scale
             push = np.full(len(self.inputs), np.nan)
-            push[self.motors] = (self.y_scale[i] * self._torques(axis) * about[self.motors]) / self.u_scale[
-                self.motors
-            ]
+            push[self.motors] = self._torques(axis) * self._effects(i)[0]
             damping = float(axis.theta[DAMPING])
             if not self.integrates[i]:
                 gain[i] = push
@@ -408,63 +411,10 @@ class FittedMultirotor(FreeRuns):
         write_document(self.to_dict(), path)
 
 
-def _battery_of(inputs: Sequence[Signal]) -> int | None:
-    """Which input is in volts.
-
-    Raises
-    ------
-    UsageError : several are, or nothing else is there.
-    """
-    found = [j for j, signal in enumerate(inputs) if _is_voltage(signal)]
-    if len(found) > 1 or (found and len(inputs) == 1):
-        raise UsageError(
-            "a physical model takes commands, and one voltage of the battery at most",
-            hint="give the voltage of one battery, or commands in another unit than V",
-        )
-    return found[0] if found else None
-
-
-def _is_voltage(signal: Signal) -> bool:
-    return signal.unit == "V"
-
-
-def _volts(u: FloatArray, battery: int | None, mean: FloatArray) -> FloatArray | None:
-    """(N,) logarithm of the voltage over its mean in training; None where it is not measured."""
-    if battery is None:
-        return None
-    least = 1e-6 * mean[battery]
-    return np.asarray(np.log(np.maximum(u[:, battery], least) / mean[battery]))
-
-
-def _quietened(volts: FloatArray | None, longest: int = 12) -> FloatArray | None:
-    """A voltage without its own noise, which would draw its power towards 0 (errors in variables).
-
-    A level that wanders is known best from rows on both sides, weighed by theta^|k|, with the theta whose
-    memory of earlier rows foretells the next one best (Harvey, Forecasting, Structural Time Series Models,
-    1989, 4.5). A voltage that is held over several rows is foretold by the row before and stays as it is.
-
-    `longest`: binary logarithm of the longest memory that is tried, rows.
-    """
-    if volts is None or len(volts) < 4:
-        return volts
-    thetas = 1.0 - 0.5 ** np.arange(longest + 1)
-    missed = [float(np.sum((volts[1:] - _faded(volts, theta)[:-1]) ** 2)) for theta in thetas]
-    theta = float(thetas[int(np.argmin(missed))])
-    both = _faded(volts, theta) + _faded(volts[::-1], theta)[::-1] - (1.0 - theta) * volts
-    return np.asarray(both / (1.0 + theta))
-
-
-def _faded(values: FloatArray, theta: float) -> FloatArray:
-    """(1 - theta) sum theta^k of earlier values, as if the first had stood before."""
-    from scipy.signal import lfilter
-
-    return np.asarray(lfilter([1.0 - theta], [1.0, -theta], values, zi=[theta * values[0]])[0])
-
-
 def from_dict(document: Mapping[str, Any]) -> FittedMultirotor:
     """Rebuild a model from `to_dict()`; damage raises KeyError, TypeError or ValueError."""
     inputs = signals_of(document, "inputs")
-    if sum(_is_voltage(signal) for signal in inputs) > 1:
+    if sum(is_voltage(signal) for signal in inputs) > 1:
         raise ValueError("two voltages")
     outputs = signals_of(document, "outputs")
     dt_s = float(document["dt_s"])
