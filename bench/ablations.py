@@ -4,6 +4,8 @@
 `bench.ts_inputs`, and `public: NAME` of `bench.accuracy_data`, of which the first 16,000 samples of the
 training part alone are used, the last quarter of these as fresh data. Free-run errors from estimated starts
 in per cent of the spread, defaults, with and without; then the geometric mean of the ratios, and CPU seconds.
+`states: NAME` and `lags: NAME` are rules over two states, and over two lags, of a plant of `bench.starts`: a
+tenth of the time, where a step is one of theirs.
 """
 
 from __future__ import annotations
@@ -19,8 +21,18 @@ import numpy as np
 
 from bench import starts, ts_inputs
 from bench.accuracy_data import CASES
+from flysid.dataset import Dataset, FloatArray
+from flysid.model.base import Estimator
 from flysid.model.rules import edits, growth, learning, search, search_context
+from flysid.model.selection import simplest
+from flysid.model.ts import TS
 from flysid.model.ts_best import BestTS
+
+
+def nowhere(data: Dataset) -> FloatArray:
+    """(2, n_y) limits of outputs that end nowhere."""
+    return np.array([[-np.inf], [np.inf]]) * np.ones(len(data.outputs))
+
 
 Step = Callable[[], AbstractContextManager[object]]
 linear_starts = growth._linear_starts
@@ -37,10 +49,13 @@ STEPS: Mapping[str, Step] = {
     "integrator": lambda: patch.object(
         search_context.SearchContext, "_settled", lambda _, stage, *__: (stage,)
     ),
-    "fewer orders": lambda: patch.object(search_context, "_ORDER_LOSS", np.inf),
+    "fewer orders": lambda: patch.object(search_context, "simplest", lambda errors, _: simplest(errors)),
     "short records": lambda: patch.object(learning, "_HIGHEST_LINEAR", learning._DEEPEST_DELAY),
+    "ends of travel": lambda: patch.object(learning, "saturation_limits", nowhere),
+    "hidden margin": lambda: patch.object(growth, "_MARGIN", 0.0),
     "merge and split": lambda: patch.object(edits, "merge_and_split", lambda _, models, at: models[at]),
 }
+MODELS: Mapping[str, Estimator] = {"states": TS(states=2), "lags": TS(na=2, nb=2, nk=1)}
 MOST_ROWS = 16_000
 """Of a public set."""
 PLANTS = (
@@ -66,14 +81,14 @@ def records(name: str, seed: int) -> starts.Records:
         train = ts_inputs.records(own, 4, 0.02, rng)
         fresh = ts_inputs.records(own, 8, 0.0, rng)
         return train, fresh, [s.y for s in fresh.segments]
-    return starts.records(name, seed)
+    return starts.records(own, seed)
 
 
-def fitted(known: starts.Records) -> tuple[float, str, float]:
+def fitted(name: str, known: starts.Records) -> tuple[float, str, float]:
     """Error, what the model is, and CPU seconds."""
     train, test, truth = known
     begin = time.process_time()
-    model = BestTS().fit(train)
+    model = MODELS.get(name.partition(": ")[0], BestTS()).fit(train)
     seconds = time.process_time() - begin
     error = starts.error(model, test, truth, first_samples=False)
     return error, f"{model.structure}, {len(model.rules())} rules", seconds
@@ -86,9 +101,9 @@ def main(words: list[str]) -> int:
     spent = np.zeros(2)
     for name in words[2:] or PLANTS:
         known = records(name, seed)
-        whole, model, seconds = fitted(known)
+        whole, model, seconds = fitted(name, known)
         with STEPS[step]():
-            without, other, less = fitted(known)
+            without, other, less = fitted(name, known)
         spent += seconds, less
         ratios.append(without / whole)
         print(

@@ -6,6 +6,11 @@ import numpy as np
 
 from flysid.dataset import FloatArray
 
+CONFIDENCE_ROWS = 20_000
+"""Samples, the first, whose sensitivities a covariance is computed from."""
+STEP = 1e-3
+"""Of a standard deviation: a run, and what is told of it, move in proportion to so small a step."""
+
 
 def root_of(covariance: FloatArray) -> FloatArray:
     """R with R Rᵀ the covariance (p, p); directions of no variance, or of less, are certain."""

@@ -16,14 +16,12 @@ import numpy as np
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, FitError
 from flysid.model.base import Estimator, Fitted
-from flysid.model.selection import block_means, clearly_better, parts_to_choose_on
+from flysid.model.selection import FEWEST, block_means, clearly_better, parts_to_choose_on
 from flysid.model.shared import fit_key, once
 from flysid.model.start import run_from_window, start_window
 from flysid.progress import tell
 
 FIRST = "arx"
-FEWEST = 10
-"""Rows that a segment must score."""
 LOST = 1e6
 """Times the output's spread: what an error that is no number counts as."""
 

@@ -24,11 +24,10 @@ import numpy as np
 
 from flysid.dataset import Dataset, FloatArray, Segment
 from flysid.model.base import Fitted
+from flysid.model.covariance import STEP
 from flysid.model.start import run_from_window, start_window
 
 LEVEL = 0.005
-SMALL = 1e-3
-"""Of an input's standard deviation: what is added to it, so that no limit of the output is reached."""
 
 
 @dataclass(frozen=True)
@@ -173,7 +172,7 @@ class _Scales:
 
 
 LAGS = (1, 4)
-LINEAR_COLUMNS = 2 + len(LAGS)
+LINEAR_COLUMNS = len(LAGS) + 2
 """Per input."""
 
 
@@ -194,8 +193,8 @@ def _columns(
 
     def through(i: int, shape: FloatArray) -> FloatArray:
         u = segment.u.copy()
-        u[:, i] += SMALL * scales.u_std[i] * shape
-        return np.asarray((model.simulate(u, start)[:, output] - held) / SMALL)
+        u[:, i] += STEP * scales.u_std[i] * shape
+        return np.asarray((model.simulate(u, start)[:, output] - held) / STEP)
 
     inputs = [(segment.u[:, i] - mean) / scales.u_std[i] for i, mean in enumerate(scales.u_mean)]
     yield np.ones(len(free))

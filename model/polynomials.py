@@ -82,7 +82,16 @@ ROUNDING = float(np.sqrt(np.finfo(float).eps))
 """What stands for nothing beside one: a pole so near to the unit circle is on it."""
 NEARLY_ONE = 0.999
 """A pole beyond it nearly integrates: the last digits of the coefficients decide gain and time constant."""
-Z95 = NormalDist().inv_cdf(0.975)
+CONFIDENCE = 0.95
+"""Of every interval, and of every difference that is called sure."""
+Z95 = NormalDist().inv_cdf(0.5 + CONFIDENCE / 2.0)
+"""Standard errors either side of an interval."""
+ONE_SIDED = NormalDist().inv_cdf(CONFIDENCE)
+"""Standard errors beyond which a difference is sure."""
+VANISHING = 1e-10
+"""Share of the whole that counts as nothing: of a variance, an error's; of singular values, a direction's."""
+RCOND = 1e-13
+"""The same of singular values where nothing but rounding is in the way."""
 DB = 20.0 / np.log(10.0)
 """Of a magnitude's natural logarithm."""
 

@@ -25,6 +25,8 @@ Residuals: TypeAlias = tuple[FloatArray, FloatArray]
 """(N,) residuals r and their (N, n) Jacobian dr/dtheta."""
 NormalEquations: TypeAlias = tuple[float, FloatArray | Bordered, FloatArray]
 """cost rᵀr, (n, n) JᵀJ and (n,) Jᵀr."""
+FIRST_DAMPING = 1e-3
+"""Of the diagonal of JᵀJ: directions that hardly move the error are held by it."""
 Reason = Literal["converged", "stalled", "max_iterations"]
 
 
@@ -65,7 +67,7 @@ def levenberg_marquardt(
     cost: Callable[[FloatArray], float] | None = None,
     max_iterations: int = 50,
     tolerance: float = 1e-8,
-    first_damping: float = 1e-3,
+    first_damping: float = FIRST_DAMPING,
     largest_damping: float = 1e16,
 ) -> Refinement:
     """Minimise the sum of squared residuals from a start.

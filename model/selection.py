@@ -11,6 +11,8 @@ from flysid.model.base import Fitted
 
 LEVEL = 0.01
 """Relative difference in mean square that nobody would pay an order for."""
+FEWEST = 10
+"""Samples that say anything at all, of a region, or beside those that start a model."""
 HELD_OUT = 0.25
 """Of training data, where no part was given to choose on."""
 STRONG = 10.0

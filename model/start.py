@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 import numpy as np
 
 from flysid.dataset import FloatArray, Segment
+from flysid.model.polynomials import VANISHING
 from flysid.showing import Table, as_html, first_lines
 
 if TYPE_CHECKING:
@@ -136,7 +137,7 @@ def searched_start(model: Runs, u: FloatArray, y: FloatArray) -> FloatArray:
         jacobian = _jacobian(model, u, best, scale)
         if not np.isfinite(jacobian).all():
             break
-        step = np.linalg.lstsq(jacobian, residual, rcond=1e-10)[0].reshape(best.shape) * scale
+        step = np.linalg.lstsq(jacobian, residual, rcond=VANISHING)[0].reshape(best.shape) * scale
         trial = best + step
         new_cost, new_residual = _cost(model, u, y, trial, scale)
         if not new_cost < cost * (1.0 - 1e-9):

@@ -15,9 +15,8 @@ import numpy.typing as npt
 
 from flysid.dataset import Dataset, FloatArray
 from flysid.model.frequency.response import MeasuredResponse
+from flysid.model.linear.iv_stages import LONG_ORDER
 from flysid.model.polynomials import ComplexArray
-
-ORDER = 20
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,13 +61,13 @@ def view_loop(
     """
     if len(data.inputs) != 1:
         return None
-    pairs = [np.column_stack([s.u[:, 0], s.y[:, output]]) for s in data.segments if len(s) > 6 * ORDER]
+    pairs = [np.column_stack([s.u[:, 0], s.y[:, output]]) for s in data.segments if len(s) > 6 * LONG_ORDER]
     if not pairs:
         return None
     mean = np.concatenate(pairs).mean(axis=0)
     scale = np.concatenate(pairs).std(axis=0)
     scaled = [(p - mean) / scale for p in pairs]
-    back = np.exp(-1j * measured.omega * data.dt_s)[:, None] ** np.arange(ORDER + 1)
+    back = np.exp(-1j * measured.omega * data.dt_s)[:, None] ** np.arange(LONG_ORDER + 1)
     unit = scale[1] / scale[0]
     plant = _response(scaled, (1, 0), 1, back) * unit
     law = _response(scaled, (0, 1), 0, back) / unit  # what the input makes of the output: -C
@@ -89,11 +88,11 @@ def _response(
     goals = []
     for pair in pairs:
         n = len(pair)
-        own = [pair[ORDER - k : n - k, driven] for k in range(1, ORDER + 1)]
-        other = [pair[ORDER - k : n - k, driving] for k in range(first_lag, ORDER + 1)]
+        own = [pair[LONG_ORDER - k : n - k, driven] for k in range(1, LONG_ORDER + 1)]
+        other = [pair[LONG_ORDER - k : n - k, driving] for k in range(first_lag, LONG_ORDER + 1)]
         rows.append(np.stack(own + other, axis=1))
-        goals.append(pair[ORDER:, driven])
+        goals.append(pair[LONG_ORDER:, driven])
     matrix = np.concatenate(rows)
     theta = np.linalg.lstsq(matrix.T @ matrix, matrix.T @ np.concatenate(goals), rcond=1e-12)[0]
-    bottom = 1.0 - back[:, 1:] @ theta[:ORDER]
-    return np.asarray(back[:, first_lag:] @ theta[ORDER:] / bottom)
+    bottom = 1.0 - back[:, 1:] @ theta[:LONG_ORDER]
+    return np.asarray(back[:, first_lag:] @ theta[LONG_ORDER:] / bottom)

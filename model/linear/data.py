@@ -11,12 +11,11 @@ import numpy as np
 from flysid.dataset import Dataset, FloatArray, Segment
 from flysid.errors import DataError
 from flysid.model.freerun import Difference
-from flysid.model.selection import HELD_OUT
+from flysid.model.selection import FEWEST, HELD_OUT
 from flysid.model.simulation_error import Record
 from flysid.model.start import MAX_SHARE
 from flysid.model.stream import Block, OnDisk, Source, blocks_of
 
-LEAST_GUARD = 10
 FOLDS = 3
 FOLDED_ROWS = 5_000
 SEARCH_ROWS = 12_000
@@ -215,15 +214,15 @@ def judging_window(parts: Parts, depth: int) -> int:
 def guard_s(data: Dataset) -> float:
     """Seconds to leave out around held-out blocks: as long as an output remembers itself.
 
-    The correlation length, in samples, of the slowest output (first lag below 1/e), between `LEAST_GUARD`
+    The correlation length, in samples, of the slowest output (first lag below 1/e), between `FEWEST`
     and a twentieth of the longest segment: what is chosen must not hang on the unit of time.
     """
     segment = max(data.segments, key=len)
-    most = max(len(segment) // 20, LEAST_GUARD)
+    most = max(len(segment) // 20, FEWEST)
     y = segment.y - segment.y.mean(axis=0)
     power = np.einsum("ij,ij->j", y, y)
     length = most
-    for lag in range(LEAST_GUARD, most):
+    for lag in range(FEWEST, most):
         if (np.einsum("ij,ij->j", y[lag:], y[:-lag]) < power / np.e).all():
             length = lag
             break

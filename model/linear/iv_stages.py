@@ -20,18 +20,12 @@ from flysid.model.linear.data import SEARCH_ROWS, Parts, as_tuple, shortened
 from flysid.model.linear.difference_equation import FittedLinear
 from flysid.model.linear.free_runner import free_runner
 from flysid.model.linear.initial_state import start_gains
-from flysid.model.noise import noise_models
-from flysid.model.polynomials import NEARLY_ONE, stabilised
+from flysid.model.noise import HIGHEST_ORDER, noise_models
+from flysid.model.polynomials import NEARLY_ONE, RCOND, VANISHING, stabilised
 from flysid.model.stream import Block, Blocks, windows
 
 LONG_ORDER = 20
-"""Order of the regression that tells what a reference drives."""
-WHITENING = 12
-"""Order of the autoregression that whitens what the second stage leaves over."""
-SMOOTH = 1e-10
-"""Share of the power of a reference's lags below which a direction of them is rounding."""
-SINGULAR = 1e-13
-"""Ratio of singular values of Zᵀ Phi, rows and columns scaled, below which the instruments are blind."""
+"""Order of the regression that tells what a reference, or a controller, drives."""
 
 
 @dataclass(frozen=True)
@@ -145,7 +139,7 @@ def estimated_by_iv(
     output, own = equation
     rows = [len(parts.train.outputs) + j for j in columns.inputs]
     images = {row: driven[row] for row in rows if row in driven}
-    memory = max(min(WHITENING, len(parts.train) // 50), 1)
+    memory = max(min(HIGHEST_ORDER, len(parts.train) // 50), 1)
     return _four_stages(_Signals(blocks, output, rows, images), own, driven.get(output), memory)
 
 
@@ -229,7 +223,9 @@ def _driven(blocks: Blocks, target: int, references: Sequence[int]) -> Path:
     regressors = own.columns(step, 0, 1)
     power = gram[np.ix_(regressors, regressors)]
     size = np.sqrt(np.maximum(np.diag(power), np.finfo(float).tiny))
-    theta = np.linalg.lstsq(power / np.outer(size, size), gram[regressors, 0] / size, rcond=SMOOTH)[0] / size
+    theta = (
+        np.linalg.lstsq(power / np.outer(size, size), gram[regressors, 0] / size, rcond=VANISHING)[0] / size
+    )
     return _path(own, theta, references)
 
 
@@ -299,7 +295,7 @@ def _solve(matrix: FloatArray, right: FloatArray) -> FloatArray:
     columns = np.linalg.norm(scaled, axis=0)
     scaled = scaled / columns
     values = np.linalg.svd(scaled, compute_uv=False)
-    if values[-1] < SINGULAR * values[0]:
+    if values[-1] < RCOND * values[0]:
         raise FitError(
             "the instruments do not determine every coefficient: the regression is singular",
             hint="lower the orders, take a longer sample time, or bring data with more excitation",

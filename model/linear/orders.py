@@ -13,7 +13,7 @@ from flysid.model.gram import LeastSquares, Triangle, lagged_gram, lagged_triang
 from flysid.model.regressors import LagTerms, RegressorTransform
 from flysid.model.stream import Source, blocks_of, windows
 
-ROUNDING = 1e-31
+ROUNDING = float(np.finfo(float).eps) ** 2
 """Mean square, relative to the output's, below which a one-step residual is rounding."""
 
 

@@ -17,9 +17,8 @@ from flysid.dataset import FloatArray
 from flysid.model.bordered import Bordered
 from flysid.model.narx.free_run_kernel import TermTable, free_run, sweep
 from flysid.model.refine import levenberg_marquardt
+from flysid.model.regressors import CHUNK_ROWS
 
-_ROWS = 4096
-"""Of sensitivities in memory at a time."""
 _ALIKE = 1e-6
 """Of a candidate's sensitivity, what the others leave: a term that has less says what they say."""
 
@@ -112,8 +111,8 @@ class TermFit:
         for place in range(self.own):
             row, i = divmod(place, n_y)
             past[row, i, count + place] = 1.0
-        for first in range(self.depth, len(W), _ROWS):
-            last = min(first + _ROWS, len(W))
+        for first in range(self.depth, len(W), CHUNK_ROWS):
+            last = min(first + CHUNK_ROWS, len(W))
             S = np.zeros((deep + last - first, *past.shape[1:]))
             S[:deep] = past
             sweep(run, (first, last), self.terms, theta, self.limits, S)

@@ -16,6 +16,7 @@ import numpy as np
 from flysid.dataset import FloatArray
 from flysid.model.rules.free_run_error import range_of, widened
 from flysid.model.rules.kernel import Lags, Parameters, free_run
+from flysid.model.rules.recursion import rule_radius
 from flysid.model.rules.stages import Stage
 
 FAR = 10.0
@@ -51,8 +52,8 @@ def is_bounded(stage: Stage) -> bool:
     if layout.hidden:
         limits = widened(range_of(seen), _NEAR)
     if problem.integrates:
-        if not _rules_settle(stage):
-            return False
+        if not all(rule_radius(layout.lags, rule) < 1.0 + _ROUNDING for rule in par.theta):
+            return False  # behind an integrator it would drift away
         x = np.diff(x, axis=0)
         limits = widened(range_of([np.diff(run, axis=0) for run in seen]), FAR)
     if not _share_at(x, limits) < _RARELY:
@@ -63,14 +64,6 @@ def is_bounded(stage: Stage) -> bool:
 def _share_at(x: FloatArray, limits: FloatArray) -> float:
     """Share of the rows of x (N, n) in which a column is at a limit, beyond it, or no number."""
     return float((~((x > limits[0]) & (x < limits[1]))).any(axis=1).mean())
-
-
-def _rules_settle(stage: Stage) -> bool:
-    """Whether no rule has a pole outside the unit circle: behind an integrator it would drift away."""
-    lags = stage.problem.layout.orders.na
-    theta = stage.problem.parameters(stage.body).theta[:, 0, :lags]
-    poles = [np.abs(np.roots(np.concatenate([[1.0], -row]))).max() for row in theta]
-    return bool(max(poles) < 1.0 + _ROUNDING)
 
 
 def is_contracting(

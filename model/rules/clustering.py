@@ -2,9 +2,10 @@
 
 `fuzzy_c_means` (Bezdek 1981), `gustafson_kessel` (Gustafson and Kessel 1979, with the covariance
 conditioning of Babuska, van der Veen, Kaymak 2002) and `subtractive` (Chiu 1994), all on standardised
-columns. Starts are drawn with k-means++ (Arthur and Vassilvitskii 2007) from a seeded generator: the same
-data and seed give the same clusters. Cost per iteration: N R d for c-means, N R d^2 for Gustafson-Kessel;
-long records are thinned to `MOST_SAMPLES` rows first, which moves centres less than their own spread.
+columns, with Bezdek's usual exponent of 2. Starts are drawn with k-means++ (Arthur and Vassilvitskii 2007)
+from a seeded generator: the same data and seed give the same clusters. Cost per iteration: N R d for c-means,
+N R d^2 for Gustafson-Kessel; long records are thinned to `MOST_SAMPLES` rows first, which moves centres less
+than their own spread.
 """
 
 from __future__ import annotations
@@ -17,12 +18,11 @@ import numpy as np
 
 from flysid.dataset import FloatArray
 from flysid.errors import DataError, UsageError
+from flysid.model.polynomials import ROUNDING
 
 Method = Literal["gustafson-kessel", "fuzzy-c-means", "subtractive"]
 
 MOST_SAMPLES = 1000
-_FUZZINESS = 2.0
-_MOST_CONDITION = 1e6  # of a cluster's covariance; flatter clusters are fattened to it
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +75,7 @@ def project(
     """
     order = np.argsort(clusters.centre[:, 0], kind="stable")
     centre = clusters.centre[order, :columns]
-    weight = clusters.grade[:, order] ** _FUZZINESS
+    weight = clusters.grade[:, order] ** 2
     gap = clusters.rows[:, None, :columns] - centre[None, :, :]
     both = _spread(gap, weight, np.ones_like(gap))
     left = _spread(gap, weight, (gap < 0).astype(float)) if two_sided else both
@@ -115,7 +115,7 @@ def _squares(X: FloatArray, centre: FloatArray) -> FloatArray:
 
 def _grades(square: FloatArray) -> FloatArray:
     """Memberships of Bezdek's update; a row on a centre belongs to it."""
-    inverse = 1.0 / np.maximum(square, 1e-300) ** (1.0 / (_FUZZINESS - 1.0))
+    inverse = 1.0 / np.maximum(square, 1e-300)
     inverse = np.minimum(inverse, 1e150)
     return np.asarray(inverse / inverse.sum(axis=1, keepdims=True))
 
@@ -126,7 +126,7 @@ def _iterate(
     """Alternate centres and grades until no grade moves by 1e-4, at most 60 times."""
     grade = _grades(_squares(X, centre))
     for _ in range(60):
-        weight = grade**_FUZZINESS
+        weight = grade**2
         centre = weight.T @ X / np.maximum(weight.sum(axis=0), 1e-300)[:, None]
         before = grade
         grade = _grades(squares(centre, weight))
@@ -157,7 +157,7 @@ def _gustafson_kessel(X: FloatArray, rules: int, rng: np.random.Generator) -> tu
 
 def _unit_volume_inverse(covariance: FloatArray) -> FloatArray:
     values, vectors = np.linalg.eigh(covariance)
-    values = np.maximum(values, max(values[-1] / _MOST_CONDITION, 1e-12))
+    values = np.maximum(values, max(values[-1] * ROUNDING, 1e-12))
     volume = np.exp(np.log(values).mean())
     return np.asarray(vectors / values * volume @ vectors.T)
 

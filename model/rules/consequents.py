@@ -24,6 +24,7 @@ import numpy as np
 from flysid.dataset import FloatArray
 from flysid.errors import DataError, UsageError
 from flysid.model.gram import Triangle, reduce_data
+from flysid.model.polynomials import VANISHING
 from flysid.model.regressors import CHUNK_ROWS
 from flysid.model.rules.kernel import firing
 from flysid.model.rules.rule_model import RuleModel, refuse_other_models
@@ -35,8 +36,7 @@ Criterion = Literal["global", "local", "mixed"]
 Pieces = Callable[[], Iterator[tuple[FloatArray, FloatArray, FloatArray]]]
 """Per pass: firing strengths (n, R), regressors (n, n_x) and outputs (n, n_y), in pieces."""
 
-_RCOND = 1e-10  # neighbouring rules make the regressors nearly collinear
-_RIDGES = np.geomspace(1e-10, 1e2, 37)  # that are tried, in shares of the regressors' mean square
+_RIDGES = np.geomspace(VANISHING, 1e2, 37)  # that are tried, in shares of the regressors' mean square
 _SHARE_GLOBAL = {"global": 1.0, "local": 0.0, "mixed": 0.5}
 
 
@@ -156,7 +156,7 @@ def fit_consequents(
     Q = triangle.r[: n + m, n : n + m]
     samples = triangle.rows // ((share > 0.0) + rules * (share < 1.0))
     if ridge == 0.0:
-        solution = np.linalg.lstsq(R, Q, rcond=_RCOND)[0]
+        solution = np.linalg.lstsq(R, Q, rcond=VANISHING)[0]
         taken = 0.0
     else:
         solution, taken = _solve_with_ridge(R, Q, rules, samples, ridge)
@@ -191,7 +191,7 @@ def _solve_with_ridge(
     """
     n_x = R.shape[1] // rules
     together = R.reshape(len(R), rules, n_x).sum(axis=1)  # the regressors of one rule: firing sums to 1
-    line = np.tile(np.linalg.lstsq(together, Q, rcond=_RCOND)[0], (rules, 1))
+    line = np.tile(np.linalg.lstsq(together, Q, rcond=VANISHING)[0], (rules, 1))
     size = np.tile(np.sqrt((together * together).sum(axis=0)), rules)
     size = np.where(size > 0.0, size, 1.0)
     U, s, Vt = np.linalg.svd(R / size, full_matrices=False)

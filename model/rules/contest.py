@@ -23,9 +23,10 @@ from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, FitError, UsageError
 from flysid.model.base import Fitted
 from flysid.model.noise import noise_model
+from flysid.model.polynomials import ONE_SIDED, VANISHING
 from flysid.model.rules import learning
 from flysid.model.rules.fitted import FittedTS
-from flysid.model.rules.judging import EXACT, blocks, hold_out
+from flysid.model.rules.judging import blocks, hold_out
 from flysid.model.rules.learning import LinearSide, Search
 from flysid.model.rules.operating_points import described
 from flysid.model.rules.refit import free_run_errors
@@ -37,8 +38,6 @@ _FORETOLD = 0.5  # share of the free run's error that its own past must explain
 _RESOLUTION = 1e-3  # of the outputs' spread: a free-run error below leaves nothing to explain
 _MOST_OUTPUTS = 2
 _MOST_SAMPLES = 100_000
-_SURE = 1.645  # standard errors
-_PERSISTENT = 0.8  # the most correlation from block to block that is reckoned with
 
 
 class FreeRunning(Protocol):
@@ -72,7 +71,7 @@ class Advantage:
 
     def exceeds(self, least: float) -> bool:
         """Whether it is surely there, and at least so large."""
-        return self.gain < -max(_SURE * self.error, least)
+        return self.gain < -max(ONE_SIDED * self.error, least)
 
 
 @dataclass(frozen=True, eq=False)
@@ -249,7 +248,7 @@ def block_errors(models: tuple[FreeRunning, FreeRunning], data: Dataset) -> tupl
 
 def advantage(pairs: Iterable[tuple[FloatArray, FloatArray]]) -> Advantage:
     """Of the second of each pair of block errors; nothing where there are none."""
-    known = [(np.maximum(a, EXACT), np.maximum(b, EXACT)) for a, b in pairs if len(a)]
+    known = [(np.maximum(a, VANISHING), np.maximum(b, VANISHING)) for a, b in pairs if len(a)]
     if not known:
         return Advantage()
     gaps = np.array([np.log(b.mean() / a.mean()) for a, b in known])
@@ -265,5 +264,6 @@ def _error(gaps: FloatArray) -> float:
     if len(gaps) < 3 or not gaps.std() > 0.0:
         return 0.0
     own = gaps - gaps.mean()
-    r = min(max(float(own[1:] @ own[:-1] / (own @ own)), 0.0), _PERSISTENT)
+    whole = (len(gaps) - 1.0) / (len(gaps) + 1.0)  # all blocks are one voice then
+    r = min(max(float(own[1:] @ own[:-1] / (own @ own)), 0.0), whole)
     return float(gaps.std(ddof=1) / np.sqrt(len(gaps)) * np.sqrt((1.0 + r) / (1.0 - r)))

@@ -33,9 +33,6 @@ from flysid.model.rules.stages import Stage, ordered
 from flysid.model.selection import clearly_better
 from flysid.model.threads import on_one_thread
 
-TRIED = 3
-"""Edits that are refined, of all ranked by their cost in training."""
-
 
 def edits(layout: Layout, p: Parameters, support: FloatArray) -> Iterator[tuple[str, Layout, Parameters]]:
     """Every pair of rules merged, every rule dropped, every antecedent left out."""
@@ -99,7 +96,7 @@ def _refined_mergers(context: SearchContext, stage: Stage) -> Iterator[Stage]:
         for _, layout, p in edits(problem.layout, problem.parameters(stage.body), rule_support(stage))
         if len(p.theta) < stage.rules
     ]
-    for s in sorted(tried, key=lambda s: s.cost)[:TRIED]:
+    for s in sorted(tried, key=lambda s: s.cost)[: Training.tries]:
         yield s.under(ridge=Training().ridge * s.cost).refined(context.settings.iterations // 2, 1e-5)
 
 
@@ -206,7 +203,7 @@ def simplifications(
     ]
     tried.sort(key=lambda edit: edit[1].cost)
     found = []
-    for what, stage in tried[:TRIED]:
+    for what, stage in tried[: Training.tries]:
         refined = stage.under(ridge=ridge * stage.cost).refined(iterations, 1e-5)
         if np.isfinite(refined.cost) and is_bounded(refined):
             told = replace(model, notes=(*model.notes, f"Simplified by hand: {what}."))

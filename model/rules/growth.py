@@ -23,18 +23,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from flysid.dataset import FloatArray
-from flysid.model.polynomials import ROUNDING
+from flysid.model.polynomials import RCOND, ROUNDING, VANISHING
 from flysid.model.rules.clustering import cluster, project
 from flysid.model.rules.free_run_error import Body, Problem, antecedent_range
 from flysid.model.rules.kernel import firing
 from flysid.model.rules.memberships import Partition
 from flysid.model.rules.regressor_layout import Antecedent, Layout, windows
 from flysid.model.rules.stages import Stage, expected_cost, inserted, on_runs_of
+from flysid.model.selection import FEWEST
 from flysid.model.start import START_SHARE, STEPS
 
 _PLACES = (0.15, 0.5, 0.85)
 _FIRST_PLACES = (0.1, 0.3, 0.7, 0.9)  # not the middle, from where there is no other side
-_FEWEST = 10  # samples of a region that takes another rule
 _PIECE = 1000  # rows of a piece, where long records are thinned, and what starts it a small share
 _FEW = 5000  # rows for ranking insertions and for trying the best ones
 NOTHING = np.zeros(0, dtype=np.int64)
@@ -129,7 +129,7 @@ def _linear_starts(problem: Problem) -> Iterator[Body]:
     a: FloatArray = np.zeros((E.shape[1], n_y))
     for _ in range(3):  # repeated on the remainder: the regressors are nearly collinear
         remainder: FloatArray = Y - X @ (problem.basis.T @ a)
-        a = a + np.asarray(np.linalg.lstsq(E, remainder, rcond=1e-13)[0], dtype=np.float64)
+        a = a + np.asarray(np.linalg.lstsq(E, remainder, rcond=RCOND)[0], dtype=np.float64)
     for _ in range(6):
         body = Body(np.ascontiguousarray(a.T[None]), problem.z_range.mean(axis=0)[None], np.ones((1, n_z)))
         yield body
@@ -181,7 +181,7 @@ def clustered_stage(linear: Stage, antecedents: tuple[Antecedent, ...], rules: i
     phi = Partition(centre, width, width, low, high).firing(z)
     E = np.vstack([layout.regressor_values(W) for W in problem.runs]) @ problem.basis.T
     design = (phi[:, :, None] * E[:, None, :]).reshape(len(E), -1)
-    solution = np.linalg.lstsq(design, Y, rcond=1e-10)[0].reshape(rules, E.shape[1], n_y)
+    solution = np.linalg.lstsq(design, Y, rcond=VANISHING)[0].reshape(rules, E.shape[1], n_y)
     a = np.ascontiguousarray(solution.transpose(0, 2, 1))
     return unrefined(replace(problem, offset=np.zeros_like(problem.offset)), Body(a, centre, width))
 
@@ -326,7 +326,7 @@ def _inserted_along(
     span = float(np.ptp(z[:, j]))
     for at in places:
         chosen = z[strongest == at.rule, j]
-        if len(chosen) < _FEWEST or span == 0.0:
+        if len(chosen) < FEWEST or span == 0.0:
             continue
         centre = wide.body.centre[at.rule].copy()
         width = wide.body.width[at.rule].copy()

@@ -15,6 +15,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from flysid.dataset import Dataset, FloatArray, Segment
+from flysid.model.polynomials import ONE_SIDED, VANISHING
 from flysid.model.rules.boundedness import is_bounded
 from flysid.model.rules.free_run_error import started_run
 from flysid.model.rules.likely_start import initial_states
@@ -23,7 +24,7 @@ from flysid.model.rules.recursion import unheld
 from flysid.model.rules.regressor_layout import windows
 from flysid.model.rules.search_settings import QUARTERS
 from flysid.model.rules.stages import Stage, prior_of
-from flysid.model.selection import block_means, standard_error
+from flysid.model.selection import FEWEST, block_means, standard_error
 from flysid.model.start import MAX_SHARE
 
 INTEGRATES = (
@@ -31,13 +32,8 @@ INTEGRATES = (
     "mean drives it to the output limits."
 )
 """What users are told of a model that does not come back."""
-EXACT = 1e-10
-"""Mean squares, in variances of the output, that count as none."""
-_LONGER = 3  # times what starts it, that a window of a judging part is at least long,
-_SCORED = 5  # with so many rows at least to score
-AWAY = 1e12
+AWAY = float(VANISHING**-1.0)
 """Mean square of what ran away, or may not be offered."""
-_CLEAR = 1.5  # standard errors over windows of several folds; those of one fold share a model
 
 
 def hold_out(train: Dataset, least: int, fold: int = 0) -> tuple[Dataset, Dataset]:
@@ -132,8 +128,8 @@ def judged(stage: Stage, runs: Sequence[FloatArray], skip: int, *, must_be_bound
 
 def _window_errors(stage: Stage, runs: Sequence[FloatArray], skip: int) -> FloatArray:
     """Mean squares of free runs over windows, cut alike for every depth, so that any two can be compared."""
-    rows = max(sum(len(W) for W in runs) // QUARTERS, _LONGER * skip)
-    pieces = [W for W in windows(runs, skip, rows) if len(W) > skip + _SCORED]
+    rows = max(sum(len(W) for W in runs) // QUARTERS, QUARTERS * skip)
+    pieces = [W for W in windows(runs, skip, rows) if len(W) >= skip + FEWEST]
     return np.array([float((e * e).mean()) for e in free_run_errors(stage, pieces, skip)])
 
 
@@ -176,7 +172,7 @@ class Family:
         Folds are averaged in logarithms: where a fold hides the only manoeuvre of its kind, every model
         errs there by multiples, and a plain mean would look at nothing else.
         """
-        means = [[max(m.mean, EXACT) if m.stable else AWAY for m in f[: self.stages]] for f in self.folds]
+        means = [[max(m.mean, VANISHING) if m.stable else AWAY for m in f[: self.stages]] for f in self.folds]
         return np.asarray(np.log(np.array(means)), dtype=np.float64)
 
     @property
@@ -192,7 +188,7 @@ class Family:
         """
         models = [fold[at] for fold in self.folds]
         found = models[0].errors if len(models) == 1 else np.concatenate([m.windows for m in models])
-        return np.maximum(found, EXACT) if all(m.stable for m in models) else np.full(len(found), AWAY)
+        return np.maximum(found, VANISHING) if all(m.stable for m in models) else np.full(len(found), AWAY)
 
 
 def tolerant(family: Family, *, stressed: bool = True) -> Family:
@@ -222,10 +218,10 @@ def fewest_rules(family: Family, plain: Family, gain: float) -> int:
     """
     units = sweep(family, plain)
     best = _best(units, family)
-    clear = _CLEAR if len(family.folds) > 1 else 1.0
+    clear = ONE_SIDED if len(family.folds) > 1 else 1.0  # windows of one fold share a model
     for i in range(best):
         gap = _gap(units[i], units[best], family)
-        if gap.mean() <= max(clear * standard_error(gap), gain) or units[i].mean() <= EXACT:
+        if gap.mean() <= max(clear * standard_error(gap), gain) or units[i].mean() <= VANISHING:
             return i
     return best
 

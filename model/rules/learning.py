@@ -31,13 +31,12 @@ from flysid.model.rules.judging import (
     sweep_in_words,
     tolerant,
 )
-from flysid.model.rules.linear_starts import StateRealisation, as_linear, as_stage
+from flysid.model.rules.linear_starts import PLAIN, StateRealisation, as_linear, as_stage
 from flysid.model.rules.operating_points import described
-from flysid.model.rules.refit import on_all_runs, refit
+from flysid.model.rules.refit import STEPS_ON_PARTS, on_all_runs, refit
 from flysid.model.rules.regressor_layout import runs_of, scaling
 from flysid.model.rules.search import search
 from flysid.model.rules.search_context import (
-    SPARE_ROWS,
     SearchContext,
     check,
     named_antecedents,
@@ -52,7 +51,7 @@ from flysid.model.rules.state_systems import (
     saturation_limits,
     system_stage,
 )
-from flysid.model.selection import parts_to_choose_on
+from flysid.model.selection import FEWEST, parts_to_choose_on
 from flysid.model.start import START_SHARE
 from flysid.split import MIN_FLIGHTS
 
@@ -60,10 +59,8 @@ SWEEP = "Validation free-run error by number of rules"
 """How the note begins that says what was tried."""
 LinearSide = Callable[[RuleSettings, Dataset, Dataset | None], tuple[str, Fitted] | None]
 """What the linear side chooses for settings and data, and its name; None where it has nothing."""
-_STEPS = 6  # of a refinement on a part of the data
 _HIGHEST_LINEAR = 12  # samples of lags that the linear side may choose on short records,
 _DEEPEST_DELAY = 40  # and on long ones, delay included
-_READABLE = 4  # states up to which rates of change and modes say more than uncorrelated numbers
 _ON_ALL = "The model was refined once more on the held-out part together with the rest."
 _AS_IT_WAS = (
     "The held-out part only chose the model: refined once more on all the data, it was no longer stable."
@@ -134,7 +131,7 @@ class Search:
     @property
     def least(self) -> int:
         """Rows that a segment of a part must have."""
-        return self.context.least if self.stage.layout.hidden else self.stage.layout.depth + SPARE_ROWS
+        return self.context.least if self.stage.layout.hidden else self.stage.layout.depth + FEWEST
 
     @cached_property
     def bare(self) -> FittedTS:
@@ -151,7 +148,7 @@ class Search:
         if data is self.train:
             return self.bare
         runs = runs_of(self.stage.layout, data.segments, self.least)
-        return finished(on_all_runs(self.stage, runs, _STEPS), data, ())
+        return finished(on_all_runs(self.stage, runs, STEPS_ON_PARTS), data, ())
 
 
 def over_lags(
@@ -192,7 +189,7 @@ def lag_starts(settings: RuleSettings, train: Dataset, validation: Dataset | Non
     choices = order_choices(settings, len(train.inputs))
     named = named_antecedents(settings, choices, train)
     deepest = _deepest(settings, train) if len(choices) > 1 else 0
-    least = max(deepest, *(o.depth for o in choices), *(a.depth for a in named), 0) + SPARE_ROWS
+    least = max(deepest, *(o.depth for o in choices), *(a.depth for a in named), 0) + FEWEST
     long = len(train) >= settings.search.short
     context, own = _context(settings, (train, validation), least, whole=long)
     starts, notes = context.linear(choices)
@@ -211,7 +208,7 @@ def state_starts(settings: RuleSettings, train: Dataset, validation: Dataset | N
     check(settings)
     scaled = scaling(train)
     systems = linear_systems(settings, train, validation, scaled)
-    least = max(s.orders.depth for s in systems) + 2 * max(map(len, systems)) + SPARE_ROWS
+    least = max(s.orders.depth for s in systems) + 2 * max(map(len, systems)) + FEWEST
     ends = saturation_limits(train)
     context, own = _context(settings, (train, validation), least, scaled)
     ridges = context.ridges[1:] or context.ridges
@@ -382,7 +379,7 @@ def take_linear_side(linear_side: LinearSide | None, found: Search) -> Search:
     model = None if choice is None else as_linear(choice[1])
     if choice is None or model is None:
         return found
-    least = max(context.least, model.orders.depth + SPARE_ROWS)
+    least = max(context.least, model.orders.depth + FEWEST)
     if not any(len(s) >= least for s in found.train.segments):
         return found
     whole = replace(context, fit_part=found.train, least=least)
@@ -425,7 +422,8 @@ def refit_states(found: Search) -> Search:
 
     start = system_stage(system, found.train, context.least, (context.shift, context.scale), ends)
     if found.at == 0:
-        stage, words = in_coordinates(start, "" if len(system) <= _READABLE else "plain")
+        readable = len(system) <= context.settings.search.highest_order  # of more, rates and modes say little
+        stage, words = in_coordinates(start, "" if readable else PLAIN)
         drifts = not is_bounded(stage)
     else:
         words = family.words

@@ -19,18 +19,17 @@ from typing import Any
 import numpy as np
 
 from flysid.dataset import FloatArray
+from flysid.model.polynomials import VANISHING
 from flysid.model.rules.free_run_error import run_sensitivities, started_run
 from flysid.model.rules.kernel import Parameters
 from flysid.model.rules.regressor_layout import Layout
 from flysid.model.start import full_window
 
 _STEPS = 12
-_SETTLED = 1e-10  # of the cost: one step nearly finds the start
 _HALVINGS = 4
-_CLOSED = 60  # rows that suffice to start a run while fitting
+_CLOSED = 60  # rows that suffice to start a run while fitting, and that put hidden states to rest
 _TWICE = 2.0  # spreads of training: a run may start outside of what training went through
 _PLACES = 8  # of the training data, along which starts are tried
-_REST = 20  # rows of zeros that put hidden states to rest
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,7 +96,7 @@ class _StartSearch:
                 break
             step = np.linalg.lstsq(A, -np.concatenate([misses, z]), rcond=None)[0]
             cost = _cost(misses, z)
-            if not np.square(A @ step).sum() > _SETTLED * cost:
+            if not np.square(A @ step).sum() > VANISHING * cost:
                 break
             for _ in range(_HALVINGS):
                 trial = self.misses(z + step)
@@ -201,7 +200,7 @@ class LikelyStart:
 
     def rest(self, layout: Layout) -> int:
         """Rows of zeros before a run from rest; as many as put hidden states to rest."""
-        return _REST + self.samples if layout.hidden else layout.depth
+        return _CLOSED + self.samples if layout.hidden else layout.depth
 
     def write(self, layout: Layout, par: Parameters, W: FloatArray, known: int) -> None:
         """Put the start into W (N, n + n_u), of which the outputs of `known` rows are measured.

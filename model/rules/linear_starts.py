@@ -36,8 +36,8 @@ from flysid.model.rules.rule_model import RuleModel
 from flysid.model.rules.stages import Stage
 from flysid.model.statespace import StateSpace
 from flysid.model.subspace.fitted_model import FittedStateSpace
+from flysid.model.subspace.order_search import HIGHEST_ORDER
 
-_MOST_STATES = 10  # as difference equations, higher orders lose their poles to rounding
 _MOST_CHOICES = 3  # of coordinates, each of which is grown from
 PLAIN = "plain"
 """The coordinates that a realisation comes in; hidden states are then made uncorrelated."""
@@ -92,7 +92,7 @@ def _fit(name: str, settings: Estimator, train: Dataset, validation: Dataset | N
         return LinearStart(
             name, orders_of(fitted.system), fitted.system, fitted.u_origin, fitted.y_origin, again
         )
-    if fitted.order > _MOST_STATES:
+    if fitted.order > HIGHEST_ORDER:
         return None
     system = as_difference(fitted)
     return LinearStart(name, orders_of(system), system, fitted.u_origin, fitted.y_origin, again)
@@ -144,7 +144,7 @@ def as_linear(model: Fitted) -> LinearStart | None:
     """A fitted linear model as a difference equation; None where its order is too high for one."""
     if isinstance(model, FittedLinear):
         system = model.system
-    elif isinstance(model, FittedStateSpace) and model.order <= _MOST_STATES:
+    elif isinstance(model, FittedStateSpace) and model.order <= HIGHEST_ORDER:
         system = as_difference(model)
     elif isinstance(model, RuleModel) and model.structure == "ts" and len(model.parameters.theta) == 1:
         system = model.local_polynomials()[0].difference

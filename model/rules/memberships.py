@@ -20,7 +20,7 @@ from flysid.errors import UsageError
 Shape = Literal["gaussian", "triangle", "trapezoid"]
 Conjunction = Literal["product", "minimum"]
 
-_FAR = 1e75  # standardised distances stop here: their squares stay finite
+_FAR = float(np.finfo(float).max) ** 0.25  # standardised distances stop here: their squares stay finite
 
 
 def standardised(x: FloatArray, centre: FloatArray, left: FloatArray, right: FloatArray) -> FloatArray:

@@ -26,8 +26,8 @@ import numpy as np
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError
 from flysid.model.base import OperatingPoint
-from flysid.model.covariance import root_of
-from flysid.model.polynomials import Z95
+from flysid.model.covariance import STEP, root_of
+from flysid.model.polynomials import CONFIDENCE, Z95
 from flysid.model.rules.local_models import Place, SteadyMap
 from flysid.model.rules.rule_model import RuleModel
 from flysid.model.rules.rule_uncertainty import Uncertainty, scale_factor, uncertainty
@@ -37,10 +37,9 @@ from flysid.model.rules.vocabulary import Axis
 _FLOWN = (0.01, 0.99)  # quantiles of signals within which a model is asked
 _GRID = 41  # places on the way from one end to the other
 _MODEST = (0.1, 0.5, 0.9)  # quantiles that stand for slow, cruise and fast
-_STEP = 1e-3  # of a standard deviation, for derivatives
 _FLOOR = 0.03  # of a figure: what orders and sampling cost that no model nearby shows
 _LOST = float(-np.log(np.finfo(float).eps))  # half an interval beyond which one end is the other's rounding
-_EVENLY = 0.95 * np.sqrt(3.0)  # of a standard deviation: what 95 % of evenly spread errors are within
+_EVENLY = CONFIDENCE * np.sqrt(3.0)  # standard deviations that so many of evenly spread errors are within
 
 M = TypeVar("M", bound=RuleModel)
 
@@ -179,13 +178,12 @@ class _Asked:
         with np.errstate(all="ignore"):  # an answer at once takes no time at all
             for direction in root.T[np.abs(root).max(axis=0) > 0.0]:
                 near = (
-                    replace(self.model, parameters=self.sure.beside(way * direction))
-                    for way in (_STEP, -_STEP)
+                    replace(self.model, parameters=self.sure.beside(way * direction)) for way in (STEP, -STEP)
                 )
                 more, less = (self._figures(model, place, samples) for model in near)
                 if more is None or less is None:
                     return np.full(figures.shape, np.nan)
-                noise += ((more - less) / (2.0 * _STEP * figures)) ** 2
+                noise += ((more - less) / (2.0 * STEP * figures)) ** 2
             lack = np.maximum((self.misfit**2 - 1.0) * noise, apart**2)
             lack = np.maximum(lack, _FLOOR**2)
             lack[1] = np.maximum(lack[1], (self._switched() / figures[1]) ** 2)

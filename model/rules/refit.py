@@ -23,6 +23,8 @@ from flysid.model.rules.rule_model import RuleModel
 from flysid.model.rules.stages import Stage, on_other_runs, prior_of
 from flysid.model.start import MAX_SHARE, most_start_rows, settled_start_rows, start_window
 
+STEPS_ON_PARTS = 8
+"""Of a known model's refinement on a part of the data."""
 M = TypeVar("M", bound=RuleModel)
 
 

@@ -32,9 +32,9 @@ import numpy as np
 
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, UsageError
-from flysid.model.covariance import root_of
+from flysid.model.covariance import CONFIDENCE_ROWS, root_of
 from flysid.model.noise import coloured_gram, noise_model
-from flysid.model.polynomials import Z95
+from flysid.model.polynomials import VANISHING, Z95
 from flysid.model.rules.free_run_error import Body, Problem, run_sensitivities, swept
 from flysid.model.rules.growth import best_started
 from flysid.model.rules.kernel import Parameters
@@ -44,7 +44,6 @@ from flysid.model.rules.rule_model import RuleModel
 from flysid.model.start import estimate_start, start_window
 from flysid.model.threads import on_one_thread
 
-MOST_ROWS = 20_000  # sensitivities kept at a time; longer records are cut, which widens the intervals
 _NUDGE = float(np.cbrt(np.finfo(float).eps))  # of a coordinate, for central differences
 _DEGREE = 3
 
@@ -174,7 +173,7 @@ def uncertainty(model: RuleModel, train: Dataset) -> Uncertainty:
 def _shortened(runs: Sequence[FloatArray]) -> tuple[FloatArray, ...]:
     """As many whole runs as fit into the rows kept at a time, and the beginning of the next."""
     kept: list[FloatArray] = []
-    left = MOST_ROWS
+    left = CONFIDENCE_ROWS
     for W in runs:
         if left > 0:
             kept.append(W[:left])
@@ -217,7 +216,7 @@ def steep(gram: FloatArray) -> FloatArray:
     """(P, keep) coordinates in which the Gram matrix is the identity, without its flat directions."""
     size = np.sqrt(np.maximum(gram.diagonal(), np.finfo(float).tiny))
     values, vectors = np.linalg.eigh(gram / np.outer(size, size))
-    steep = values > 1e-10 * values[-1]
+    steep = values > VANISHING * values[-1]
     return np.asarray(vectors[:, steep] / np.sqrt(values[steep]) / size[:, None])
 
 
@@ -254,7 +253,7 @@ def _follow(model: RuleModel, data: Dataset) -> Iterator[tuple[FloatArray, Float
     rows = 0
     for s in data.segments:
         window = start_window(model.n_init, len(s), model.dt_s)
-        if len(s) <= 2 * window or rows > MOST_ROWS:
+        if len(s) <= 2 * window or rows > CONFIDENCE_ROWS:
             continue
         run = model.run_from_measured(s.u, s.y[:window])[window:]
         rows += len(run)

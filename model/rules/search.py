@@ -16,14 +16,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from flysid.model.linear.data import SEARCH_ROWS
+from flysid.model.polynomials import VANISHING
 from flysid.model.rules.growth import Insertion, Training, one_rule_more, same_insertion, thinned
-from flysid.model.rules.judging import EXACT, Family, tolerant
+from flysid.model.rules.judging import Family, tolerant
 from flysid.model.rules.search_context import SearchContext
+from flysid.model.rules.search_settings import QUARTERS
 from flysid.model.rules.stages import Stage
 from flysid.model.rules.state_systems import coordinate_names, in_coordinates
 from flysid.progress import tell
 
-_SCREEN_ROWS = 3000  # of the first fitting part
 _SCREEN = Training(ridge=0.1, tries=2, iterations=12, tolerance=1e-3)
 _AS_MUCH = 0.7  # of the first part's gain in logarithms, that another part must see from the same place
 
@@ -75,7 +76,7 @@ def _screen(context: SearchContext, starts: Sequence[Family]) -> list[Screened]:
     known = min(s.linear.mean for s in starts)
     tried = []
     for start in starts:
-        first = thinned(start.linear.stage, _SCREEN_ROWS)
+        first = thinned(start.linear.stage, SEARCH_ROWS // QUARTERS)
         for name in coordinate_names(first):
             stage, words = in_coordinates(first, name)
             better = one_rule_more(stage, context.antecedents(stage.layout), _SCREEN)
@@ -85,7 +86,7 @@ def _screen(context: SearchContext, starts: Sequence[Family]) -> list[Screened]:
                 Screened(
                     replace(start, coordinates=name, words=words),
                     start.linear.stable and not judged.stable,
-                    float(np.log(np.maximum((judged.mean, found.mean_square()), EXACT)).sum()),
+                    float(np.log(np.maximum((judged.mean, found.mean_square()), VANISHING)).sum()),
                     0.5 * (_change(judged.mean, known) + _change(found.mean_square(), first.mean_square())),
                     (first.mean_square(), found.mean_square()),
                 )
@@ -144,7 +145,7 @@ def _gain(before: Stage, after: Stage) -> float:
 
 def _change(after: float, before: float) -> float:
     """From one mean square to another, in logarithms."""
-    return float(np.log(max(after, EXACT)) - np.log(max(before, EXACT)))
+    return float(np.log(max(after, VANISHING)) - np.log(max(before, VANISHING)))
 
 
 def _idle(context: SearchContext, family: Family, stages: Sequence[Stage]) -> bool:
@@ -152,4 +153,4 @@ def _idle(context: SearchContext, family: Family, stages: Sequence[Stage]) -> bo
     if not context.auto:
         return False
     errors = family.rmse
-    return bool(errors[-1] > errors.min()) or stages[0].mean_square() < EXACT
+    return bool(errors[-1] > errors.min()) or stages[0].mean_square() < VANISHING

@@ -12,6 +12,7 @@ from flysid.dataset import Dataset, FloatArray
 from flysid.errors import UsageError
 from flysid.model.arguments import is_count
 from flysid.model.freerun import far
+from flysid.model.polynomials import VANISHING
 from flysid.model.rules.boundedness import FAR, probe_run
 from flysid.model.rules.free_run_error import Problem, range_of, widened
 from flysid.model.rules.growth import (
@@ -23,9 +24,9 @@ from flysid.model.rules.growth import (
     unrefined,
     with_integrator,
 )
-from flysid.model.rules.judging import EXACT, Candidate, Family, judged
+from flysid.model.rules.judging import Candidate, Family, judged
 from flysid.model.rules.linear_starts import LinearStart, arx_start, as_stage, linear_models
-from flysid.model.rules.refit import refit
+from flysid.model.rules.refit import STEPS_ON_PARTS, refit
 from flysid.model.rules.regressor_layout import (
     Antecedent,
     Layout,
@@ -37,14 +38,11 @@ from flysid.model.rules.regressor_layout import (
 )
 from flysid.model.rules.search_settings import NORMAL, RuleSettings
 from flysid.model.rules.stages import Stage
-from flysid.model.selection import simplest
+from flysid.model.selection import FEWEST, simplest
 from flysid.model.shared import digest, once
+from flysid.model.subspace.order_search import ROWS_PER_UNKNOWN
 
-SPARE_ROWS = 10  # a segment must be longer than the depth by this to say anything
-_ORDER_LOSS = 0.05  # of the mean square: at most worth an order
-_STEPS = 8  # of a linear model's refinement on other parts of the data
 _STRESS = 1000  # steps of each kind of stress
-_ROWS_PER_NUMBER = 4
 
 
 def check(settings: RuleSettings) -> None:
@@ -185,7 +183,7 @@ class SearchContext:
     def room(self, stage: Stage, more: int = 1) -> bool:
         """Whether there are samples enough for so many rules more."""
         numbers = stage.body.a[0].size * (stage.rules + more)
-        return bool(numbers * _ROWS_PER_NUMBER < stage.problem.samples)
+        return bool(numbers * ROWS_PER_UNKNOWN < stage.problem.samples)
 
     def antecedents(self, layout: Layout) -> tuple[Antecedent, ...]:
         """Variables to split along: those asked for, or all that may tell rules apart.
@@ -229,7 +227,7 @@ class SearchContext:
         """The stage on a judging part, the first one where none is given."""
         data = self.check_part if check is None else check
         runs = runs_of(stage.layout, data.segments, self.least)
-        return judged(stage, runs, self.least - SPARE_ROWS, must_be_bounded=self.must_be_bounded)
+        return judged(stage, runs, self.least - FEWEST, must_be_bounded=self.must_be_bounded)
 
     def linear(self, choices: Sequence[Orders]) -> tuple[list[Family], list[str]]:
         """Linear models, each refined from the one before, up to the best orders."""
@@ -244,14 +242,24 @@ class SearchContext:
             notes = [f"A linear model simulates held-out parts as well without past values of {names}."]
         candidates += self._linear_side(len(choices))
         candidates.sort(key=lambda c: c.stage.body.size)
-        at = _simplest(candidates)
+        at = self._simplest(candidates)
         orders = candidates[at].stage.problem.layout.orders
-        how = (
-            "as given" if len(choices) == 1 else "the simplest within one standard error of the best, and 5 %"
-        )
+        most = 100.0 * self.settings.search.rule_gain
+        near = f"the simplest within one standard error of the best, and {most:g} %"
+        how = "as given" if len(choices) == 1 else near
         notes = [f"Orders {orders}: {how} (validation free run of the linear model).", *notes]
         others = [i for i, c in enumerate(candidates) if i != at and c.stable == candidates[at].stable]
         return [Family(((candidates[i],),)) for i in (at, *others)], notes
+
+    def _simplest(self, candidates: Sequence[Candidate]) -> int:
+        """Index of the simplest stable linear model that runs as near as the best stable one, or nearly.
+
+        A linear model of too low an order makes rules look useful that only replace its lags, so that
+        simplicity may cost no more than a rule must win.
+        """
+        stable = [i for i, c in enumerate(candidates) if c.stable] or [0]
+        errors = [np.maximum(candidates[i].errors, VANISHING) for i in stable]
+        return stable[simplest(errors, self.settings.search.rule_gain)]
 
     @once(key)
     def _of_orders(self, choices: tuple[Orders, ...]) -> tuple[Candidate, ...]:
@@ -291,7 +299,7 @@ class SearchContext:
             if len(tried) == len(alone):
                 break
             rest = alone[j] if len(tried) == 1 else self._left_out(orders, tried)
-            if _simplest([rest, whole]):
+            if self._simplest([rest, whole]):
                 break
             needless = tried
         return tuple(sorted(needless))
@@ -311,7 +319,7 @@ class SearchContext:
         """The data hold these lags, and none is shorter than the dead time that the log shows."""
         least = tuple(self.settings.nk_least) or (0,) * len(orders.nk)
         late = all(k >= floor or not b for k, floor, b in zip(orders.nk, least, orders.nb, strict=True))
-        return late and orders.depth + SPARE_ROWS <= self.least
+        return late and orders.depth + FEWEST <= self.least
 
     def completed(self, start: Family) -> Family:
         """A linear start beside itself on the parts that other folds hold out, refitted without them.
@@ -325,9 +333,9 @@ class SearchContext:
 
     def _refitted(self, known: Candidate, fit_part: Dataset, check_part: Dataset) -> Candidate:
         layout = known.stage.layout
-        again = refit(known, fit_part, runs_of(layout, fit_part.segments, self.least), _STEPS)
+        again = refit(known, fit_part, runs_of(layout, fit_part.segments, self.least), STEPS_ON_PARTS)
         runs = runs_of(layout, check_part.segments, self.least)
-        one = judged(again, runs, self.least - SPARE_ROWS, must_be_bounded=False)
+        one = judged(again, runs, self.least - FEWEST, must_be_bounded=False)
         return replace(one, stable=known.stable)
 
     def _on_every_part(self, known: Candidate) -> Candidate:
@@ -349,16 +357,6 @@ class SearchContext:
         if not (self.settings.refine and looks_integrating(stage)):
             return (stage,)
         return with_integrator(stage, self.settings.iterations, known)
-
-
-def _simplest(candidates: Sequence[Candidate]) -> int:
-    """Index of the simplest stable linear model that runs as near as the best stable one, or nearly.
-
-    A linear model of too low an order makes rules look useful that only replace its lags, so that simplicity
-    may cost little.
-    """
-    stable = [i for i, c in enumerate(candidates) if c.stable] or [0]
-    return stable[simplest([np.maximum(candidates[i].errors, EXACT) for i in stable], _ORDER_LOSS)]
 
 
 def found_antecedents(layout: Layout) -> tuple[Antecedent, ...]:

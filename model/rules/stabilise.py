@@ -16,7 +16,7 @@ import numpy as np
 
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, FitError, UsageError
-from flysid.model.polynomials import NEARLY_ONE
+from flysid.model.polynomials import NEARLY_ONE, ROUNDING
 from flysid.model.rules.boundedness import is_bounded
 from flysid.model.rules.consequents import refuse_few, refuse_other_data
 from flysid.model.rules.fitted import FittedTS
@@ -30,8 +30,6 @@ from flysid.model.rules.regressor_layout import Layout, runs_of
 from flysid.model.rules.search_settings import RuleSettings
 from flysid.model.rules.stages import Stage, ordered
 from flysid.model.threads import on_one_thread
-
-_HALVINGS = 12  # of how far a rule is drawn
 
 
 @on_one_thread
@@ -128,7 +126,7 @@ def _nearest(start: FloatArray, mean: FloatArray, holds: Callable[[FloatArray], 
         return start
     inside = 0.0
     outside = 1.0
-    for _ in range(_HALVINGS):
+    while outside - inside > ROUNDING:
         middle = 0.5 * (inside + outside)
         if holds(mean + middle * (start - mean)):
             inside = middle

@@ -16,13 +16,12 @@ from flysid.dataset import FloatArray
 from flysid.errors import FitError
 from flysid.model.bordered import Bordered
 from flysid.model.polynomials import ROUNDING
-from flysid.model.refine import levenberg_marquardt
+from flysid.model.refine import FIRST_DAMPING, levenberg_marquardt
 from flysid.model.rules.free_run_error import SETS, Body, Problem
 from flysid.model.rules.kernel import IntArray, sweep
 from flysid.model.rules.likely_start import Prior, initial_states, rows_before
 from flysid.model.rules.regressor_layout import Layout
 
-_PROMISE_DAMPING = 1e-3
 HOLD = 3.0  # weight on memberships, relative to the ridge on consequents
 _DRIFT = 1e-5  # on the hidden states' scale and origin, which no output shows
 Normal = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
@@ -340,7 +339,7 @@ def expected_cost(stage: Stage) -> float:
         return float("inf")
     diagonal = H.diagonal()
     scale = np.sqrt(np.maximum(diagonal, ROUNDING * diagonal.max()))
-    step = H.damped_step(scale, _PROMISE_DAMPING, g)
+    step = H.damped_step(scale, FIRST_DAMPING, g)
     return float("inf") if step is None else cost + float(step @ g)
 
 

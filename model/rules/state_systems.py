@@ -16,6 +16,7 @@ from flysid.errors import DataError, FitError
 from flysid.model.linear.difference_equation import FittedLinear
 from flysid.model.oe import OE
 from flysid.model.polynomials import ROUNDING
+from flysid.model.refine import FIRST_DAMPING
 from flysid.model.rules.free_run_error import Body, Problem, range_of, widened
 from flysid.model.rules.likely_start import Prior, initial_states
 from flysid.model.rules.linear_starts import (
@@ -35,7 +36,6 @@ from flysid.model.subspace.fitted_model import FittedStateSpace
 
 _OE_STATES = (2, 3)  # orders of output-error models: rules may use a state that a linear model does not
 _HIDDEN_LIMIT = 12.0  # spreads that a hidden state may reach
-_FLOOR = 1e-3  # of the metric's diagonal, added to it: directions that the linear model does not feel
 _START_ROWS = 400  # of a run from which a linear start takes its initial state
 _AT_END = 2e-3  # of an output's range: this near the extreme counts as at it
 _CORNER = 0.01  # of the range: an output that arrives at an end this fast per sample has hit it
@@ -91,15 +91,10 @@ def best_state_space(
             model = asked.fit(train, validation)
     except (DataError, FitError):
         return None
-    if not _stands(model):
+    if np.abs(model.poles).max(initial=0.0) > 1.0 + ROUNDING:  # of what integrates one may be on the circle
         return None
     title = f"the best linear state space ({model.order} states)"
     return replace(realised_states(model, *scaled), title=title)
-
-
-def _stands(model: FittedStateSpace) -> bool:
-    """No pole outside the unit circle; one on it may be, of a process that integrates."""
-    return bool(np.abs(model.poles).max(initial=0.0) <= 1.0 + 1e-9)
 
 
 def _orders(settings: RuleSettings, best: StateRealisation | None, n_y: int) -> list[int]:
@@ -262,7 +257,8 @@ def linear_stage(
     stage = stage.refined(iterations, 1e-6) if iterations else stage
     H = stage.normal()[1].corner
     diagonal = np.diag(H)
-    metric = H + np.diag(_FLOOR * diagonal + 1e-9 * diagonal.max())
+    # a little weight on directions that the linear model does not feel
+    metric = H + np.diag(FIRST_DAMPING * diagonal + 1e-9 * diagonal.max())
     return stage.under(metric=metric)
 
 

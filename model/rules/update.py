@@ -20,7 +20,8 @@ import numpy as np
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, UsageError
 from flysid.model.polynomials import ROUNDING
-from flysid.model.rules.boundedness import is_bounded
+from flysid.model.regressors import CHUNK_ROWS
+from flysid.model.rules.boundedness import PUSHES, is_bounded
 from flysid.model.rules.consequents import refuse_other_data, weighted
 from flysid.model.rules.fitted import FittedTS
 from flysid.model.rules.growth import best_started
@@ -28,17 +29,15 @@ from flysid.model.rules.kernel import Parameters, firing
 from flysid.model.rules.phrases import from_to
 from flysid.model.rules.recursion import rule_radius
 from flysid.model.rules.refit import as_problem, free_run_rmse, with_noise_model
-from flysid.model.rules.regressor_layout import Layout, runs_of
+from flysid.model.rules.regressor_layout import Layout, runs_of, windows
 from flysid.model.rules.rule_uncertainty import run_slopes, steep, without_start
 from flysid.model.rules.stages import Stage
+from flysid.model.start import STEPS
 from flysid.model.threads import on_one_thread
 
 Error = Literal["free run", "one step"]
 
-_PIECE = 4000  # rows of a free run: what forgets its start needs no longer ones, and memory stays bounded
-_STEPS = 3  # Gauss-Newton steps: the free run bends with the consequents
 _SHARES = (1.0, 0.5, 0.25, 0.1)  # of a step that are tried
-_USUAL = 2000  # rows of random steps that say what a sample is worth
 _FLOOR = 1e-6  # of a sample in which a regressor stands at 1: what nothing excites stays where it was
 _OUTSIDE = 0.1  # of the new samples
 
@@ -149,13 +148,14 @@ def _unstable(model: FittedTS) -> list[str]:
 
 def _in_free_run(model: FittedTS, data: Dataset, forgetting: float, trust: float) -> FloatArray:
     """(R, n_y, n_x) consequents that lower the free run's error."""
-    runs = _pieces(runs_of(model.layout, data.segments, model.n_init + 2), model.n_init)
+    whole = runs_of(model.layout, data.segments, model.n_init + 2)
+    runs = windows(whole, model.layout.depth, CHUNK_ROWS)  # memory stays bounded
     problem, body = as_problem(model.layout, model.parameters, (_wandering(model.layout),))
     problem = replace(problem, runs=runs)
     stage = best_started(problem, body)
     asked = is_bounded(stage)
     known = _Known.of(stage, forgetting, trust)
-    for _ in range(_STEPS):
+    for _ in range(STEPS):  # the free run bends with the consequents
         better = _step(stage, known, bounded=asked)
         if better is None:
             break
@@ -171,12 +171,6 @@ def _wandering(layout: Layout) -> FloatArray:
     steps = np.random.default_rng(0).standard_normal((500, len(layout.signals)))
     W = np.cumsum(steps, axis=0)
     return np.ascontiguousarray((W - W.mean(axis=0)) / W.std(axis=0))
-
-
-def _pieces(runs: Sequence[FloatArray], depth: int) -> tuple[FloatArray, ...]:
-    """Runs of at most `_PIECE` rows and what is left over."""
-    found = [W[at : at + _PIECE] for W in runs for at in range(0, len(W), _PIECE)]
-    return tuple(np.ascontiguousarray(W) for W in found if len(W) >= depth + 2)
 
 
 @dataclass(frozen=True, eq=False)
@@ -204,10 +198,10 @@ class _Known:
         total = sum(lengths)
         ages = np.split(np.arange(total)[::-1], np.cumsum(lengths)[:-1])
         uncompared = stage.layout.uncompared
-        gram, _ = _normal(_random_steps(stage), [np.ones(_USUAL - uncompared)])
+        gram, _ = _normal(_random_steps(stage), [np.ones(PUSHES - uncompared)])
         basis = stage.problem.basis
         floor = np.kron(np.eye(stage.body.a.size // len(basis)), _FLOOR * trust * basis @ basis.T)
-        information = trust * (forgetting**total / _USUAL * gram) + floor
+        information = trust * (forgetting**total / PUSHES * gram) + floor
         weights = tuple(np.asarray(forgetting ** age[uncompared:], dtype=np.float64) for age in ages)
         return cls(stage.body.a.ravel(), information, weights)
 
@@ -223,10 +217,10 @@ def _random_steps(stage: Stage) -> Stage:
     """The model under random steps of all lengths, from rest: what a flight usually shows."""
     layout = stage.problem.layout
     rng = np.random.default_rng(0)
-    W = np.zeros((_USUAL, len(layout.signals)))
+    W = np.zeros((PUSHES, len(layout.signals)))
     for column in range(layout.n_y, len(layout.signals)):
-        lengths = np.exp(rng.uniform(0.0, np.log(0.1 * _USUAL), _USUAL)).astype(int) + 1
-        W[:, column] = np.repeat(rng.uniform(-np.sqrt(3.0), np.sqrt(3.0), _USUAL), lengths)[:_USUAL]
+        lengths = np.exp(rng.uniform(0.0, np.log(0.1 * PUSHES), PUSHES)).astype(int) + 1
+        W[:, column] = np.repeat(rng.uniform(-np.sqrt(3.0), np.sqrt(3.0), PUSHES), lengths)[:PUSHES]
     initial = np.zeros((1, layout.moving, layout.n_y))
     return replace(stage.under(runs=(W,)), initial=initial)
 

@@ -17,14 +17,12 @@ import numpy as np
 
 from flysid.dataset import FloatArray, Segment
 from flysid.filters import filtered
+from flysid.model.covariance import CONFIDENCE_ROWS
 from flysid.model.noise import noise_model, noise_models
 from flysid.model.polynomials import NEARLY_ONE
 from flysid.model.refine import NormalEquations, Refinement, levenberg_marquardt
 from flysid.model.regressors import CHUNK_ROWS
 from flysid.model.subspace.triangle import Realisation
-
-CONFIDENCE_ROWS = 20_000
-"""Samples, the first, whose sensitivities the covariance is computed from; it is scaled to all of them."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -26,13 +26,12 @@ from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, FitError, UsageError
 from flysid.model.gram import Triangle, lagged_triangle
 from flysid.model.linear.data import EXACT, Scaling
+from flysid.model.polynomials import RCOND
 from flysid.model.stream import Source, blocks_of
 from flysid.model.subspace.riccati import kalman_gain
 
 Method: TypeAlias = Literal["pbsid", "n4sid", "moesp", "cva"]
 METHODS: tuple[Method, ...] = ("pbsid", "n4sid", "moesp", "cva")
-RCOND = 1e-13
-"""Ratio of singular values of the regressors below which a direction is rounding."""
 
 
 @dataclass(frozen=True, eq=False)
