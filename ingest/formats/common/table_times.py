@@ -79,18 +79,23 @@ def plausible_units(
     times: FloatArray,
     span: float,
     *,
-    fastest_s: float = 1e-4,
+    fastest_s: float = 1.2e-4,
     slowest_s: float = 5.0,
     longest_s: float = 86_400.0,
+    latest_s: float = 604_800.0,
+    shortest_s: float = 1.0,
 ) -> list[str]:
     """The units in which rows of a flight may count: by steps, length, and dates since 1970.
 
     Parameters
     ----------
     times : (n,) first values. span : from the first to the last value of the table.
-    fastest_s : no table is logged faster than 10 kHz.
+    fastest_s : no table is logged faster than 8 kHz, the fastest loop of flight controllers.
     slowest_s : nor flown with rows further apart.
     longest_s : nor for longer than a day.
+    latest_s, shortest_s : whoever writes fractions writes seconds; other units are plausible, too, where
+        these would be more than one apart, or count more than a week (GPS) and give no date, or where
+        another unit makes a flight of at least this time.
     """
     step = _step(times)
     if step == 0.0:
@@ -99,17 +104,22 @@ def plausible_units(
     dated = []
     for unit in GUESSED:
         size = TIME_UNITS_NS[unit] / 1e9
-        if step * size < fastest_s or span * size > longest_s:
+        is_date = YEARS_S[0] <= float(np.median(times)) * size <= YEARS_S[1]
+        is_fast = step * size < fastest_s and not is_date
+        if is_fast or span * size > longest_s or float(np.abs(times).max()) * size > YEARS_S[1]:
             continue
         if step * size <= slowest_s:
             usual.append(unit)
-        if YEARS_S[0] <= float(np.median(times)) * size <= YEARS_S[1]:
+        if is_date:
             dated.append(unit)
     both = [unit for unit in usual if unit in dated]
     if both:
         return both
-    if (times % 1).any():  # whoever writes fractions writes seconds, unless these are too far apart
-        return ["s"] if step <= slowest_s else list(dict.fromkeys(["s", *usual]))
+    if (times % 1).any():
+        is_clock = "s" in dated or float(np.abs(times).max()) <= latest_s
+        flights = [unit for unit in usual if unit != "s" and span * TIME_UNITS_NS[unit] / 1e9 >= shortest_s]
+        is_usual = step <= 1.0 and is_clock and not flights
+        return ["s"] if is_usual else list(dict.fromkeys(["s", *usual]))
     return [unit for unit in GUESSED if unit in usual or unit in dated]
 
 

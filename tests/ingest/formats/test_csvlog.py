@@ -191,6 +191,33 @@ def test_a_time_that_may_be_in_two_units_is_asked_for(
         assert told.info["time"] == f"t in {unit}, as told"
 
 
+@pytest.mark.parametrize(
+    ("first", "step", "rows"),
+    [(0.25, 2.5, 40), (4_111_811.25, 0.5, 40), (0.0, 0.5, 2500), (0.0, 0.125, 9000)],
+)
+def test_fractions_that_may_well_be_milliseconds_are_asked_for(first: float, step: float, rows: int) -> None:
+    """Before, 2.5, 5.0, 7.5 of a log at 400 Hz counted as seconds; so did an uptime of an hour in ms."""
+    text = "time,x\n" + "".join(f"{first + step * k},{k}\n" for k in range(rows))
+    with pytest.raises(FormatError, match="more than one is plausible") as told:
+        read(text)
+    assert told.value.hint is not None
+    assert told.value.hint.startswith("--time-unit s or --time-unit ms")
+    assert seconds(read(text, time_unit="ms"))[-1] == pytest.approx((first + step * (rows - 1)) / 1e3)
+
+
+def test_dates_tell_the_unit_however_fast_rows_follow() -> None:
+    """At 10 kHz they were read as milliseconds of a year that no clock has, and every row was lost."""
+    times = [1_707_286_951_554_538 + 100 * k for k in range(9)]
+    flight = read("timestamp,x\n" + "".join(f"{us},{k}\n" for k, us in enumerate(times)))
+    assert flight["table"]["time_ns"].to_pylist() == [1000 * us for us in times]
+
+
+@pytest.mark.parametrize(("step", "rows"), [(0.5, 40), (0.2, 900), (0.1, 20_000)])
+def test_fractions_are_seconds_else(step: float, rows: int) -> None:
+    text = "time,x\n" + "".join(f"{step * k:.6f},{k}\n" for k in range(rows))
+    assert seconds(read(text))[-1] == pytest.approx(step * (rows - 1))
+
+
 def test_a_unit_that_is_stated_outweighs_what_is_told() -> None:
     assert seconds(read("time_ms,u\n0,1\n1,2\n", time_unit="s")) == [0.0, 0.001]
     with pytest.raises(UsageError, match="no unit of time 'day'"):
