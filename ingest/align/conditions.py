@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from flysid.errors import RecipeError
 from flysid.flight import BOOT, TIME
+from flysid.flightwriter import int_values
 from flysid.ingest.align import resample
 from flysid.ingest.align.allowed import Allowed
 from flysid.ingest.align.recipe import Condition
@@ -82,8 +83,8 @@ def _spans(condition: Condition, log: Log) -> tuple[dict[int, list[Span]], str]:
     table = log.table(stream, [TIME, BOOT, base_column(column, log.columns(stream))])
     values = single_values(table, column, f"condition {condition.name!r}")
     names = names_of(table, stream, column, log.info)
-    boots = np.asarray(table[BOOT].to_numpy())
-    t_ns = np.asarray(table[TIME].to_numpy())
+    boots = int_values(table[BOOT])
+    t_ns = int_values(table[TIME])
     spans = {}
     for boot in np.unique(boots).tolist():
         rows = np.flatnonzero(boots == boot)
