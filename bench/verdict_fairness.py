@@ -117,7 +117,7 @@ def nonlinear_plant(rng: np.random.Generator, perfect: float = 0.8) -> Plant:
     """Saturating or dead-banded input, or drag; noise so that a perfect model has `perfect` the error."""
     kind = str(rng.choice(["saturation", "dead band", "drag"]))
     while True:
-        plant = Plant(kind, _nonlinear(kind, rng), 0.0, 0.0)
+        plant = Plant(kind, nonlinear_dynamics(kind, rng), 0.0, 0.0)
         train = flights(plant, TRAIN, rng, "t")
         test = flights(plant, TEST, rng, "h")
         error = compare([ARX().fit(train)], test, horizons=[FREE_RUN]).entry().models["arx"].scores
@@ -127,7 +127,7 @@ def nonlinear_plant(rng: np.random.Generator, perfect: float = 0.8) -> Plant:
     return Plant(kind, plant.respond, error.rmse * perfect / float(np.sqrt(1.0 - perfect**2)), 0.0)
 
 
-def _nonlinear(kind: str, rng: np.random.Generator) -> Callable[[FloatArray], FloatArray]:
+def nonlinear_dynamics(kind: str, rng: np.random.Generator) -> Callable[[FloatArray], FloatArray]:
     dynamics = linear_dynamics(rng)
     size = rng.uniform(0.3, 0.8)
     if kind == "saturation":

@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from flysid.dataset import Dataset, FloatArray, Signal
 from flysid.errors import DataError, UsageError
-from flysid.model.feedback import answer_lags, is_closed, later_inputs
+from flysid.feedback import feedback
 from flysid.model.fir import centred_gram, posterior_of
 from flysid.model.low_order_response import averaged_posterior
 from flysid.model.noise import noise_model
@@ -186,6 +186,7 @@ def step_response(
     """
     if not horizon_s > 0.0:
         raise UsageError(f"horizon_s must be positive, not {horizon_s}")
+    _check_loop(data, output)
     factor = max(int(np.ceil(horizon_s / data.dt_s / most_taps)), 1)
     dt_s = factor * data.dt_s
     taps = max(round(horizon_s / dt_s), 2)
@@ -208,7 +209,6 @@ def step_response(
         d, _ = noise_model(_runs(errors, masks, taps))
     gram, rows = _gram(records, masks, d, taps)
     posterior = averaged_posterior(centred_gram(gram), rows, shape)
-    _check_loop(errors, [u[taps - 1 :] for u, _ in records], dt_s, data, output)
     own = slice(source * taps, (source + 1) * taps)
     unit = scale[-1] / scale[source]
     total = np.tril(np.ones((taps, taps)))
@@ -324,15 +324,10 @@ def _runs(errors: Sequence[FloatArray], masks: Sequence[BoolArray], taps: int) -
     return found
 
 
-def _check_loop(
-    errors: Sequence[FloatArray], inputs: Sequence[FloatArray], dt_s: float, data: Dataset, output: int
-) -> None:
-    lags = answer_lags(dt_s)
-    p, share = later_inputs(errors, inputs, lags)
-    if is_closed(p, share):
-        names = " and ".join(s.name for s in data.inputs)
+def _check_loop(data: Dataset, output: int) -> None:
+    found = feedback(data)[output]
+    if found.closed:
         raise DataError(
-            f"loop: not a step response. {names} reacts to {data.outputs[output].name}: {100 * share:.0f} % "
-            f"of what no past input explains appears in the input within {lags * dt_s:.2g} s after",
+            f"loop: not a step response. {found.seen}",
             hint="take the command that the pilot gives as input, or fly without the outer loop",
         )

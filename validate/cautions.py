@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 
+from flysid.feedback import BIASED, REMEDY
 from flysid.ingest.align.doubts import Doubt
-from flysid.model.feedback import BIASED, REMEDY
 from flysid.validate.caution import Caution, Comparisons, Diagnoses, heads, join
 from flysid.validate.caution_data import in_the_data
 from flysid.validate.caution_models import (
@@ -268,7 +268,7 @@ def _is_few(pair: Pair) -> bool:
 
 
 def _feedback(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterator[Caution]:
-    """The test is the fit's own, `flysid.model.feedback`."""
+    """The test is the fit's own, `flysid.feedback`."""
     del comparisons
     said = list(dict.fromkeys(loop.seen for d in diagnoses.values() for loop in d.loops if loop.closed))
     if said:

@@ -10,11 +10,11 @@ from typing import Generic, TypeVar
 
 from flysid.dataset import Dataset
 from flysid.datasetfile import DatasetFile
+from flysid.feedback import feedback
 from flysid.files import slug
 from flysid.ingest.align.doubts import Doubt
 from flysid.ingest.excitation.dead_time import DeadTime
 from flysid.model.base import Fitted
-from flysid.model.feedback import feedback
 from flysid.model.linear_choice import BaselineChoice
 from flysid.model.nonlinearity import nonlinearity
 from flysid.progress import part, tell
@@ -99,7 +99,7 @@ class ChannelJob(Generic[D]):
         Parameters
         ----------
         choice : of the baseline, one of `fits.models`.
-        seen : training samples, on which a loop around the baseline is looked for.
+        seen : training samples, in which a loop is looked for.
         late : dead times found in training.
         """
         baseline = fits.models[choice.label]
@@ -112,7 +112,7 @@ class ChannelJob(Generic[D]):
             failed=fits.failed,
             doubts=self.doubts,
             dead_times=tuple(d.words for d in late),
-            loops=tuple(f.words for f in feedback(baseline, seen) if f.closed),
+            loops=tuple(f.words for f in feedback(seen) if f.closed),
             nonlinear=_nonlinear(baseline, seen),
             baseline=choice.label,
             chosen=choice.words,

@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from flysid.dataset import Dataset, FloatArray, Signal
+from flysid.feedback import Feedback, feedback
 from flysid.model.base import Fitted
-from flysid.model.feedback import Feedback, feedback
 from flysid.model.nonlinearity import Nonlinearity, nonlinearity
 from flysid.validate.checks import Checks, check
 from flysid.validate.comparison import Comparison
@@ -124,7 +124,7 @@ def diagnose(comparison: Comparison, train: Dataset | None = None) -> Diagnosis:
         checks={n: check(model, test, train) for n, model in headline.items()},
         changes=tuple(_changes(test, i) for i in range(len(test.inputs))),
         free_runs=free,
-        loops=() if train is None else feedback(models[comparison.baseline], train),
+        loops=() if train is None else feedback(train),
         nonlinear=() if train is None else nonlinearity(models[comparison.baseline], train),
         near=None if train is None else nearness(train, test, max(1, comparison.lags)),
         steps={"1": one} | {h: run_trials(headline, test, h) for h in further},

@@ -112,7 +112,7 @@ class ChannelRun:
     chosen : how the baseline was chosen, one sentence.
     doubts : reasons in the data not to trust any model of it.
     dead_times : what was found of the pairs' dead times and handed to the models, one sentence each.
-    loops : where a loop is closed around the baseline's free run, one sentence per output.
+    loops : where a loop is closed, one sentence per output.
     nonlinear : what share of each output does not follow the inputs linearly, one sentence per output.
     on_disk : fitted from disk; the split is of a dataset file (`flysid.validate.diskparts`).
     folds : where all flights were left out in turn: the split and the models of every turn.

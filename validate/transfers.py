@@ -14,11 +14,11 @@ import numpy as np
 
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, FitError, RecipeError, UsageError
+from flysid.feedback import Feedback, feedback
 from flysid.ingest.align.quick import driven_by
 from flysid.ingest.align.recipe import load_recipe
 from flysid.ingest.lake.lake import Lake
 from flysid.model.detrend import Trend
-from flysid.model.feedback import Feedback, feedback
 from flysid.model.frequency.controller_inverse import LoopView, view_loop
 from flysid.model.frequency.loop_figures import LoopFigure, broken_loop, command_figures, loop_figures
 from flysid.model.frequency.response import MeasuredResponse, measure_response, split_references
@@ -332,7 +332,7 @@ def identify_channel(name: str, data: Dataset, estimator: TF, reference_at: str 
         y = np.concatenate([t.y[:, j] for t in trials]) if trials else np.zeros(0)
         yh = np.concatenate([t.yh["tf"][:, j] for t in trials]) if trials else np.zeros(0)
         fits.append(scores(y, yh).fit_pct if len(y) else None)
-    loops = feedback(model, data) if model.is_stable and not references else ()
+    loops = () if references else feedback(data)
     names = tuple(data.inputs[j].name for j in references)
     views = tuple(
         None if references or seen is None else view_loop(data, i, seen) for i, seen in enumerate(measured)

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 HEADINGS = ("FLIGHT", "CHANNEL", "INPUT", "TIME", "RATE", "COH.", "BAND, Hz", "DEAD TIME, ms")
 ORDER = ("good", "closed loop", "weak", "too slow", "too short", "too quiet", "excluded")
 USABLE = ("good", "closed loop", "weak")
+NEXT = {"good": "fit", "closed loop": "tf"}
 COHERENCE = "COH.: coherence, the share of the output's power that a linear model of the input can explain"
 LOOP = "loop: the input reacts to the output (a pilot or controller); see docs/recipes.md on closed loops"
 OPEN = "?: the data do not determine it"
@@ -93,21 +94,27 @@ def unusable(
 
 
 def next_command(found: Sequence[Suggestion], data: str, vehicles: Mapping[str, str]) -> str:
-    """What to run next: the recipe with most that is good, and its good channels, of one vehicle."""
+    """What to run next: the recipe with most that is good, and its good channels, of one vehicle.
+
+    Where all that would be good was flown in closed loop, `flysid tf` tells what of it is the vehicle's.
+    """
     if not found:
         listed = f"'flysid show {data} --fields' lists them"
         return f"next: flysid fit {data} --from FIELD --to FIELD -o run; {listed}"
-    good = [s for s in found if s.verdict == "good"]
-    if not good:
+    verb, best = next(
+        ((verb, best) for best, verb in NEXT.items() if any(s.verdict == best for s in found)), ("", "")
+    )
+    if not verb:
         return f"next: fly or log what is asked for above; to look at this flight: flysid plot {data}"
-    vehicle = Counter(vehicles.get(s.flight, "") for s in good).most_common(1)[0][0]
+    chosen = [s for s in found if s.verdict == best]
+    vehicle = Counter(vehicles.get(s.flight, "") for s in chosen).most_common(1)[0][0]
     own = [s for s in found if vehicles.get(s.flight, "") == vehicle]
-    recipe = Counter(s.recipe for s in own if s.verdict == "good").most_common(1)[0][0]
-    channels = dict.fromkeys(s.channel for s in own if s.recipe == recipe and s.verdict == "good")
+    recipe = Counter(s.recipe for s in own if s.verdict == best).most_common(1)[0][0]
+    channels = dict.fromkeys(s.channel for s in own if s.recipe == recipe and s.verdict == best)
     rest = {s.channel for s in own if s.recipe == recipe} - channels.keys()
     words = "".join(f" -c {channel}" for channel in channels) if rest else ""
     words += f" --vehicle {shlex.quote(vehicle)}" if vehicle else ""
-    return f"next: flysid fit {data} --recipe {recipe}{words} -o run"
+    return f"next: flysid {verb} {data} --recipe {recipe}{words}" + (" -o run" if verb == "fit" else "")
 
 
 def row(found: Suggestion, flight: str) -> tuple[str, ...]:

@@ -49,11 +49,10 @@ class DeadTime:
         found = f"{pair}: {1e3 * self.delay.delay_s:.0f} ms [{low:.0f}, {high:.0f}]"
         if self.reason:
             return f"{found}, not used: {self.reason}"
-        loop = ", in a closed loop" if self.delay.feedback else ""
         floor = f", and rules none below {self.least}" if self.least else ""
         if self.delay.nk < LATE:
-            return f"{found}{loop}: within the delays that every model tries"
-        return f"{found}{loop}; the models also try nk = {self.delay.nk}{floor}"
+            return f"{found}: within the delays that every model tries"
+        return f"{found}; the models also try nk = {self.delay.nk}{floor}"
 
     @property
     def least(self) -> int:

@@ -8,6 +8,7 @@ from typing import Any, Literal
 
 from flysid.dataset import Dataset
 from flysid.errors import DataError, RecipeError
+from flysid.feedback import Feedback, feedback
 from flysid.ingest.align.align import align
 from flysid.ingest.align.recipe import ChannelSpec, Recipe, load_recipe, shipped_recipes
 from flysid.ingest.align.signals import Log, find_source
@@ -42,8 +43,8 @@ class Suggestion:
     band_hz : where the coherence counts: outside, a model must not be trusted.
     delay_s, delay_low_s, delay_high_s : dead time and what cannot be told from it; None where unknown.
     sign : +1 where the output follows the input, -1 where it goes against it, 0 where unknown (see `Delay`).
-    feedback : the input answers the output (a pilot or controller): open-loop methods are biased.
-    verdict, advice : in words; "closed loop" would be good, were there no loop that a reference drives.
+    feedback : inputs of the channel answer the output (a pilot or controller): open-loop methods are biased.
+    verdict, advice : in words; "closed loop" would be good, were there no loop.
     """
 
     flight: str
@@ -105,8 +106,9 @@ def _suggest_channel(log: Log, recipe: Recipe, channel: str) -> list[Suggestion]
     notes = tuple(note for flight in aligned.report.flights for note in flight.notes)
     data = aligned.dataset
     found: list[Suggestion] = []
-    for j in range(len(spec.outputs)):
-        pairs = [_assess(data, spec, log.name, recipe.name, (i, j), notes) for i in range(len(spec.inputs))]
+    for j, loop in enumerate(feedback(data)):
+        told = recipe.name, notes, loop
+        pairs = [_assess(data, spec, log.name, told, (i, j)) for i in range(len(spec.inputs))]
         found.append(max(pairs, key=lambda s: s.coherence))
     return found
 
@@ -128,17 +130,24 @@ def _refused(log: Log, recipe: Recipe, channel: str, error: DataError | RecipeEr
 
 
 def _assess(
-    data: Dataset, spec: ChannelSpec, flight: str, recipe: str, pair: tuple[int, int], notes: tuple[str, ...]
+    data: Dataset,
+    spec: ChannelSpec,
+    flight: str,
+    told: tuple[str, tuple[str, ...], Feedback],
+    pair: tuple[int, int],
 ) -> Suggestion:
+    """One pair of input and output; `told`: the recipe's name, notes, whether the output is answered."""
+    recipe, notes, loop = told
     column, output = pair
     moves = excitation(data, column)
     seen = spectrum(data, column, output)
     delay = _delay(data, column, output)
     coherence = share_explained(moves, seen)
     verdict, advice = _verdict(data, spec, column, moves, seen)
-    if verdict == "good" and spec.reference and data.inputs[column].name not in spec.reference:
+    through = [name for name in spec.reference if name != data.inputs[column].name]
+    if verdict == "good" and (loop.closed or through):
         verdict = "closed loop"
-        advice = _through(spec.reference, advice)
+        advice = "; ".join(filter(None, (_through(through), advice)))
     return Suggestion(
         flight=flight,
         recipe=recipe,
@@ -157,16 +166,16 @@ def _assess(
         delay_low_s=None if delay is None else delay.low_s,
         delay_high_s=None if delay is None else delay.high_s,
         sign=0 if delay is None else delay.sign,
-        feedback=delay is not None and delay.feedback,
+        feedback=loop.closed,
         notes=notes,
     )
 
 
-def _through(reference: Sequence[str], short: str) -> str:
-    """What to do with a pair inside a loop, whose input answers its output."""
-    names = " ".join(f"--reference {name}" for name in reference)
-    words = f"recorded in closed loop, which biases a fit: flysid tf DATA {names}"
-    return f"{words}; {short}" if short else words
+def _through(reference: Sequence[str]) -> str:
+    """What to do with a pair inside a loop; `reference` drives it, if known."""
+    names = "".join(f" --reference {name}" for name in reference)
+    shows = "" if names else " shows where the response is the vehicle's"
+    return f"recorded in closed loop, which biases a fit: flysid tf DATA{names}{shows}"
 
 
 def _delay(data: Dataset, column: int, output: int) -> Delay | None:

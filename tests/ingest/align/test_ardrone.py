@@ -112,7 +112,7 @@ def test_the_real_flight_shows_the_sign_and_no_dead_time_between_tilt_and_veloci
     found = {s.channel: s for s in suggest([FlightLog(flight)], ["ardrone-inner"])}
     assert set(found) == {"tilt_longitudinal", "tilt_lateral"}
     for suggestion in found.values():
-        assert suggestion.verdict == "good"
+        assert suggestion.verdict == "closed loop"  # a position controller flew
         assert suggestion.sign == 1
         assert suggestion.feedback
         assert suggestion.delay_s is not None

@@ -1,0 +1,157 @@
+"""Is a loop closed around a channel? Does the input answer what no past sample could foretell?
+
+The test of Sims (1972, American Economic Review 62; Caines & Chan, 1975, IEEE Trans. Automatic Control 20):
+an output is regressed on its own past and on past and present inputs, with and without the inputs of the next
+second. In open loop later inputs explain nothing, whatever the input looks like; an F test tells. Where a
+pilot or a controller answers the output, later inputs hold what was new in it. Long regressions stand for any
+plant and any colour of the noise (Ljung, 1999, 13.4); what they miss of a nonlinear plant can fake a little,
+so that a share of the variance is asked for too.
+
+The very next input counts as known: a vehicle moves between the samples of a log, too, and the next sample
+helps to tell what its input did there. So a controller of no memory that answers within a sample goes unseen.
+Of faster logs samples 20 ms apart are taken: a pilot and an outer loop need longer.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from flysid.dataset import Dataset, FloatArray
+
+BIASED = "Free-run fits (OE, TF, refined ARX) may be biased"
+REMEDY = (
+    "compare with ARMAX or BJ (prediction error), or IV with the reference as instrument, or excite the "
+    "command far above the controller's own activity"
+)
+ORDER = 20
+"""Past samples that the regression knows."""
+GRID_S = 0.02
+"""Samples are not taken closer together."""
+MOST_ROWS = 50_000
+"""Rows of the regression; more take memory and tell nothing new."""
+_ROUNDING = 1e-18
+"""Share of the variance below which what is left over is rounding."""
+
+
+@dataclass(frozen=True)
+class Feedback:
+    """Whether the inputs answer one output.
+
+    Attributes
+    ----------
+    p_value : of the F test; 1 where there are too few samples.
+    share : what later inputs explain of the output's variance that nothing before did.
+    look_s : how far ahead the later inputs were.
+    """
+
+    output: str
+    inputs: tuple[str, ...]
+    p_value: float
+    share: float
+    look_s: float
+
+    @property
+    def closed(self) -> bool:
+        """A loop is closed, beyond doubt and by a margin that matters."""
+        return self.p_value < 1e-4 and self.share > 0.02
+
+    @property
+    def seen(self) -> str:
+        """What was seen; "" in open loop."""
+        if not self.closed:
+            return ""
+        return (
+            f"{' and '.join(self.inputs)} react{'s' if len(self.inputs) == 1 else ''} to {self.output}: "
+            f"within {self.look_s:.2g} s after, {100 * self.share:.0f} % of what could not be predicted "
+            "appears in the input, so a loop is closed around it."
+        )
+
+    @property
+    def words(self) -> str:
+        """What was seen and what to do; "" in open loop."""
+        return f"{self.seen} {BIASED}: {REMEDY}." if self.closed else ""
+
+
+def feedback(data: Dataset) -> tuple[Feedback, ...]:
+    """One answer per output. Segments too short for the test are left out.
+
+    Examples
+    --------
+    >>> feedback(train)[0].closed  # train: see `flysid.Dataset`
+    False
+    """
+    every = max(int(GRID_S / data.dt_s + 1e-6), 1)
+    dt_s = every * data.dt_s
+    lags = _look_ahead(dt_s)
+    names = tuple(s.name for s in data.inputs)
+    found = []
+    for j, output in enumerate(data.outputs):
+        p, share = _later_inputs(_scaled(data, j, every, ORDER + 6 * lags), lags)
+        found.append(Feedback(output.name, names, p, share, lags * dt_s))
+    return tuple(found)
+
+
+def _look_ahead(dt_s: float, *, look_s: float = 1.0, fewest: int = 5, most: int = 25) -> int:
+    """How many samples ahead an answer is looked for."""
+    return int(np.clip(round(look_s / dt_s), fewest, most))
+
+
+def _later_inputs(signals: list[tuple[FloatArray, FloatArray]], lags: int) -> tuple[float, float]:
+    """(p of the F test, share of the variance) of later inputs in what an output's past does not tell."""
+    from scipy.special import fdtrc
+
+    rows = [_rows(y, u, lags) for y, u in signals]
+    if not rows:
+        return 1.0, 0.0
+    target, before, after = (np.concatenate(parts)[:MOST_ROWS] for parts in zip(*rows, strict=True))
+    known, kept = _basis(before)
+    rest = target - known @ (known.T @ target)
+    extra, added = _basis(after - known @ (known.T @ after), float(np.linalg.norm(after)))
+    gain = float(np.sum((extra.T @ rest) ** 2))
+    total = float(rest @ rest)
+    freedom = len(target) - kept - added
+    if freedom < 2 * lags or not added or not total > _ROUNDING * len(target):
+        return 1.0, 0.0
+    ratio = (gain / added) / max((total - gain) / freedom, 1e-300)
+    # what chance explains on average is taken off the share
+    share = max(gain / total - added / (freedom + added), 0.0)
+    return float(fdtrc(added, freedom, ratio)), share
+
+
+def _scaled(data: Dataset, output: int, every: int, fewest: int) -> list[tuple[FloatArray, FloatArray]]:
+    """(N,) output and (N, n_u) inputs of segments of at least `fewest` rows, of mean 0 and variance 1.
+
+    As many as rows are kept, of one sample in `every`.
+    """
+    parts = []
+    left = MOST_ROWS
+    for s in data.segments:
+        part = np.column_stack([s.y[::every, output], s.u[::every]])
+        if len(part) >= fewest and left > 0:
+            parts.append(part)
+            left -= len(part)
+    if not parts:
+        return []
+    signals = np.concatenate(parts)
+    spread = signals.std(axis=0)
+    scaled = [(part - signals.mean(axis=0)) / np.where(spread > 0.0, spread, 1.0) for part in parts]
+    return [(part[:, 0], part[:, 1:]) for part in scaled]
+
+
+def _rows(y: FloatArray, u: FloatArray, lags: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Output, what is known of it (a constant, its past, inputs up to the next sample), later inputs."""
+    at = np.arange(ORDER, len(y) - lags)
+    past = np.stack([y[at - k] for k in range(1, ORDER + 1)], axis=1)
+    driven = np.hstack([u[at - k] for k in range(-1, ORDER + 1)])
+    later = np.hstack([u[at + k] for k in range(2, lags + 1)])
+    return y[at], np.column_stack([np.ones(len(at)), past, driven]), later
+
+
+def _basis(columns: FloatArray, size: float | None = None) -> tuple[FloatArray, int]:
+    """Orthonormal basis of the columns' range, and its dimension; directions below 1e-6 do not count."""
+    q, r = np.linalg.qr(columns)  # first, as columns are long: of the triangle the decomposition is cheap
+    left, sigma, _ = np.linalg.svd(r, full_matrices=False)
+    rank = int(np.count_nonzero(sigma > 1e-6 * (sigma[0] if size is None else size)))
+    return q @ left[:, :rank], rank
