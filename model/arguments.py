@@ -20,7 +20,7 @@ def as_columns(values: FloatArray, count: int, name: str) -> FloatArray:
     try:
         array = np.asarray(values, dtype=np.float64)
     except (TypeError, ValueError) as error:
-        raise UsageError(f"{name} is no array of numbers") from error
+        raise UsageError(f"{name} is not an array of numbers") from error
     if array.ndim == 1:
         array = array[:, None]
     if array.ndim != 2 or array.shape[1] != count:

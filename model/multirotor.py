@@ -258,7 +258,7 @@ class FittedMultirotor(FreeRuns):
         if self.battery is None:
             raise UsageError("no input is in volts", hint="fit with the battery's voltage among the inputs")
         if not volts > 0.0:
-            raise UsageError(f"a battery of {volts:g} V")
+            raise UsageError(f"the battery's voltage must be above 0 V, not {volts:g} V")
         axis = self.axes[output]
         far = math.log(volts / float(self.u_mean[self.battery]))
         ratio = math.exp(-float(axis.theta[-1]) * far)

@@ -20,7 +20,7 @@ CHEAP_PCT = 2.0
 
 
 def useless(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterator[Caution]:
-    """Models of the headline that a reference or a static line beats in free run; every reference once."""
+    """Models of the headline that a reference or a static line beats in free run: the simplest that does."""
     del diagnoses
     said: dict[str, list[str]] = {"mean": [], "persistence": [], "line": []}
     for channel, c in comparisons.items():
@@ -33,6 +33,7 @@ def useless(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterator[Caution]
                 beaten = _beaten_by(kind, entry, c)
                 if beaten:
                     found.append(f"{one_line(name)} (RMSE: {beaten})")
+                    break
     yield from (_nothing_learnt(kind, join(found)) for kind, found in said.items() if found)
 
 
@@ -55,16 +56,16 @@ def _nothing_learnt(kind: str, where: str) -> Caution:
     if kind == "line":
         return Caution(
             "warning",
-            f"In free run {called[kind]} is as good on {where} as a model: the data show no dynamics.",
+            f"In free run the model is no better than {called[kind]} on {where}: the data show no dynamics.",
             "use the line, or fly manoeuvres that excite the dynamics.",
             3.6,
         )
     return Caution(
         "danger",
-        f"In free run {called[kind]} is as good on {where} as a model: what was learnt does not hold on "
-        "these flights.",
-        "do not use them; check the recipe's signals and units, the excitation, and what else moves the "
-        "output.",
+        f"In free run the model is no better than {called[kind]} on {where}: what was learnt does not hold "
+        "on these flights.",
+        "do not use this model; check the recipe's signals and units, the excitation, and what else moves "
+        "the output.",
         9.0 if kind == "mean" else 8.0,
     )
 
@@ -162,12 +163,17 @@ def runs_away(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterator[Cautio
         ends = {n: c.robustness.limits_s for n, c in d.checks.items() if not judged[n].diverged}
         for at in dict.fromkeys(t for t in ends.values() if t is not None):
             names = [n for n, end in ends.items() if end == at]  # several are one model under two names
-            reaches = "reaches its output limits" if len(names) == 1 else "reach their output limits"
+            one = len(names) == 1
+            reaches = "reaches its output limits" if one else "reach their output limits"
+            fewer = (
+                "fewer rules or " if any(comparisons[channel].models[n].n_rules > 1 for n in names) else ""
+            )
             yield Caution(
                 "warning",
                 f"In a long free run under random steps within the training range {named(names)} {reaches} "
                 f"on {one_line(channel)}, first at t = {at:.1f} s.",
-                "do not use it for long simulations or for control; use fewer rules or a lower order.",
+                f"do not use {'it' if one else 'them'} for long simulations or for control; "
+                f"use {fewer}a lower order.",
                 4.5,
             )
 

@@ -104,17 +104,26 @@ def _diverged(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterator[Cautio
 
 
 def _unstable(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterator[Caution]:
-    worst = [
-        f"{channel} ({name.upper()}, largest pole radius {radius:.4f})"
-        for channel, d in diagnoses.items()
-        for name, radius in d.pole_radius.items()
-        if radius > 1.0 + 1e-6 and name in comparisons[channel].models
-    ]
-    if worst:
+    local: list[str] = []
+    linear: list[str] = []
+    for channel, d in diagnoses.items():
+        for name, radius in d.pole_radius.items():
+            info = comparisons[channel].models.get(name)
+            if info is not None and radius > 1.0 + 1e-6:
+                said = f"{channel} ({name.upper()}, largest pole radius {radius:.4f})"
+                (local if info.n_rules > 1 else linear).append(said)
+    if local:
         yield Caution(
             "warning",
-            f"A local model is unstable by itself (a pole outside the unit circle) on {join(worst)}.",
+            f"A local model is unstable by itself (a pole outside the unit circle) on {join(local)}.",
             "check long simulations: the neighbouring rules may or may not stabilise it.",
+            5.0,
+        )
+    if linear:
+        yield Caution(
+            "warning",
+            f"A model is unstable for small motions (a pole outside the unit circle) on {join(linear)}.",
+            "do not use it for long simulations; fit with a lower order.",
             5.0,
         )
 

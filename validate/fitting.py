@@ -129,7 +129,7 @@ def _check_models(settings: FitSettings, known: Collection[str]) -> None:
         if label != given and label != "structured":
             raise UsageError(f"{label} takes no file", hint="structured:FILE does")
     if settings.labels.count("structured") > 1:
-        raise UsageError("one structured model a run", hint="fit the other into a run of its own")
+        raise UsageError("a run takes one structured model", hint="fit the other into a run of its own")
 
 
 def _structure_file(settings: FitSettings) -> str | None:

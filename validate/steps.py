@@ -118,7 +118,7 @@ def commanded_by_sticks(data: Dataset, modes: Sequence[str]) -> tuple[Dataset, t
         names = " and ".join(s.name for s in data.inputs)
         raise DataError(
             f"loop: not a step response. In {' and '.join(flown)} no stick commands {names}: a loop around "
-            "velocity or position does, which answers the vehicle",
+            "velocity or position does, which reacts to the vehicle",
             hint="fly in a mode in which the stick is an angle or a rate, e.g. " + " or ".join(modes[:2]),
         )
     return data.with_segments(kept), tuple(flown)

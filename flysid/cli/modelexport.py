@@ -47,7 +47,7 @@ class Found:
 
         if self.run is None or self.channel is None:
             raise UsageError(
-                "a model file does not tell its training data, and float32 is tried on them",
+                "a model file does not say what it was trained on, and float32 is tried on that",
                 hint="give the run's folder, or leave out --float32",
             )
         return held_out(replace(self.run, channels=(self.channel,)), data)[0].train

@@ -242,7 +242,7 @@ def read_parameters(path: Path) -> dict[str, float]:
 
     Raises
     ------
-    UsageError : no such file. DataError : a line is no parameter, or a name stands twice with two values.
+    UsageError : no such file. DataError : a line is not a parameter, or a name stands twice with two values.
     """
     try:
         text = path.read_text("utf-8")
@@ -259,7 +259,7 @@ def read_parameters(path: Path) -> dict[str, float]:
             name, value = words[0], float(words[1])
         except (IndexError, ValueError):
             raise DataError(
-                f"line {number} is no parameter: {line[:60]!r}", path=path, hint="one NAME VALUE a line"
+                f"line {number} is not a parameter: {line[:60]!r}", path=path, hint="one NAME VALUE a line"
             ) from None
         if found.setdefault(name, value) != value:
             raise DataError(f"{name} stands twice, with two values", path=path)

@@ -81,7 +81,7 @@ def identified(item: HeldOut, limit: float | None) -> Identified:
 def _check_units(train: Dataset) -> None:
     if len(train.inputs) != 1 or len(train.outputs) != 1:
         raise DataError(
-            f"{len(train.inputs)} inputs and {len(train.outputs)} outputs are no single loop",
+            f"{len(train.inputs)} inputs and {len(train.outputs)} outputs are not a single loop",
             hint="choose a channel from one tilt to one velocity",
         )
     if train.outputs[0].unit != SPEED:

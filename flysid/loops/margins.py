@@ -116,7 +116,7 @@ def margins(loop: Loop, controller: Controller) -> Margins:
     one, more = (np.array(_figures(f, g, back, forward)) for g in (centre, other))
     if np.isnan(one[0]):
         raise DataError(
-            f"the loop's gain is not one between {low:.0f} and {high:.0f} Hz, the band in which "
+            f"the loop's gain does not pass 1 between {low:.0f} and {high:.0f} Hz, the band in which "
             "the plant is known",
             hint="fly quicker stick movements: steps and flicks, on this axis",
         )

@@ -35,7 +35,9 @@ def bring(source: str, like: Like, starts: Sequence[str] = ()) -> Fitted:
     if path.suffix.lower() == ".fmu":
         return fmu_model(path, like, starts)
     if starts:
-        raise UsageError(f"{source} is no FMU, to have a variable to start from", hint="leave out --start")
+        raise UsageError(
+            f"{source} is not an FMU and has no variable to start from", hint="leave out --start"
+        )
     if not path.exists() and FUNCTION.fullmatch(source):
         return function_model(source, like)
     fields = read_stored(path)
@@ -67,7 +69,9 @@ def brought(
     for text in starts:
         label, _, variable = text.partition("=")
         if label not in labels or not variable:
-            raise UsageError(f"{text!r} is a start of no model", hint="LABEL=VARIABLE, LABEL as in --with")
+            raise UsageError(
+                f"{text!r} is not the start of any model", hint="LABEL=VARIABLE, LABEL as in --with"
+            )
         begins.setdefault(label, []).append(variable)
     found: dict[str, dict[str, Fitted]] = {}
     for text in wanted:

@@ -80,7 +80,7 @@ class _Parts:
         try:
             array = np.asarray(value, dtype=np.float64)
         except (TypeError, ValueError) as error:
-            raise UsageError(f"the model's {name!r} is no array of real numbers") from error
+            raise UsageError(f"the model's {name!r} is not an array of real numbers") from error
         if not np.isfinite(array).all():
             raise UsageError(f"the model's {name!r} holds values that are not finite")
         return array

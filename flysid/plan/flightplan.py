@@ -182,7 +182,7 @@ def _check(
     if not all(map(math.isfinite, (low, high, seconds, rate_hz))) or not 0.0 < low < high:
         raise UsageError(f"no band: {low:g} to {high:g} Hz", hint="lowest and highest frequency, above zero")
     if seconds <= 0.0 or rate_hz <= 0.0:
-        raise UsageError(f"{seconds:g} s at {rate_hz:g} Hz is no flight")
+        raise UsageError(f"{seconds:g} s at {rate_hz:g} Hz is not a flight")
     if high >= 0.5 * rate_hz:
         raise UsageError(
             f"the band goes to {high:g} Hz; {rate_hz:g} rows a second show less than {0.5 * rate_hz:g} Hz",

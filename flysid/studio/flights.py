@@ -144,7 +144,7 @@ class Flights:
             entry = manifest.stream(stream)
             units = {known: column.unit for column in entry.columns for known in drawable(column)}
         if field not in units:
-            raise UsageError(f"no number {field!r} in {stream!r}", path=manifest.id)
+            raise UsageError(f"no numeric field {field!r} in {stream!r}", path=manifest.id)
         return units[field]
 
     def _curve(self, flight: str, name: str) -> tuple[TimeAxis, Pyramid]:

@@ -361,7 +361,7 @@ def _stated_times(source: Source, table: pa.Table) -> FloatArray:
     """(N,) what the source's own time column says, NaN where it says nothing."""
     values = single_values(table, source.time, "'time'")
     if values.dtype.kind not in "fiu":
-        raise RecipeError(f"{source.stream}.{source.time} does not hold numbers, so no times")
+        raise RecipeError(f"{source.stream}.{source.time} does not hold numbers and so cannot be the times")
     return values.astype(np.float64)
 
 

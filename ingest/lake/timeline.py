@@ -146,7 +146,7 @@ def find_fields(log: Log, patterns: Sequence[str]) -> list[tuple[str, str]]:
 
     Raises
     ------
-    UsageError : a pattern names no number of this log; the hint has what is near.
+    UsageError : a pattern names no numeric field of this log; the hint has what is near.
     """
     found: dict[tuple[str, str], None] = {}
     for pattern in patterns:
@@ -240,7 +240,7 @@ def _nothing(pattern: str, log: Log, *, most: int = 8) -> UsageError:
     streams = list(dict.fromkeys(name.partition(".")[0] for name in names))
     inside = [n for n in names if n.partition(".")[0] == pattern.partition(".")[0]]
     near = inside or difflib.get_close_matches(pattern, [*names, *streams], n=5, cutoff=0.4) or streams
-    return UsageError(f"no number {pattern!r} in the log", path=log.name, hint=first_of(near, most))
+    return UsageError(f"no numeric field {pattern!r} in the log", path=log.name, hint=first_of(near, most))
 
 
 def _column(field: str) -> str:

@@ -82,7 +82,7 @@ def broken_loop(
     if reference not in names:
         raise UsageError(f"no input is called {reference!r}", hint=f"one of {', '.join(names)}")
     if at not in ("input", "setpoint"):
-        raise UsageError(f"a reference does not enter at {at!r}", hint="'input' or 'setpoint'")
+        raise UsageError(f"a reference cannot enter at {at!r}", hint="'input' or 'setpoint'")
     r = names.index(reference)
     others = [j for j in range(len(names)) if j != r]
     if at == "input" and len(others) != 1:

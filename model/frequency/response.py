@@ -175,7 +175,7 @@ def measure_response(
         raise UsageError(f"a frequency response needs at least 2 points, not {points}")
     plant, references = split_references(data, reference)
     if references and method != "local":
-        raise UsageError(f"method {method!r} knows no reference", hint="use method='local'")
+        raise UsageError(f"method {method!r} cannot use a reference", hint="use method='local'")
     order = [*references, *(j for j in range(len(data.inputs)) if j not in references)]
     records = _records(detrended(data, trend), order, output)
     _check_motion(records, data, order, output)

@@ -252,7 +252,9 @@ def parse_antecedent(
     """
     signals = [s.name for s in (*outputs, *inputs)]
     if not isinstance(text, str):
-        raise UsageError(f"the antecedent {text!r} is no name", hint=f"write e.g. {signals[0]}(k-1)")
+        raise UsageError(
+            f"the antecedent {text!r} is not the name of a signal", hint=f"write e.g. {signals[0]}(k-1)"
+        )
     if text in signals:
         column = signals.index(text)
         return Antecedent(column, 1 if column < len(outputs) else delays[column - len(outputs)])

@@ -38,7 +38,7 @@ def test_a_run_holds_the_model_of_a_file_and_judges_it(tmp_path: Path) -> None:
     ("models", "words"),
     [
         (("arx:x.toml",), "arx takes no file"),
-        (("structured:a.toml", "structured:b.toml"), "one structured model a run"),
+        (("structured:a.toml", "structured:b.toml"), "a run takes one structured model"),
         (("structure",), "no model 'structure'"),
     ],
 )

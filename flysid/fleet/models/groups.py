@@ -75,7 +75,7 @@ def fit_group(triangles: Sequence[FloatArray], rows: int, sampling: Sampling, ta
     found = solve(whole, range(n), target)
     if found.rank < n or rows - len(triangles) <= n:
         raise DataError(
-            f"{rows} samples of {len(triangles)} flights do not tell {n} coefficients",
+            f"{rows} samples of {len(triangles)} flights do not determine {n} coefficients",
             hint="more flights, or more manoeuvres in them",
         )
     root = whole.r[:n, :n]

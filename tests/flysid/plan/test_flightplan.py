@@ -37,7 +37,7 @@ def test_what_makes_no_sense_is_refused() -> None:
     refused("no band", band=(5.0, 0.5))
     refused("no band", band=(0.0, 5.0))
     refused("no band", band=(float("nan"), 5.0))
-    refused("is no flight", seconds=-1.0)
+    refused("is not a flight", seconds=-1.0)
     refused("too many rows", seconds=1e9)
     assert "--rate 150" in refused("show less than 25 Hz", band=(0.5, 30.0))
 

@@ -68,7 +68,7 @@ def test_columns_whose_own_names_have_brackets_are_named_like_elements() -> None
     ("pattern", "near"), [("ATT.Rol", "ATT.Roll"), ("ATX.Roll", "ATT.Roll"), ("ATT.Mode", "ATT")]
 )
 def test_a_pattern_that_names_nothing_says_what_is_near(pattern: str, near: str) -> None:
-    with pytest.raises(UsageError, match=f"no number '{pattern}'") as caught:
+    with pytest.raises(UsageError, match=f"no numeric field '{pattern}'") as caught:
         find_fields(flight(ATT=ATT), [pattern])
     assert near in str(caught.value.hint)
 

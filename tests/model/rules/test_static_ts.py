@@ -115,7 +115,7 @@ def test_records_that_do_not_fit_are_refused() -> None:
         model.predict(np.zeros(20), np.zeros(19))
     with pytest.raises(UsageError, match="at least one step"):
         model.predict(np.zeros(20), np.zeros(20), k=0)
-    with pytest.raises(UsageError, match="u is no array of numbers"):
+    with pytest.raises(UsageError, match="u is not an array of numbers"):
         model.simulate("far")  # type: ignore[arg-type]
 
 

@@ -183,7 +183,7 @@ def test_bad_input_is_named() -> None:
         ({"most_rules": "few"}, "most_rules='few'"),
         ({"iterations": 2.5}, "iterations=2.5"),
         ({"refine": "no"}, "refine='no'"),
-        ({"antecedents": [3]}, "3 is no name"),
+        ({"antecedents": [3]}, "3 is not the name of a signal"),
         ({"antecedents": ["y(k-1)", "y"]}, "'y' is named twice"),
     ],
 )
