@@ -1,7 +1,8 @@
 """Is a loop seen where there is one, and nowhere else?  python -m bench.feedback_test N FIRST [DATA...]
 
 With N seeds from FIRST on: `flysid.feedback` on open loops (linear and nonlinear plants of
-`bench.verdict_fairness`; a quick attitude loop under smooth commands, logged slowly, with next to no noise),
+`bench.verdict_fairness`; a quick attitude loop under smooth commands, logged slowly, with next to no noise,
+and with a setpoint that is logged more slowly still and held),
 and on closed ones (`bench.loop_bands`, by the strength of the gusts that the controller has to answer).
 
 Of ingested folders: every pair that `flysid ls --suggest` calls good or closed loop, what `flysid tf` says of
@@ -36,10 +37,14 @@ SMOOTH_HZ = (0.3, 1.0, 3.0)
 QUICK = 10.0  # rad/s
 SECONDS = 60
 FAINT = 1e-3  # noise over the output's spread
+HELD = (2, 5)  # samples for which a slow setpoint stands
 
 
-def slow_log(seed: int, log_hz: int, smooth_hz: float) -> Dataset:
-    """An attitude loop of 10 rad/s in open loop, under noise of this bandwidth, a few samples a second."""
+def slow_log(seed: int, log_hz: int, smooth_hz: float, *, noise: float = FAINT, held: int = 1) -> Dataset:
+    """An attitude loop of 10 rad/s in open loop, under noise of this bandwidth, a few samples a second.
+
+    `held`: samples for which the log holds the command.
+    """
     rng = np.random.default_rng(seed)
     dt = 1.0 / VEHICLE_HZ
     pole = np.exp(-2.0 * np.pi * smooth_hz * dt)
@@ -48,9 +53,10 @@ def slow_log(seed: int, log_hz: int, smooth_hz: float) -> Dataset:
     poles = np.exp(QUICK * np.array([-0.7 + 0.714j, -0.7 - 0.714j]) * dt)
     a = np.real(np.poly(poles))
     y = lfilter([0.0, a.sum()], a, u)
-    y = y + FAINT * y.std() * rng.standard_normal(len(y))
+    y = y + noise * y.std() * rng.standard_normal(len(y))
     every = VEHICLE_HZ // log_hz
-    return Dataset.from_arrays(u[::every], y[::every], every * dt)
+    logged = np.repeat(u[:: every * held], held)[: len(u[::every])]
+    return Dataset.from_arrays(logged, y[::every], every * dt)
 
 
 def trials(count: int, first: int) -> Iterator[str]:
@@ -69,6 +75,10 @@ def trials(count: int, first: int) -> Iterator[str]:
     for hertz in LOG_HZ:
         logs = [slow_log(s, hertz, smooth) for smooth in SMOOTH_HZ for s in seeds]
         yield seen(f"open, quick and smooth, logged at {hertz} Hz", logs)
+    for held in HELD:
+        for noise in (FAINT, NOISES[1]):
+            logs = [slow_log(s, 50, smooth, noise=noise, held=held) for smooth in SMOOTH_HZ for s in seeds]
+            yield seen(f"open, setpoint held for {held} samples of 50 Hz, noise of {noise}", logs)
     for gusts in (0.0, 0.1, 0.3, 1.0, 3.0):
         yield seen(f"closed, gusts of {gusts}", [flown(_rng(s), gusts)[0] for s in seeds])
 
@@ -83,7 +93,7 @@ def _flights_of(plant: Plant, seed: int) -> Dataset:
 
 def pairs(folders: list[Path]) -> Iterator[str]:
     """A line per pair, then the sum."""
-    good = closed = without = apart = 0
+    count = without = unseen = untold = 0
     for log in (log for folder in folders for log in open_lake(folder).logs):
         for told in suggest([log]):
             if told.verdict not in ("good", "closed loop"):
@@ -93,16 +103,17 @@ def pairs(folders: list[Path]) -> Iterator[str]:
             found = identify_channel(told.channel, data, TF())
             band = found.band(output, [s.name for s in data.inputs].index(told.input))
             looped = found.is_looped(output)
-            good += told.verdict == "good"
-            closed += told.verdict != "good"
+            count += 1
             without += told.verdict == "good" and band is None
-            apart += told.verdict == "good" and looped
+            unseen += told.feedback and not looped
+            untold += looped and not told.feedback
             within = f"{band[0]:.3g} to {band[1]:.3g} rad/s" if band else "no band"
             yield (
-                f"{log.name:36s} {told.channel:14s} {told.verdict:11s} tf: "
+                f"{log.name:36s} {told.channel:14s} {told.verdict:11s} "
+                f"{'loop' if told.feedback else '':4s} tf: "
                 f"{'a loop' if looped else 'open'}, {within}"
             )
-    yield f"good {good}: of these tf has no band for {without}, sees a loop in {apart}; closed loop {closed}"
+    yield f"{count} pairs; good, and no band in tf {without}; loop in ls alone {unseen}, in tf alone {untold}"
 
 
 def main(words: list[str]) -> int:

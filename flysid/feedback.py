@@ -7,8 +7,9 @@ pilot or a controller answers the output, later inputs hold what was new in it. 
 plant and any colour of the noise (Ljung, 1999, 13.4); what they miss of a nonlinear plant can fake a little,
 so that a share of the variance is asked for too.
 
-The very next input counts as known: a vehicle moves between the samples of a log, too, and the next sample
-helps to tell what its input did there. So a controller of no memory that answers within a sample goes unseen.
+The very next input counts as known, and of one that the log holds for several samples as many: a vehicle
+moves between the samples of a log, too, and what is logged next helps to tell what its input did there. So a
+controller of no memory that answers within that time goes unseen.
 Of faster logs samples 20 ms apart are taken: a pilot and an outer loop need longer.
 """
 
@@ -102,7 +103,10 @@ def _later_inputs(signals: list[tuple[FloatArray, FloatArray]], lags: int) -> tu
     """(p of the F test, share of the variance) of later inputs in what an output's past does not tell."""
     from scipy.special import fdtrc
 
-    rows = [_rows(y, u, lags) for y, u in signals]
+    ahead = _held([u for _, u in signals])
+    if ahead >= lags:
+        return 1.0, 0.0
+    rows = [_rows(y, u, ahead, lags) for y, u in signals]
     if not rows:
         return 1.0, 0.0
     target, before, after = (np.concatenate(parts)[:MOST_ROWS] for parts in zip(*rows, strict=True))
@@ -140,12 +144,19 @@ def _scaled(data: Dataset, output: int, every: int, fewest: int) -> list[tuple[F
     return [(part[:, 0], part[:, 1:]) for part in scaled]
 
 
-def _rows(y: FloatArray, u: FloatArray, lags: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Output, what is known of it (a constant, its past, inputs up to the next sample), later inputs."""
+def _held(inputs: list[FloatArray]) -> int:
+    """How many samples the input that changes least often stands still between changes, at least 1."""
+    changes = sum((np.diff(u, axis=0) != 0.0).sum(axis=0) for u in inputs)
+    moving = np.atleast_1d(changes)[np.atleast_1d(changes) > 0]
+    return int(sum(len(u) - 1 for u in inputs) / moving.min() + 0.5) if len(moving) else 1
+
+
+def _rows(y: FloatArray, u: FloatArray, ahead: int, lags: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Output, what is known of it (a constant, its past, inputs up to `ahead`), later inputs."""
     at = np.arange(ORDER, len(y) - lags)
     past = np.stack([y[at - k] for k in range(1, ORDER + 1)], axis=1)
-    driven = np.hstack([u[at - k] for k in range(-1, ORDER + 1)])
-    later = np.hstack([u[at + k] for k in range(2, lags + 1)])
+    driven = np.hstack([u[at - k] for k in range(-ahead, ORDER + 1)])
+    later = np.hstack([u[at + k] for k in range(ahead + 1, lags + 1)])
     return y[at], np.column_stack([np.ones(len(at)), past, driven]), later
 
 

@@ -44,7 +44,8 @@ class Suggestion:
     delay_s, delay_low_s, delay_high_s : dead time and what cannot be told from it; None where unknown.
     sign : +1 where the output follows the input, -1 where it goes against it, 0 where unknown (see `Delay`).
     feedback : inputs of the channel answer the output (a pilot or controller): open-loop methods are biased.
-    verdict, advice : in words; "closed loop" would be good, were there no loop.
+    verdict, advice : in words; "closed loop" would be good, were it not the loop's: of a recipe that
+        knows what drives it, or where the output leads the input it is in a loop with.
     """
 
     flight: str
@@ -146,8 +147,10 @@ def _assess(
     verdict, advice = _verdict(data, spec, column, moves, seen)
     through = [name for name in spec.reference if name != data.inputs[column].name]
     if verdict == "good" and (loop.closed or through):
-        verdict = "closed loop"
         advice = "; ".join(filter(None, (_through(through), advice)))
+        # the input follows the output more than the output follows the input
+        if through or (delay is not None and delay.feedback):
+            verdict = "closed loop"
     return Suggestion(
         flight=flight,
         recipe=recipe,
@@ -175,7 +178,7 @@ def _through(reference: Sequence[str]) -> str:
     """What to do with a pair inside a loop; `reference` drives it, if known."""
     names = "".join(f" --reference {name}" for name in reference)
     shows = "" if names else " shows where the response is the vehicle's"
-    return f"recorded in closed loop, which biases a fit: flysid tf DATA{names}{shows}"
+    return f"recorded in closed loop, which may bias a fit: flysid tf DATA{names}{shows}"
 
 
 def _delay(data: Dataset, column: int, output: int) -> Delay | None:

@@ -93,6 +93,15 @@ def test_what_moves_between_the_samples_of_a_log_is_no_feedback(hertz: int) -> N
     assert not feedback(data)[0].closed
 
 
+def test_a_setpoint_logged_slower_than_the_output_is_no_feedback() -> None:
+    rng = np.random.default_rng(3)
+    u = lfilter([1.0], np.poly([0.98, 0.98]), rng.standard_normal(N))
+    y = lfilter([0.0, 0.15], [1.0, -0.85], u)
+    y = y + 0.02 * y.std() * rng.standard_normal(N)
+    data = Dataset.from_arrays(np.repeat(u[::5], 5)[:N], y, DT_S)
+    assert not feedback(data)[0].closed
+
+
 def test_of_a_fast_log_samples_are_taken_apart() -> None:
     data = closed_loop(3.0, 15, 0)  # 50 Hz
     held = Dataset.from_arrays(
