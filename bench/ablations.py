@@ -52,7 +52,6 @@ STEPS: Mapping[str, Step] = {
     "fewer orders": lambda: patch.object(search_context, "simplest", lambda errors, _: simplest(errors)),
     "short records": lambda: patch.object(learning, "_HIGHEST_LINEAR", learning._DEEPEST_DELAY),
     "ends of travel": lambda: patch.object(learning, "saturation_limits", nowhere),
-    "hidden margin": lambda: patch.object(growth, "_MARGIN", 0.0),
     "merge and split": lambda: patch.object(edits, "merge_and_split", lambda _, models, at: models[at]),
 }
 MODELS: Mapping[str, Estimator] = {"states": TS(states=2), "lags": TS(na=2, nb=2, nk=1)}

@@ -39,7 +39,6 @@ _PIECE = 1000  # rows of a piece, where long records are thinned, and what start
 _FEW = 5000  # rows for ranking insertions and for trying the best ones
 NOTHING = np.zeros(0, dtype=np.int64)
 """Of a body that stays as it is while the runs' starts are searched for."""
-_MARGIN = 0.1  # of its range, by which a hidden antecedent's range is widened
 
 
 def first_basis(layout: Layout, runs: tuple[FloatArray, ...], *, integrating: bool = False) -> FloatArray:
@@ -247,8 +246,6 @@ def with_variables(stage: Stage, antecedents: tuple[Antecedent, ...]) -> Stage:
         change = np.array([a.minus >= 0 for a in antecedents])
         z_range = np.where(change, antecedent_range(layout, stage.simulated()), z_range)
     span = z_range[1] - z_range[0]
-    hidden = np.array([layout.n_y <= a.column < layout.n for a in antecedents])
-    z_range = z_range + np.outer([-1.0, 1.0], np.where(hidden, _MARGIN * span, 0.0))
     centre = np.tile(z_range.mean(axis=0), (stage.rules, 1))
     width = np.tile(2.0 * np.maximum(span, 1e-12), (stage.rules, 1))
     for i, antecedent in enumerate(stage.layout.antecedents):
