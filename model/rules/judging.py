@@ -15,7 +15,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from flysid.dataset import Dataset, FloatArray, Segment
-from flysid.model.polynomials import ONE_SIDED, VANISHING
+from flysid.model.polynomials import VANISHING
 from flysid.model.rules.boundedness import is_bounded
 from flysid.model.rules.free_run_error import started_run
 from flysid.model.rules.likely_start import initial_states
@@ -24,7 +24,7 @@ from flysid.model.rules.recursion import unheld
 from flysid.model.rules.regressor_layout import windows
 from flysid.model.rules.search_settings import QUARTERS
 from flysid.model.rules.stages import Stage, prior_of
-from flysid.model.selection import FEWEST, block_means, standard_error
+from flysid.model.selection import block_means, standard_error
 from flysid.model.start import MAX_SHARE
 
 INTEGRATES = (
@@ -32,8 +32,11 @@ INTEGRATES = (
     "mean drives it to the output limits."
 )
 """What users are told of a model that does not come back."""
+_LONGER = 3  # times what starts it, that a window of a judging part is at least long,
+_SCORED = 5  # with so many rows at least to score
 AWAY = float(VANISHING**-1.0)
 """Mean square of what ran away, or may not be offered."""
+_CLEAR = 1.5  # standard errors over windows of several folds; those of one fold share a model
 
 
 def hold_out(train: Dataset, least: int, fold: int = 0) -> tuple[Dataset, Dataset]:
@@ -128,8 +131,8 @@ def judged(stage: Stage, runs: Sequence[FloatArray], skip: int, *, must_be_bound
 
 def _window_errors(stage: Stage, runs: Sequence[FloatArray], skip: int) -> FloatArray:
     """Mean squares of free runs over windows, cut alike for every depth, so that any two can be compared."""
-    rows = max(sum(len(W) for W in runs) // QUARTERS, QUARTERS * skip)
-    pieces = [W for W in windows(runs, skip, rows) if len(W) >= skip + FEWEST]
+    rows = max(sum(len(W) for W in runs) // QUARTERS, _LONGER * skip)
+    pieces = [W for W in windows(runs, skip, rows) if len(W) > skip + _SCORED]
     return np.array([float((e * e).mean()) for e in free_run_errors(stage, pieces, skip)])
 
 
@@ -218,7 +221,7 @@ def fewest_rules(family: Family, plain: Family, gain: float) -> int:
     """
     units = sweep(family, plain)
     best = _best(units, family)
-    clear = ONE_SIDED if len(family.folds) > 1 else 1.0  # windows of one fold share a model
+    clear = _CLEAR if len(family.folds) > 1 else 1.0
     for i in range(best):
         gap = _gap(units[i], units[best], family)
         if gap.mean() <= max(clear * standard_error(gap), gain) or units[i].mean() <= VANISHING:

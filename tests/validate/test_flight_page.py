@@ -111,7 +111,7 @@ def test_a_log_is_plotted_as_page_picture_and_text(tmp_path: Path, monkeypatch: 
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["ATT.Rol"], "no number"),
+        (["ATT.Rol"], "no numeric field"),
         (["ATT.Roll", "--pair", "attitude"], "each say what to draw"),
         (["ATT.Roll", "-o", "0001.BIN"], "the target exists"),
         (["ATT.Roll", "-o", "roll.docx"], "no picture format"),

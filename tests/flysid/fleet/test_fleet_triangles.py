@@ -124,10 +124,10 @@ def test_a_flight_that_tells_nearly_all_does_not_hide_its_scatter() -> None:
 
 
 def test_too_little_is_refused() -> None:
-    with pytest.raises(DataError, match="do not tell"):
+    with pytest.raises(DataError, match="do not determine"):
         fit_group([triangle_of([flight(1, 12)], SAMPLING).r], 8, SAMPLING)
     still = Segment(np.ones((100, 1)), np.ones((100, 1)), flight="still")
-    with pytest.raises(DataError, match="do not tell"):
+    with pytest.raises(DataError, match="do not determine"):
         fit_group([triangle_of([still], SAMPLING).r], 96, SAMPLING)
 
 

@@ -126,7 +126,7 @@ def test_a_start_that_nothing_takes_is_refused() -> None:
     source = ["mine=my_simulators:drag"]
     assert brought(source, channels)["x"].keys() == {"mine"}
     for start in ("other=v", "mine", "mine="):
-        with pytest.raises(UsageError, match="a start of no model"):
+        with pytest.raises(UsageError, match="is not the start of any model"):
             brought(source, channels, [start])
-    with pytest.raises(UsageError, match="is no FMU"):
+    with pytest.raises(UsageError, match="is not an FMU"):
         brought(source, channels, ["mine=v"])
