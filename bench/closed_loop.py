@@ -20,7 +20,7 @@ from flysid.ingest.synth.manoeuvres import chirp
 from flysid.model.frequency.continuous_transfer import ContinuousTransfer
 from flysid.model.frequency.rational import Rational, hold_response
 from flysid.model.frequency.response import MeasuredResponse, measure_response
-from flysid.model.frequency.sampling import sampled
+from flysid.model.frequency.sampling import sample
 from flysid.model.frequency.transfer import continuous
 from flysid.model.iv import IV
 from flysid.model.polynomials import ComplexArray
@@ -58,7 +58,7 @@ class Loop:
         pole = np.exp(-dt / 0.3)
         d = np.asarray(lfilter([np.sqrt(1.0 - pole**2)], [1.0, -pole], rng.standard_normal(n + 4000)))[4000:]
         noise = GYRO_NOISE * rng.standard_normal(n)
-        a, taps = sampled(PLANT, dt, "zero")
+        a, taps = sample(PLANT, dt, "zero")
         integrator = np.array([1.0, -1.0])
         law = np.array([P_GAIN + I_GAIN * dt, -P_GAIN])  # P + I over 1 - 1/q
         top = np.convolve(taps[0], integrator)

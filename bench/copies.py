@@ -27,7 +27,7 @@ import numpy as np
 from flysid import copies
 from flysid.copies import find_copy
 from flysid.dataset import FloatArray, Segment
-from flysid.filters import filtered
+from flysid.filters import apply_filter
 from flysid.same_flights import same_flights
 
 DT_S = 0.04
@@ -157,7 +157,7 @@ RECORDERS: Mapping[str, Recorder] = {
     "half a sample later, inputs too": lambda u, y: ((u[:-1] + u[1:]) / 2.0, (y[:-1] + y[1:]) / 2.0),
     "another zero": lambda u, y: (u + 0.01, y + 0.05 * np.std(y)),
     "two hundredths larger": lambda u, y: (u, 1.02 * y),
-    "smoothed": lambda u, y: (u, filtered(np.array([0.5]), np.array([1.0, -0.5]), y)),
+    "smoothed": lambda u, y: (u, apply_filter(np.array([0.5]), np.array([1.0, -0.5]), y)),
     "half the rate": sampled(2),
     "a quarter": sampled(4),
     "rounded to a tenth": rounded(0.1),
@@ -170,8 +170,8 @@ def flight(rng: np.random.Generator, samples: int, name: str, plant: int = 0) ->
     """Steps of eight samples through a plant, correlated gusts, white noise."""
     u = np.repeat(rng.normal(size=samples // 8 + 1), 8)[:samples]
     b, a = PLANTS[plant]
-    y = filtered(np.array(b), np.array(a), u)
-    gusts = filtered(np.array([np.sqrt(1.0 - 0.95**2)]), np.array([1.0, -0.95]), rng.normal(size=samples))
+    y = apply_filter(np.array(b), np.array(a), u)
+    gusts = apply_filter(np.array([np.sqrt(1.0 - 0.95**2)]), np.array([1.0, -0.95]), rng.normal(size=samples))
     y = y + np.std(y) * (0.08 * gusts + 0.03 * rng.normal(size=samples))
     return Segment(u[:, None], y[:, None], flight=name)
 

@@ -30,7 +30,7 @@ import pyarrow.parquet as pq
 
 from flysid.catalogue import FlightFacts
 from flysid.fleet import reading
-from flysid.fleet.cluster import Cluster, connected
+from flysid.fleet.cluster import Cluster, connect
 from flysid.fleet.compaction import compact, files_of
 from flysid.fleet.ingest_many import Threads, find, ingest
 from flysid.fleet.lakes import create_lake
@@ -112,7 +112,7 @@ def tasks(count: int) -> None:
     """What Dask takes for a batch that does nothing: CPU and memory of client and scheduler, wall time."""
     part = tuple(Log(f"s3://inbox/v000/flight{n:05d}.csv", 100_000, "etag") for n in range(32))
     batches = [tuple(msgspec.structs.replace(log, etag=str(n)) for log in part) for n in range(count)]
-    with connected(workers=2) as cluster:
+    with connect(workers=2) as cluster:
         engine = Cluster(cluster.client, do=nothing)
         list(engine.run(batches[:100], Settings("s3://lake")))
         before = resident_bytes()
@@ -151,7 +151,7 @@ def workers(count: int) -> None:
             lake = f"s3://inbox/lake{number}"
             create_lake(lake)
             settings = Settings(lake, bounds=None)
-            with connected(workers=number) as cluster:
+            with connect(workers=number) as cluster:
                 list(ingest(find(["s3://inbox/warm"], lake), settings, cluster))
                 found = find(["s3://inbox/logs"], lake)
                 theirs, began = s3.cpu_s(), time.monotonic()

@@ -21,7 +21,7 @@ from flysid.ingest.synth.manoeuvres import chirp
 from flysid.ingest.synth.plants import LOOPS
 from flysid.model.frequency.rational import Form, Rational, hold_response
 from flysid.model.frequency.response import measure_response
-from flysid.model.frequency.sampling import sampled
+from flysid.model.frequency.sampling import sample
 from flysid.model.frequency.simulation_fit import fit_response
 from flysid.model.transfer_function import TF
 
@@ -59,7 +59,7 @@ class Case:
         else:
             hold = round(0.25 / high / DT_S)
             u = np.repeat(rng.standard_normal(n // hold + 1), hold)[:n]
-        a, b = sampled(self.truth, DT_S, "zero")
+        a, b = sample(self.truth, DT_S, "zero")
         y = np.asarray(lfilter(b[0], a, u))
         noise = np.asarray(lfilter([1.0], [1.0, -0.9], rng.standard_normal(n)))
         return Dataset.from_arrays(u, y + NOISE * y.std() * noise / noise.std(), DT_S)

@@ -22,7 +22,7 @@ from flysid.model.rules.likely_start import LikelyStart, initial_states
 from flysid.model.rules.regressor_layout import runs_of
 from flysid.model.rules.rule_uncertainty import uncertainty
 from flysid.model.rules.stages import Stage
-from flysid.model.rules.state_systems import unmoved
+from flysid.model.rules.state_systems import hold_still
 from flysid.model.ts_state_space import TSStateSpace
 
 NOISE = 0.02  # of the driving noise, in metres per second
@@ -49,7 +49,7 @@ def refitted(truth: FittedTS, data: Dataset) -> FittedTS:
     layout = truth.layout
     p = truth.parameters
     runs = runs_of(layout, data.segments, truth.n_init + 2)
-    problem = unmoved(layout, runs, p.z_range, p.limits)
+    problem = hold_still(layout, runs, p.z_range, p.limits)
     body = Body(p.theta.copy(), p.centre.copy(), p.width.copy())
     assert isinstance(truth.start, LikelyStart)
     stage = Stage(problem, body, initial_states(layout, runs, p, truth.start.prior, 400), np.inf)

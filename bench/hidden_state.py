@@ -17,7 +17,7 @@ from bench.hidden_plants import PLANTS
 from flysid.dataset import Dataset, FloatArray
 from flysid.model.arx import ARX
 from flysid.model.base import Fitted
-from flysid.model.rules.fitted import finished
+from flysid.model.rules.fitted import finish
 from flysid.model.rules.growth import Training, one_rule_more
 from flysid.model.rules.linear_starts import coordinates
 from flysid.model.rules.regressor_layout import scaling
@@ -80,7 +80,7 @@ def _compare(name: str, noise: float, seed: int) -> None:
             begin = time.process_time()
             stages = grown(context, start, how)
             seconds = time.process_time() - begin
-            errors = ", ".join(f"{gap(finished(s, train, ()), test, truth):.4f}" for s in stages)
+            errors = ", ".join(f"{gap(finish(s, train, ()), test, truth):.4f}" for s in stages)
             print(f"  {words[:24]:24s} {title:24s} {errors}  {seconds:.1f} s CPU", flush=True)
 
 

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from bench.watch_cost import prepared
-from flysid.cli.watch import calibrated
+from flysid.cli.watch import calibrate
 from flysid.live.links import open_link
 from flysid.live.recording import Recording
 from flysid.live.session import Session
@@ -49,7 +49,7 @@ def main() -> None:
     parser.add_argument("--speed", type=float, default=20.0)
     options = parser.parse_args()
     run = open_run(prepared(options.folder))
-    watches = calibrated(run, None, (), None, 0.1)
+    watches = calibrate(run, None, (), None, 0.1)
     flown = {held.channel.name: held.test.segments[0] for held in held_out(run)}
     with tempfile.TemporaryDirectory() as folder:
         recording = Recording([open_link(f"udp:127.0.0.1:{free_port()}")], Path(folder) / "flight.tlog")

@@ -17,7 +17,7 @@ from flysid.dataset import Dataset
 from flysid.ingest.synth.manoeuvres import random_phase_multisine
 from flysid.model.frequency.loop_figures import broken_loop, loop_figures
 from flysid.model.frequency.rational import Rational
-from flysid.model.frequency.sampling import sampled, sampled_response
+from flysid.model.frequency.sampling import sample, sampled_response
 
 DT_S = 0.005
 SECONDS = 60.0
@@ -31,7 +31,7 @@ def flown(seed: int, snr_db: float = 30.0) -> Dataset:
     rng = np.random.default_rng(seed)
     n = round(SECONDS / DT_S)
     r = np.tile(random_phase_multisine(np.arange(n) * DT_S, (0.2, 20.0), 1.0, rng), 2)
-    a, (b,) = sampled(PLANT, DT_S, "zero")
+    a, (b,) = sample(PLANT, DT_S, "zero")
     size = max(len(a), len(b))
     bottom = np.append(a, np.zeros(size - len(a))) + np.append(b, np.zeros(size - len(b)))
     clean = np.asarray(lfilter(b, bottom, r))

@@ -26,7 +26,7 @@ from flysid.ingest.formats.base import Limits
 from flysid.ingest.formats.opening import open_log
 from flysid.ingest.formats.registry import detect
 from flysid.ingest.lake.batch import Job, hash_one, ingest_one
-from flysid.parts import exhausted
+from flysid.parts import exhaust
 
 FLIGHTS = 10_000
 LOGS_AGAIN = 300
@@ -94,7 +94,7 @@ def small_logs(logs: list[Path], data: Path) -> bool:
     for job in jobs:
         began = time.process_time()
         with open_log(job.path) as log:
-            exhausted(log.read(detect(log.head, log.name), Limits()), lambda _: None)
+            exhaust(log.read(detect(log.head, log.name), Limits()), lambda _: None)
         between = time.process_time()
         assert ingest_one(job, data, Limits(), replace=False).flight is not None
         read.append(between - began)

@@ -27,7 +27,7 @@ from flysid.dataset import Dataset, FloatArray, Segment, Signal
 from flysid.ingest.synth.plans import BOLD, GENTLE, MULTISINE, PILOT, STEPS
 from flysid.ingest.synth.plants import LOOPS
 from flysid.ingest.synth.rigid_body import ALL, Vehicle, fly_vehicle
-from flysid.ingest.synth.vehicles import dispersed
+from flysid.ingest.synth.vehicles import disperse
 from flysid.model.base import OperatingPoint
 from flysid.model.rules.phrases import answer_alike, meanings
 from flysid.model.ts import TS
@@ -208,7 +208,7 @@ def of_two_inputs(estimator: Callable[[], Any]) -> Flown:
 
 def specimen(seed: int) -> Vehicle:
     """Another vehicle of the type for every seed."""
-    return dispersed(Vehicle(), np.random.default_rng([seed, 1, 2]))
+    return disperse(Vehicle(), np.random.default_rng([seed, 1, 2]))
 
 
 def vehicle_flights(vehicle: Vehicle, loop: str, seed: int, flights: Iterable[int]) -> Dataset:

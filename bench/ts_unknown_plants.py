@@ -19,7 +19,7 @@ from flysid.dataset import FloatArray
 from flysid.errors import FlysidError
 from flysid.ingest.excitation.dead_time import dead_times, delays_to_try, least_delays
 from flysid.model.base import Fitted
-from flysid.model.linear_choice import choose_baseline, confirmed
+from flysid.model.linear_choice import choose_baseline, confirm
 from flysid.model.one_rule import linear_rivals
 from flysid.model.ts_best import BestTS
 
@@ -384,7 +384,7 @@ def fitted(plant: Experiment) -> tuple[str, Fitted, Fitted, float]:
     linear = linear_rivals(hint, least)
     choice = choose_baseline(train, linear)
     models = {n: linear[n].fit(train) for n in dict.fromkeys(("arx", choice.label))}
-    base = confirmed(choice, models, train).label
+    base = confirm(choice, models, train).label
     begin = time.process_time()
     ts = BestTS(nk_hint=hint, nk_least=least).fit(train)
     return base, models[base], ts, time.process_time() - begin

@@ -30,7 +30,7 @@ from flysid.errors import FlysidError
 from flysid.ingest.excitation.dead_time import dead_times, delays_to_try, least_delays
 from flysid.model.arx import ARX
 from flysid.model.base import Estimator, Fitted
-from flysid.model.linear_choice import choose_baseline, confirmed
+from flysid.model.linear_choice import choose_baseline, confirm
 from flysid.model.one_rule import linear_rivals
 from flysid.model.shared import sharing
 from flysid.model.ts import TS
@@ -196,7 +196,7 @@ def judged(plant: Plant, rng: np.random.Generator, seed: int, contender: str = "
     with sharing():
         choice = choose_baseline(train, linear)
         models: dict[str, Fitted] = {n: linear[n].fit(train) for n in dict.fromkeys(("arx", choice.label))}
-        base = confirmed(choice, models, train).label
+        base = confirm(choice, models, train).label
         models["ts"] = CONTENDERS[contender](*delays).fit(train)
     pair = compare(models, test, horizons=[FREE_RUN], baseline=base).verdict["y"]
     many = flights(plant, FRESH, rng, "f")

@@ -20,7 +20,7 @@ from bench.vehicle import PERIOD_S, flight
 from flysid.dataset import Dataset, Segment, Signal
 from flysid.ingest.synth.plants import LOOPS
 from flysid.model.base import Fitted
-from flysid.model.linear_choice import choose_baseline, confirmed
+from flysid.model.linear_choice import choose_baseline, confirm
 from flysid.model.one_rule import linear_rivals
 from flysid.model.ts_best import BestTS
 from flysid.validate.compare_models import compare
@@ -51,7 +51,7 @@ def judged(share: float, column: int, *, alone: bool) -> str:
     linear = linear_rivals()
     choice = choose_baseline(train, linear)
     models: dict[str, Fitted] = {n: linear[n].fit(train) for n in dict.fromkeys(("arx", choice.label))}
-    base = confirmed(choice, models, train).label
+    base = confirm(choice, models, train).label
     models["ts"] = BestTS().fit(train)
     c = compare(models, test, horizons=[FREE_RUN], baseline=base)
     (pair,) = c.verdict.values()

@@ -164,11 +164,11 @@ def _left(x: FloatArray, z: FloatArray, step: int) -> tuple[float, float]:
         for p in range(COLUMNS):
             for q in range(p + 1):
                 gram[p, q] += row[p] * row[q]
-    return _fitted(gram)
+    return _fit(gram)
 
 
 @compiled
-def _fitted(gram: FloatArray) -> tuple[float, float]:
+def _fit(gram: FloatArray) -> tuple[float, float]:
     """What a best fit leaves of the last column's squares, and the weight of the second column.
 
     Columns that are but rounding explain nothing; what stands still has no factor.

@@ -191,10 +191,10 @@ def _equations(s: Stretch, rows: int) -> FloatArray:
     """
     first = (len(s.y) - LAGS - rows) // 2
     ones = np.ones((rows, 1))
-    return np.concatenate([*_lagged(s, rows, first), ones, s.y[first + LAGS :][:rows]], axis=1)
+    return np.concatenate([*_lag(s, rows, first), ones, s.y[first + LAGS :][:rows]], axis=1)
 
 
-def _lagged(s: Stretch, rows: int, first: int = 0) -> list[FloatArray]:
+def _lag(s: Stretch, rows: int, first: int = 0) -> list[FloatArray]:
     start = first + LAGS
     past = [s.y[start - lag : start - lag + rows] for lag in range(1, LAGS + 1)]
     return past + [s.u[start - lag : start - lag + rows] for lag in range(LAGS + 1)]
@@ -204,7 +204,7 @@ def _left(s: Stretch, theta: FloatArray) -> FloatArray:
     """(N - LAGS, n_y) what the model leaves; no regressors of a long flight are laid out for it."""
     left = s.y[LAGS:] - theta[-1]
     first = 0
-    for signal in _lagged(s, len(left)):
+    for signal in _lag(s, len(left)):
         left -= signal @ theta[first : first + signal.shape[1]]
         first += signal.shape[1]
     return np.asarray(left)
@@ -260,7 +260,7 @@ def _on_grid(stretches: Sequence[Stretch], theta: FloatArray | None, dt_s: float
     white = _whitener(left)
     for k, rest in zip(long, left, strict=True):
         rows = moving[k][moving[k] >= 2 * LAGS]
-        e[starts[k] + rows] = _whitened(rest, white)[rows - 2 * LAGS]
+        e[starts[k] + rows] = _whiten(rest, white)[rows - 2 * LAGS]
     known = e[np.isfinite(e[:, 0])]
     return Grid(u, y, np.clip(e, *_bounds(known)) if len(known) else e)
 
@@ -278,22 +278,22 @@ def _whitener(parts: Sequence[FloatArray]) -> FloatArray:
     for j in range(parts[0].shape[1]):
         gram = np.zeros((LAGS + 1, LAGS + 1))
         for part in parts:
-            shifted = _shifted(part[:, j])
+            shifted = _shift(part[:, j])
             gram += [[a @ b for a in shifted] for b in shifted]
         ridge = (1e-6 * np.trace(gram[1:, 1:]) / LAGS + 1e-300) * np.eye(LAGS)
         columns.append(np.linalg.solve(gram[1:, 1:] + ridge, gram[1:, 0]))
     return np.stack(columns, axis=1)
 
 
-def _whitened(e: FloatArray, white: FloatArray) -> FloatArray:
+def _whiten(e: FloatArray, white: FloatArray) -> FloatArray:
     found = e[LAGS:].copy()
     for j in range(e.shape[1]):
-        for past, weight in zip(_shifted(e[:, j])[1:], white[:, j], strict=True):
+        for past, weight in zip(_shift(e[:, j])[1:], white[:, j], strict=True):
             found[:, j] -= weight * past
     return found
 
 
-def _shifted(x: FloatArray) -> list[FloatArray]:
+def _shift(x: FloatArray) -> list[FloatArray]:
     """(N - LAGS,) the samples from the LAGS-th on, and those one to LAGS before each."""
     return [x[LAGS - lag : len(x) - lag] for lag in range(LAGS + 1)]
 

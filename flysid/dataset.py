@@ -69,7 +69,7 @@ class Segment:
 
     def __post_init__(self) -> None:
         for name in ("u", "y"):
-            array = _owned(getattr(self, name))
+            array = _own(getattr(self, name))
             if array.ndim != 2:
                 raise DataError(f"{name} must be 1-D or 2-D, not {array.ndim}-D")
             if not np.isfinite(array).all():
@@ -273,7 +273,7 @@ class Dataset:
         return digest.hexdigest()
 
 
-def _owned(values: npt.ArrayLike) -> FloatArray:
+def _own(values: npt.ArrayLike) -> FloatArray:
     """2-D float64 array that no caller can write to; a read-only one (a slice of a segment) is shared."""
     array = np.asarray(values)
     if array.flags.writeable or array.dtype != np.float64 or not array.flags.c_contiguous:

@@ -89,7 +89,7 @@ def feedback(data: Dataset) -> tuple[Feedback, ...]:
     names = tuple(s.name for s in data.inputs)
     found = []
     for j, output in enumerate(data.outputs):
-        p, share = _later_inputs(_scaled(data, j, every, ORDER + 6 * lags), lags)
+        p, share = _later_inputs(_scale(data, j, every, ORDER + 6 * lags), lags)
         found.append(Feedback(output.name, names, p, share, lags * dt_s))
     return tuple(found)
 
@@ -124,7 +124,7 @@ def _later_inputs(signals: list[tuple[FloatArray, FloatArray]], lags: int) -> tu
     return float(fdtrc(added, freedom, ratio)), share
 
 
-def _scaled(data: Dataset, output: int, every: int, fewest: int) -> list[tuple[FloatArray, FloatArray]]:
+def _scale(data: Dataset, output: int, every: int, fewest: int) -> list[tuple[FloatArray, FloatArray]]:
     """(N,) output and (N, n_u) inputs of segments of at least `fewest` rows, of mean 0 and variance 1.
 
     As many as rows are kept, of one sample in `every`.

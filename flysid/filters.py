@@ -15,7 +15,7 @@ from flysid.dataset import FloatArray
 NOTHING = np.zeros(0)
 
 
-def filtered(b: FloatArray, a: FloatArray, x: FloatArray, state: FloatArray = NOTHING) -> FloatArray:
+def apply_filter(b: FloatArray, a: FloatArray, x: FloatArray, state: FloatArray = NOTHING) -> FloatArray:
     """(N,) x, or each of (N, columns), through B / A.
 
     Parameters
@@ -24,8 +24,8 @@ def filtered(b: FloatArray, a: FloatArray, x: FloatArray, state: FloatArray = NO
         every column; zero when empty.
     """
     if x.ndim > 1:
-        return np.stack([filtered(b, a, column, state) for column in x.T], axis=1) if x.shape[1] else x
-    y: FloatArray = _filtered(own(b), own(a), own(x), own(state))
+        return np.stack([apply_filter(b, a, column, state) for column in x.T], axis=1) if x.shape[1] else x
+    y: FloatArray = _run_filter(own(b), own(a), own(x), own(state))
     return y
 
 
@@ -35,7 +35,7 @@ def own(x: FloatArray) -> FloatArray:
 
 
 @njit(cache=True, error_model="numpy")
-def _filtered(b: FloatArray, a: FloatArray, x: FloatArray, start: FloatArray) -> FloatArray:
+def _run_filter(b: FloatArray, a: FloatArray, x: FloatArray, start: FloatArray) -> FloatArray:
     order = max(a.size, b.size) - 1
     state = np.zeros(order + 1)
     for i in range(min(order, start.size)):

@@ -111,7 +111,7 @@ class FlightWriter:
             self._open += 1
         if not stream.waiting:
             return
-        table, boots, times = _ordered(pa.concat_tables(stream.waiting))
+        table, boots, times = _order(pa.concat_tables(stream.waiting))
         self._waiting -= stream.waiting_bytes
         stream.waiting = []
         stream.waiting_bytes = 0
@@ -217,10 +217,10 @@ def float_values(column: pa.Array | pa.ChunkedArray) -> FloatArray:
 
 def in_order(table: pa.Table) -> pa.Table:
     """`table` sorted by (boot, time_ns), rows of equal time in order of arrival."""
-    return _ordered(table)[0]
+    return _order(table)[0]
 
 
-def _ordered(table: pa.Table) -> tuple[pa.Table, IntArray, IntArray]:
+def _order(table: pa.Table) -> tuple[pa.Table, IntArray, IntArray]:
     """`in_order`, and the boots and times of its rows."""
     boots = int_values(table[BOOT])
     times = int_values(table[TIME])
@@ -279,10 +279,10 @@ def _entry(stream: _Stream) -> StreamEntry:
 @lru_cache(maxsize=1 << 10)
 def _columns(schema: bytes) -> tuple[Column, ...]:
     """What a manifest says about the columns of a schema: logs of one kind share theirs."""
-    return tuple(_described(column) for column in pa.ipc.read_schema(pa.py_buffer(schema)))
+    return tuple(_describe(column) for column in pa.ipc.read_schema(pa.py_buffer(schema)))
 
 
-def _described(column: pa.Field) -> Column:
+def _describe(column: pa.Field) -> Column:
     facts = column.metadata or {}
     return Column(
         name=column.name,

@@ -74,11 +74,11 @@ def pairs_alike(
     """
     if not len(theirs) or not len(mine):
         return
-    asked = _joined([_asked(y, i) for i, y in enumerate(mine)])
+    asked = _join([_choose(y, i) for i, y in enumerate(mine)])
     spread = np.array([np.std(y) for y in mine])[asked.flight]
     reach = np.minimum(apart * spread / np.maximum(asked.size, 1e-300), farthest)
     for first, last in _batches([len(y) for y in theirs]):
-        known = _joined([_known(y, k) for k, y in enumerate(theirs[first:last], start=first)])
+        known = _join([_known(y, k) for k, y in enumerate(theirs[first:last], start=first)])
         tree = cKDTree(known.points, balanced_tree=False)
         found = tree.query_ball_point(asked.points, reach)
         near = [known.flight[np.array(hits, dtype=np.int64)] for hits in found]
@@ -103,10 +103,10 @@ def _batches(lengths: Sequence[int]) -> Iterator[tuple[int, int]]:
 def _known(y: FloatArray, flight: int) -> Windows:
     """Every window of a flight, and every one half a sample later."""
     between = (y[1:] + y[:-1]) / 2.0
-    return _joined([_windows(y, flight, 1), _windows(between, flight, 1)])
+    return _join([_windows(y, flight, 1), _windows(between, flight, 1)])
 
 
-def _asked(y: FloatArray, flight: int) -> Windows:
+def _choose(y: FloatArray, flight: int) -> Windows:
     """Some windows of a flight, but those in which less happens than in both beside them."""
     every = _windows(y, flight, STEP)
     beside = np.concatenate([[np.inf], every.size, [np.inf]])
@@ -126,7 +126,7 @@ def _windows(y: FloatArray, flight: int, step: int) -> Windows:
     return Windows(points, size[moves], np.full(int(moves.sum()), flight, dtype=np.int64))
 
 
-def _joined(parts: Sequence[Windows]) -> Windows:
+def _join(parts: Sequence[Windows]) -> Windows:
     return Windows(
         np.concatenate([p.points for p in parts]),
         np.concatenate([p.size for p in parts]),

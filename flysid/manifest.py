@@ -254,10 +254,10 @@ def find_flight(data: str | Path, flight: str) -> Manifest:
     finished = [name for name in near if (data / FLIGHTS / name / MANIFEST_FILE).is_file()]
     if not finished:
         finished = [name for name in names if (data / FLIGHTS / name / MANIFEST_FILE).is_file()]
-    return read_manifest(data / FLIGHTS / named(flight, finished, data))
+    return read_manifest(data / FLIGHTS / find_named(flight, finished, data))
 
 
-def named(flight: str, ids: Collection[str], path: str | Path) -> str:
+def find_named(flight: str, ids: Collection[str], path: str | Path) -> str:
     """The one of `ids` that is, or unambiguously begins with, `flight`.
 
     Raises

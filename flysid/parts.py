@@ -9,7 +9,7 @@ P = TypeVar("P")
 T = TypeVar("T")
 
 
-def exhausted(parts: Generator[P, None, T], take: Callable[[P], object]) -> T:
+def exhaust(parts: Generator[P, None, T], take: Callable[[P], object]) -> T:
     """Hand every part on, one at a time; what the generator returns at its end."""
     while True:
         try:

@@ -70,7 +70,7 @@ def _same(theirs: _Part, known: Indices, mine: _Part, asked: Indices) -> Iterato
                 for b in np.array_split(others, -(-len(others) // rows)):
                     lags = _lags(spectra, mine.spectra(b, size), size, mine.least(b))
                     lags = np.where(lags < theirs.lengths(a)[:, None, None], lags, lags - size)
-                    overlap, rho = _judged(theirs.arrays(), a, mine.arrays(), b, mine.spread, lags)
+                    overlap, rho = _judge(theirs.arrays(), a, mine.arrays(), b, mine.spread, lags)
                     for i, k in np.argwhere(overlap):
                         yield int(b[i]), int(a[k]), _how(mine, b[i], overlap[i, k], rho[i, k])
 
@@ -256,7 +256,7 @@ def _closest(apart: FloatArray, count: FloatArray, least: float) -> Indices:
 
 
 @compiled
-def _judged(
+def _judge(
     theirs: Arrays, some: Indices, mine: Arrays, others: Indices, spread: FloatArray, lags: Indices
 ) -> tuple[Indices, FloatArray]:
     """(others, some) samples over which two flights are the same, 0 where they are not, and the correlation

@@ -29,7 +29,7 @@ def first_of(names: Sequence[str], most: int) -> str:
     return ", ".join(names[:most]) + (f" and {rest:,} more" if rest > 0 else "")
 
 
-def folded(line: str) -> str:
+def fold(line: str) -> str:
     """A line within the width; what is longer goes on below, set in. No word is broken."""
     if len(line) <= WIDTH:
         return line

@@ -42,7 +42,7 @@ from flysid.manifest import (
     stamps,
     to_json,
 )
-from flysid.parts import exhausted
+from flysid.parts import exhaust
 from flysid.progress import tell
 from flysid.version import __version__
 
@@ -246,7 +246,7 @@ def _write_streams(
 ) -> Manifest:
     writer = FlightWriter(folder)
     try:
-        outcome = exhausted(parts, _Told(writer).add)
+        outcome = exhaust(parts, _Told(writer).add)
         entries = writer.finish()
     finally:
         writer.close()

@@ -189,7 +189,7 @@ def _by_flight(data: Tabular) -> dict[str, list[Any]]:
     return flights
 
 
-def covered(segments: Sequence[Marked], dt_s: float) -> Iterator[tuple[float, float]]:
+def cover(segments: Sequence[Marked], dt_s: float) -> Iterator[tuple[float, float]]:
     """(start, stop) of every segment as shares of the time from the first sample to the last."""
     begin = min(s.t0_ns for s in segments) * 1e-9
     end = max(s.t0_ns * 1e-9 + len(s.y) * dt_s for s in segments)
@@ -199,7 +199,7 @@ def covered(segments: Sequence[Marked], dt_s: float) -> Iterator[tuple[float, fl
 
 
 def _flight_row(name: str, segments: Sequence[Marked], dt_s: float) -> str:
-    parts = list(covered(segments, dt_s))
+    parts = list(cover(segments, dt_s))
     seconds = sum(len(s.y) for s in segments) * dt_s
     lost = max(0.0, 1.0 - sum(stop - start for start, stop in parts))
     bars = "".join(

@@ -15,10 +15,10 @@ import numpy as np
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, UsageError
 from flysid.model.rules.clustering import cluster, project
-from flysid.model.rules.fitted import FittedTS, finished
+from flysid.model.rules.fitted import FittedTS, finish
 from flysid.model.rules.free_run_error import Body, Problem, antecedent_range
 from flysid.model.rules.growth import best_started, first_basis
-from flysid.model.rules.operating_points import described
+from flysid.model.rules.operating_points import describe
 from flysid.model.rules.regressor_layout import Layout, Orders, parse_antecedents, runs_of, scaling
 from flysid.model.rules.stages import ordered
 from flysid.model.threads import on_one_thread
@@ -84,8 +84,8 @@ class ANFIS:
             f"ahead (ANFIS), epoch {best_epoch} of {self.epochs} was the best.",
             "The free run was not used for the choice: validate it before you rely on a simulation.",
         )
-        found = finished(ordered(best_started(learner.problem, best)), train, notes)
-        return described(found, train)
+        found = finish(ordered(best_started(learner.problem, best)), train, notes)
+        return describe(found, train)
 
     def _check(self) -> None:
         for name, least in (("rules", 1), ("na", 0), ("nb", 1), ("nk", 0), ("epochs", 1)):

@@ -25,9 +25,9 @@ from flysid.model.linear.difference_equation import FittedLinear
 from flysid.model.linear.initial_state import equation_starts
 from flysid.model.linear.oe_search import SHARE, Refined, search
 from flysid.model.linear.orders import Grid, OrderChoice, best_per_order, grid_triangle
-from flysid.model.linear.output_error import delay_steps, runner, widened
+from flysid.model.linear.output_error import delay_steps, runner, widen
 from flysid.model.linear.settings import Auto, PolynomialSettings
-from flysid.model.linear.stability import settled
+from flysid.model.linear.stability import keep_stable
 from flysid.model.selection import block_errors, clearly_better, simplest
 from flysid.model.shared import fit_key, once
 from flysid.model.stream import OnDisk, Source
@@ -75,11 +75,11 @@ class ARX(PolynomialSettings):
         if self.refine not in (True, False, "auto"):
             raise UsageError(f"refine is {self.refine!r}", hint="use 'auto', True or False")
         if isinstance(train, OnDisk):
-            return settled(self._fitted(train, validation), train.head(CHOICE_ROWS), stable=self.stable)
+            return keep_stable(self._fit(train, validation), train.head(CHOICE_ROWS), stable=self.stable)
         train, validation = self.detrended(train, validation)
-        return settled(self._fitted(train, validation), train, stable=self.stable)
+        return keep_stable(self._fit(train, validation), train, stable=self.stable)
 
-    def _fitted(self, train: Source, validation: Dataset | None) -> FittedLinear:
+    def _fit(self, train: Source, validation: Dataset | None) -> FittedLinear:
         if isinstance(train, OnDisk):
             return _from_disk(self, train, validation)
         parts = Parts.of(train, validation, centred=self.offset)
@@ -108,7 +108,7 @@ class _LeastSquaresFit:
         self.n_y = len(parts.train.outputs)
         self.n_u = len(parts.train.inputs)
         if settings.refine is False and "auto" not in (settings.na, settings.nb, settings.nk):
-            self.choice = self._fixed()
+            self.choice = self._fix()
             self.note = f"Orders as given: {self.choice}."
             self._check_rows()
             return
@@ -133,7 +133,7 @@ class _LeastSquaresFit:
                 hint="record longer, or ask for lower orders",
             )
 
-    def _fixed(self) -> OrderChoice:
+    def _fix(self) -> OrderChoice:
         s = self.settings
         n_u = self.n_u
         return OrderChoice(int(s.na), as_tuple(s.nb, n_u), as_tuple(s.nk, n_u))  # type: ignore[arg-type]
@@ -162,7 +162,7 @@ class _LeastSquaresFit:
             most_delay = max(1, min(top, budget - 1, 20))
             own = [1, 0, *range(2, most_delay + 1)]
             reach = min(longest // 4, budget - 1)
-            nks: list[list[int]] = [widened(own, k, reach) for k in s.nk_hint or (1,) * n_u]
+            nks: list[list[int]] = [widen(own, k, reach) for k in s.nk_hint or (1,) * n_u]
         else:
             nks = [[k] for k in as_tuple(s.nk, n_u)]
         corner = OrderChoice(

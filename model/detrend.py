@@ -25,7 +25,7 @@ def check_trend(trend: str, allowed: tuple[str, ...] = TRENDS) -> None:
         raise UsageError(f"trend is {trend!r}", hint=f"one of {', '.join(map(repr, allowed))}")
 
 
-def detrended(data: Dataset, trend: Trend = "remove") -> Dataset:
+def detrend(data: Dataset, trend: Trend = "remove") -> Dataset:
     """The dataset with lines taken out of every segment; itself unless `trend` is "remove".
 
     Segments of fewer than 3 samples lose their means alone.

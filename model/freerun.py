@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from flysid.dataset import FloatArray
-from flysid.filters import filtered
+from flysid.filters import apply_filter
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +46,7 @@ class Difference:
         for i, j in np.ndindex(*self.b.shape[1:]):
             taps = np.trim_zeros(self.b[:, i, j], "b")
             if len(taps):
-                out[:, i] += filtered(taps, np.ones(1), u[:, j])
+                out[:, i] += apply_filter(taps, np.ones(1), u[:, j])
         return out
 
     def state(self, u: FloatArray, y: FloatArray) -> FloatArray:
@@ -77,7 +77,7 @@ class Difference:
             for i in range(drive.shape[1]):
                 a = np.zeros(depth + 1)
                 a[: len(self.a)] = self.a[:, i, i]
-                out[:, i] = filtered(unit, a, drive[:, i], z[:, i])
+                out[:, i] = apply_filter(unit, a, drive[:, i], z[:, i])
             return out
         a = np.zeros((depth + 1, *self.a.shape[1:]))
         a[: len(self.a)] = self.a
@@ -132,7 +132,7 @@ def far(limits: FloatArray, *, ranges: float = 100.0) -> FloatArray:
     return np.stack([limits[0] - margin, limits[1] + margin])
 
 
-def saturated(y: FloatArray, limits: FloatArray) -> FloatArray:
+def saturate(y: FloatArray, limits: FloatArray) -> FloatArray:
     """The rows clipped to (2, n_y) limits; after an overflow, the limit last touched.
 
     Overflow to infinity and then NaN is how an unstable recursion ends.

@@ -16,7 +16,7 @@ from numba import njit
 from flysid.dataset import FloatArray
 from flysid.model.base import Fitted
 from flysid.model.ensemble import FittedEnsemble
-from flysid.model.freerun import saturated
+from flysid.model.freerun import saturate
 from flysid.model.linear.difference_equation import FittedLinear
 from flysid.model.rules.kernel import free_run
 from flysid.model.rules.likely_start import LikelyStart
@@ -195,7 +195,7 @@ def _difference(model: FittedLinear, u: FloatArray, y: FloatArray) -> tuple[Floa
 
     def run_on(more: FloatArray) -> FloatArray:
         out = _respond(a, system.b, system.c, more, past, state)
-        return saturated(out + model.y_origin, model.output_limits)
+        return saturate(out + model.y_origin, model.output_limits)
 
     def go_on(more: FloatArray) -> FloatArray:
         return run_on(more - model.u_origin)

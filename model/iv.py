@@ -31,7 +31,7 @@ from flysid.model.linear.iv_stages import IVOrders, SignalRoles, fitted_by_iv, s
 from flysid.model.linear.oe_search import SHARE
 from flysid.model.linear.output_error import HIGHEST_ORDER, ORDER_LOSS, find_delays
 from flysid.model.linear.settings import PolynomialSettings
-from flysid.model.linear.stability import settled
+from flysid.model.linear.stability import keep_stable
 from flysid.model.selection import block_errors, simplest
 from flysid.model.simulation_error import OutputOrders as SearchOrders
 from flysid.model.stream import OnDisk, Source, blocks_of
@@ -83,7 +83,7 @@ class IV(PolynomialSettings):
             np.concatenate([scale.y_scale, scale.u_scale]),
         )
         model = replace(fitted_by_iv(parts, blocks, orders, columns, self.n_init), notes=(note,))
-        return settled(model, small, stable=self.stable)
+        return keep_stable(model, small, stable=self.stable)
 
 
 def _columns(settings: IV, data: Source) -> SignalRoles:

@@ -85,7 +85,7 @@ def best_linear(
             choice = replace(choice, words=words)
     if not models:
         raise FitError(choice.words)
-    choice = confirmed(choice, models, train)
+    choice = confirm(choice, models, train)
     return choice, models[choice.label]
 
 
@@ -133,7 +133,7 @@ def _chosen(errors: Mapping[str, FloatArray], over: str = "validation free-run R
     return BaselineChoice(label, rmse, f"{over}, in standard deviations of the output: {said}")
 
 
-def confirmed(choice: BaselineChoice, models: Mapping[str, Fitted], train: Dataset) -> BaselineChoice:
+def confirm(choice: BaselineChoice, models: Mapping[str, Fitted], train: Dataset) -> BaselineChoice:
     """The choice, unless ARX follows all of the training data better once both are fitted to them.
 
     Validation is one flight or a few: what wins there and then fits the whole worse has won by luck.

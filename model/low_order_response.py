@@ -140,7 +140,7 @@ def _low_order(data: _Data, taps: FloatArray, order: int) -> FloatArray | None:
     starts = [taps[j * size : (j + 1) * size] for j in range(count)]
     lags = _dead(data, taps)
     for late in sorted({0, lags // 2, lags}):
-        start = np.concatenate([_realised(own[late:], order) for own in starts])
+        start = np.concatenate([_realise(own[late:], order) for own in starts])
 
         def evaluate(theta: FloatArray, late: int = late) -> tuple[FloatArray, FloatArray]:
             answer, slopes = _answers(theta, order, late, data.shape)
@@ -165,7 +165,7 @@ def _dead(data: _Data, taps: FloatArray) -> int:
     return int(np.argmax(own >= 0.1 * own.max()))
 
 
-def _realised(taps: FloatArray, order: int) -> FloatArray:
+def _realise(taps: FloatArray, order: int) -> FloatArray:
     """b (order + 1) and a (order) of taps, by the singular vectors of their Hankel matrix (Kung, 1978)."""
     half = len(taps) // 2
     left, sigma, _ = np.linalg.svd(hankel(taps[1 : half + 1], taps[half : 2 * half]), full_matrices=False)

@@ -30,11 +30,11 @@ from flysid.model.arguments import as_columns, as_record
 from flysid.model.base import Rule, write_document
 from flysid.model.capabilities import Coefficient
 from flysid.model.documents import array_of, head_of, signals_of, with_null
-from flysid.model.freerun import saturated
+from flysid.model.freerun import saturate
 from flysid.model.linear.data import Parts
 from flysid.model.polynomials import Z95
 from flysid.model.rotorcraft.axis_fit import FittedAxis, Record, fit_axis
-from flysid.model.rotorcraft.battery import find_battery, is_voltage, quietened, voltage_of
+from flysid.model.rotorcraft.battery import find_battery, is_voltage, quieten, voltage_of
 from flysid.model.rotorcraft.rotor_axis import (
     CURVE,
     DAMPING,
@@ -131,7 +131,7 @@ class Multirotor:
         curved = bool((u >= 0.0).all()) if self.curve is None else self.curve
         kinds = tuple(self._integrates(signal) for signal in train.outputs)
         u_mean = u.mean(axis=0)
-        voltages = [quietened(voltage_of(s.u, battery, u_mean)) for s in train.segments]
+        voltages = [quieten(voltage_of(s.u, battery, u_mean)) for s in train.segments]
         axes = []
         for i, integrates in enumerate(kinds):
             records: list[Record] = [
@@ -333,7 +333,7 @@ class FittedMultirotor(FreeRuns):
             free_run(x, first[0, i] / self.y_scale[i], a.theta, self.dt_s, kind, y0 is None, volts)
             for i, (a, kind) in enumerate(zip(self.axes, self.integrates, strict=True))
         ]
-        out = saturated(np.column_stack(columns) * self.y_scale, self.output_limits)
+        out = saturate(np.column_stack(columns) * self.y_scale, self.output_limits)
         if y0 is not None:
             out[0] = first[0]
         return out

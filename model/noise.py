@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from flysid.dataset import FloatArray
-from flysid.filters import filtered
+from flysid.filters import apply_filter
 
 HIGHEST_ORDER = 12
 
@@ -71,7 +71,7 @@ def coloured_covariance(jacobians: Sequence[FloatArray], d: FloatArray, variance
 
 def coloured_gram(jacobians: Sequence[FloatArray], d: FloatArray) -> FloatArray:
     """(n, n) Jᵀ R J for noise that is white noise of variance 1 through 1/D: J filtered backwards in time."""
-    backwards = (filtered(np.ones(1), d, jacobian[::-1]) for jacobian in jacobians)
+    backwards = (apply_filter(np.ones(1), d, jacobian[::-1]) for jacobian in jacobians)
     n = jacobians[0].shape[1]
     return np.asarray(sum((b.T @ b for b in backwards), np.zeros((n, n))))
 

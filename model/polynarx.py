@@ -27,11 +27,11 @@ from flysid.model.narx.polynomial_terms import depth_of
 from flysid.model.narx.term_search import (
     RefinedTerms,
     TermSearch,
-    finished,
+    finish,
     grown,
     linear_terms,
     proven,
-    pruned,
+    prune,
     unchanged,
 )
 from flysid.model.selection import clearly_better
@@ -92,7 +92,7 @@ class PolyNARX:
         if parts.check is parts.fitted:
             note = "No term was looked for: no part of the data is held out that could judge it."
             return replace(linear, notes=(note,))
-        found = [found for search in searches if (found := self._searched(search)) is not None]
+        found = [found for search in searches if (found := self._search(search)) is not None]
         if not found:
             note = (
                 "No term was looked for: the linear model's free run leaves its limits, or there are too few "
@@ -107,7 +107,7 @@ class PolyNARX:
         for one in (best, *others):
             if all(term.is_linear for term in one.chosen.terms):
                 break
-            model, error = finished(one.search, one.chosen)
+            model, error = finish(one.search, one.chosen)
             if np.isfinite(error) and error <= limit:
                 return replace(model, notes=(*one.notes, *model.meanings()))
         note = "No model with nonlinear terms is better both there and over all training data: kept linear."
@@ -124,13 +124,13 @@ class PolyNARX:
                 except (DataError, FitError):
                     continue
 
-    def _searched(self, search: TermSearch) -> _Found | None:
+    def _search(self, search: TermSearch) -> _Found | None:
         notes: list[str] = []
         first = search.first()
         if first is None:
             return None
         notes.append(f"Linear start of {len(first.terms)} terms: held-out free-run RMSE {first.rmse}.")
-        chosen = proven(search, pruned(search, grown(search, first, self.most_terms, notes), notes), notes)
+        chosen = proven(search, prune(search, grown(search, first, self.most_terms, notes), notes), notes)
         return _Found(search, chosen, tuple(notes))
 
 

@@ -64,7 +64,7 @@ def nearly_cancelled(pole: complex, numerators: Iterable[FloatArray], *, near_sh
     return bool(near) and all(near)
 
 
-def stabilised(a: FloatArray, radius: float = 1.0) -> FloatArray:
+def stabilise(a: FloatArray, radius: float = 1.0) -> FloatArray:
     """The polynomial with every root outside the circle reflected into it (its spectrum keeps its shape)."""
     roots = np.roots(a)
     size = np.abs(roots)

@@ -92,7 +92,7 @@ def regressors(
     return phi
 
 
-def stacked(data: Dataset, lags: LagTerms, start: int | None = None) -> tuple[FloatArray, FloatArray]:
+def stack(data: Dataset, lags: LagTerms, start: int | None = None) -> tuple[FloatArray, FloatArray]:
     """Phi and Y of all segments: (M, lags.count) and (M, n_y).
 
     Raises

@@ -23,9 +23,9 @@ import numpy as np
 
 from flysid.dataset import FloatArray
 from flysid.errors import FitError
-from flysid.filters import filtered
+from flysid.filters import apply_filter
 from flysid.model.compiled_filters import differences, free_responses, is_stable
-from flysid.model.polynomials import free_basis, monic_basis, stabilised
+from flysid.model.polynomials import free_basis, monic_basis, stabilise
 from flysid.model.refine import Refinement, levenberg_marquardt, upper_triangle
 
 ONE = np.ones(1)
@@ -78,14 +78,14 @@ class Transfer:
 
     def forced(self, u: FloatArray) -> FloatArray:
         """(N,) response from zero state to inputs that were zero before."""
-        return filtered(ONE, self.a, self.driven(u))
+        return apply_filter(ONE, self.a, self.driven(u))
 
     def driven(self, u: FloatArray) -> FloatArray:
         """(N,) what the inputs and the constant put in."""
         drive = np.full(len(u), self.c)
         for j, b in enumerate(self.b):
             if len(b):
-                drive += filtered(b, ONE, u[:, j])
+                drive += apply_filter(b, ONE, u[:, j])
         return drive
 
     @property
@@ -227,14 +227,14 @@ class OutputError:
         if orders.drift:  # the lines are none of the model's doing
             response[first:] += self._drift(transfer.a, error)
         rows = slice(first, len(forced))
-        through = filtered(ONE, transfer.a, response)
+        through = apply_filter(ONE, transfer.a, response)
         columns = [-differences(through, orders.na, 0, rows, monic=True)]
         for j, (count, delay) in enumerate(zip(orders.nb, orders.nk, strict=True)):
             if count:
-                through = filtered(ONE, transfer.a, record.u[:, j])
+                through = apply_filter(ONE, transfer.a, record.u[:, j])
                 columns.append(differences(through, count, delay, rows, monic=False))
         if orders.offset:
-            columns.append(filtered(ONE, transfer.a, np.ones(len(forced)))[first:, None])
+            columns.append(apply_filter(ONE, transfer.a, np.ones(len(forced)))[first:, None])
         jacobian = np.hstack(columns)
         return residual, without(space, jacobian)
 
@@ -275,13 +275,15 @@ class OutputError:
         orders = self.orders
         first = self.orders.depth
         rows = slice(first, len(y))
-        through = filtered(ONE, a_filter, y)
+        through = apply_filter(ONE, a_filter, y)
         columns = [-differences(through, orders.na, 0, rows, monic=True)]
         for j, (count, delay) in enumerate(zip(orders.nb, orders.nk, strict=True)):
             if count:
-                columns.append(differences(filtered(ONE, a_filter, u[:, j]), count, delay, rows, monic=False))
+                columns.append(
+                    differences(apply_filter(ONE, a_filter, u[:, j]), count, delay, rows, monic=False)
+                )
         if orders.offset:
-            columns.append(filtered(ONE, a_filter, np.ones(len(y)))[first:, None])
+            columns.append(apply_filter(ONE, a_filter, np.ones(len(y)))[first:, None])
         target = through
         for _ in range(orders.na):
             target = np.diff(target, prepend=0.0)
@@ -368,7 +370,7 @@ def _instrumental_search(
             break
         model = to_transfer(theta, problem.orders)
         if not is_stable(model.a, 0.99999):
-            model = replace(model, a=stabilised(model.a, 0.99999))
+            model = replace(model, a=stabilise(model.a, 0.99999))
             theta = from_transfer(model, problem.orders)
         best = _lower(best, problem, theta)
         a_filter = model.a

@@ -16,7 +16,7 @@ import numpy as np
 
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import FitError, UsageError
-from flysid.model.detrend import Trend, check_trend, detrended
+from flysid.model.detrend import Trend, check_trend, detrend
 from flysid.model.linear.data import CHOICE_ROWS, Parts, as_tuple, judging_window
 from flysid.model.linear.output_error import find_delays
 from flysid.model.linear.settings import check_hint, check_inputs
@@ -33,9 +33,9 @@ from flysid.model.subspace.order_search import (
     already_scaled,
     built,
     mean_of,
-    searched,
+    search,
 )
-from flysid.model.subspace.refinement import SystemFit, mirrored
+from flysid.model.subspace.refinement import SystemFit, mirror
 from flysid.model.subspace.triangle import (
     METHODS,
     Method,
@@ -111,8 +111,8 @@ class StateSpace:
         check_trend(self.trend, ("none", "remove"))
         if isinstance(train, OnDisk):
             return _from_disk(self, train, validation)
-        train = detrended(train, self.trend)
-        plan = _best_plan(self, train, None if validation is None else detrended(validation, self.trend))
+        train = detrend(train, self.trend)
+        plan = _best_plan(self, train, None if validation is None else detrend(validation, self.trend))
         model = _final(self, plan.parts.train, plan.parts, plan.choice, plan.note)
         if self.refine is not False:
             model = _refine(self, plan.parts, plan.choice, model)
@@ -166,7 +166,7 @@ def _plan(settings: StateSpace, train: Dataset, validation: Dataset | None, late
 def _chosen(settings: StateSpace, parts: Parts) -> tuple[Choice, str, float]:
     if settings.order != "auto" and settings.past != "auto" and settings.method != "auto":
         return Choice(settings.method, settings.past, settings.order), "Settings as given", 0.0
-    return searched(settings, parts)
+    return search(settings, parts)
 
 
 def _from_disk(settings: StateSpace, train: OnDisk, validation: Dataset | None) -> FittedStateSpace:
@@ -297,7 +297,7 @@ def _stable(settings: StateSpace, parts: Parts, model: FittedStateSpace) -> Fitt
     if not settings.stable:
         return replace(model, notes=(*model.notes, unstable_words(radius, model.dt_s)))
     problem = _problem(parts, model)
-    inside = _simulate(settings, parts, replace(problem, start=mirrored(problem.start)), model)
+    inside = _simulate(settings, parts, replace(problem, start=mirror(problem.start)), model)
     words = (
         f"Made stable: the largest pole radius was {radius:.5f} and is {np.abs(inside.poles).max():.5f}; "
         "all matrices were fitted again to the simulation error."

@@ -22,8 +22,8 @@ import numpy as np
 
 from flysid.dataset import Dataset
 from flysid.errors import UsageError
-from flysid.model.detrend import Trend, check_trend, detrended
-from flysid.model.frequency.assemble import OneTransfer, assembled, runner
+from flysid.model.detrend import Trend, check_trend, detrend
+from flysid.model.frequency.assemble import OneTransfer, assemble, runner
 from flysid.model.frequency.continuous_transfer import ContinuousTransfer
 from flysid.model.frequency.initial_guess import Starts
 from flysid.model.frequency.rational import Hold, forms
@@ -155,11 +155,11 @@ class TF:
         """
         plant, references = split_references(train, self.reference)
         self._check(len(plant.inputs))
-        train = detrended(train, self.trend)
-        validation = None if validation is None else detrended(validation, self.trend)
+        train = detrend(train, self.trend)
+        validation = None if validation is None else detrend(validation, self.trend)
         chosen = [self._output(_single(train, i), _single(validation, i)) for i in range(len(train.outputs))]
         parts = Parts.of(*self._plant(train, validation), centred=self.offset)
-        model, transfers = assembled(parts, [c for c, _ in chosen], self.n_init)
+        model, transfers = assemble(parts, [c for c, _ in chosen], self.n_init)
         notes = tuple(f"{o.name}: {words}." for o, (_, words) in zip(train.outputs, chosen, strict=True))
         if not model.is_stable:
             notes += (unstable_note(transfers),)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from bench.ts_intervals import experiment
 from flysid.model.rules.fitted import FittedTS
-from flysid.model.rules.growth import unrefined
+from flysid.model.rules.growth import skip_refining
 from flysid.model.rules.refit import as_problem
 from flysid.model.rules.regressor_layout import runs_of
 from flysid.model.rules.search_context import SearchContext
@@ -24,4 +24,4 @@ def stage_of(context: SearchContext, truth: FittedTS, share: float) -> Stage:
     """The true rules, `share` of the way to being equal, unrefined."""
     theta = (1.0 - share) * truth.parameters.theta + share * truth.parameters.theta.mean(axis=0)
     runs = runs_of(truth.layout, context.fit_part.segments, context.least)
-    return unrefined(*as_problem(truth.layout, truth.parameters._replace(theta=theta), runs))
+    return skip_refining(*as_problem(truth.layout, truth.parameters._replace(theta=theta), runs))

@@ -44,7 +44,7 @@ def beyond(
             yield j, end
 
 
-def cautioned(model: M, train: Dataset) -> M:
+def caution(model: M, train: Dataset) -> M:
     """The model with a note on every input and output for which it answers beyond what training explains."""
     told = []
     for i, output in enumerate(model.outputs):

@@ -20,7 +20,7 @@ from flysid.model.base import Fitted, kind_of
 from flysid.model.linear_choice import FIRST, best_fitted
 from flysid.validate.comparison import Comparison, Entry, ModelInfo, ModelScore, Pair, SegmentScore
 from flysid.validate.intervals import Interval, change, holm
-from flysid.validate.metrics import pooled, resolution_of, scores
+from flysid.validate.metrics import pool, resolution_of, scores
 from flysid.validate.shown import ShownComparison
 from flysid.validate.trials import (
     FREE_RUN,
@@ -88,7 +88,7 @@ def compare(
     >>> str(result.verdict["y"].verdict)
     'worse'
     """
-    named = dict(models) if isinstance(models, Mapping) else _named(models)
+    named = dict(models) if isinstance(models, Mapping) else _name(models)
     if train is not None:
         named = with_references(named, train)
         seen = {*seen, *_in_both(train, test), *(set(train.flights) - set(test.flights))}
@@ -230,7 +230,7 @@ def _span(s: Segment, dt_s: float) -> tuple[int, int]:
     return s.t0_ns, s.t0_ns + round((len(s) - 1) * dt_s * 1e9)
 
 
-def _named(models: Sequence[Fitted]) -> dict[str, Fitted]:
+def _name(models: Sequence[Fitted]) -> dict[str, Fitted]:
     named: dict[str, Fitted] = {}
     for model in models:
         name = model.structure
@@ -353,7 +353,7 @@ def _model_score(trials: Sequence[StructureTrial], flights: Sequence[str], name:
         SegmentScore(t.segment, flight, scores(t.y[:, j], t.yh[name][:, j]), t.diverged_s.get(name))
         for t, flight in zip(trials, flights, strict=True)
     )
-    return ModelScore(pooled([t.y[:, j] for t in trials], [t.yh[name][:, j] for t in trials]), segments)
+    return ModelScore(pool([t.y[:, j] for t in trials], [t.yh[name][:, j] for t in trials]), segments)
 
 
 def _pair(panel: _Panel, rotated: _Panel | None, sides: Sides, name: str) -> Pair:

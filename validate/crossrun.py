@@ -25,7 +25,7 @@ from flysid.split import Piece, Split, refuse_copies
 from flysid.validate.compare_models import Comparison, across_channels, compare, headline, sides_of
 from flysid.validate.expected import expected_document
 from flysid.validate.judge import Judgement, by_reason, fit_command, split_words
-from flysid.validate.judgedparts import chosen_lake, restricted
+from flysid.validate.judgedparts import chosen_lake, restrict
 from flysid.validate.report.context import ReportContext
 from flysid.validate.run import HeldOut, Run, held_out, models_of
 
@@ -69,7 +69,7 @@ def judge_runs(
     for i, name in enumerate(shared):
         tell("comparing", channel=name, share=(i + 1) / (len(shared) + 1))
         try:
-            judged = ours[name] if chosen is None else restricted(ours[name], chosen)
+            judged = ours[name] if chosen is None else restrict(ours[name], chosen)
             found[name] = _compare(theirs[name], judged, label)
         except DataError as error:
             failed[name] = error.advice

@@ -149,7 +149,7 @@ def plan_on_disk(file: DatasetFile, *, holdout: float, by: By = "auto", seed: in
         test = [Piece(i, 0, e.rows) for i, e in enumerate(entries) if e.flight in held]
     else:
         train, test = _by_time(entries, size, (holdout, round(guard / file.dt_s)), rng)
-    test = _bounded(test)
+    test = _bound(test)
     if not train or not test:
         raise DataError(
             f"too little data to hold out {100.0 * holdout:.0f} % by {way}: {len(file)} samples in "
@@ -181,7 +181,7 @@ def plan_held_on_disk(
     guard = default_guard(file.dt_s)
     rows = [(e.flight, e.t0_ns, e.rows) for e in file.entries]
     train, test = held_pieces(rows, file.dt_s, held, guard)
-    test = _bounded(test)
+    test = _bound(test)
     _refuse_copies(file, train, test)
     way = way_of(rows, train, test)
     return Split(
@@ -231,8 +231,8 @@ def _by_time(
             if entry.flight != flight:
                 continue
             inside = [(max(a - before, 0), min(b - before, entry.rows)) for a, b in held]
-            test += [Piece(index, a, b) for a, b in _joined(inside) if b - a >= MIN_PIECE]
-            near = _joined([(a - guard, b + guard) for a, b in inside if a < b])
+            test += [Piece(index, a, b) for a, b in _join(inside) if b - a >= MIN_PIECE]
+            near = _join([(a - guard, b + guard) for a, b in inside if a < b])
             train += [Piece(index, a, b) for a, b in _between(near, entry.rows) if b - a >= MIN_PIECE]
             before += entry.rows
     return sorted(train, key=_place), sorted(test, key=_place)
@@ -242,7 +242,7 @@ def _place(piece: Piece) -> tuple[int, int]:
     return piece.segment, piece.start
 
 
-def _joined(spans: Sequence[tuple[int, int]]) -> list[tuple[int, int]]:
+def _join(spans: Sequence[tuple[int, int]]) -> list[tuple[int, int]]:
     """Sorted spans, those that touch as one, empty ones left out."""
     found: list[tuple[int, int]] = []
     for a, b in sorted(s for s in spans if s[0] < s[1]):
@@ -259,7 +259,7 @@ def _between(spans: Sequence[tuple[int, int]], rows: int) -> list[tuple[int, int
     return [(max(a, 0), min(b, rows)) for a, b in zip(edges[::2], edges[1::2], strict=True) if a < b]
 
 
-def _bounded(pieces: Sequence[Piece]) -> list[Piece]:
+def _bound(pieces: Sequence[Piece]) -> list[Piece]:
     """The pieces, the same share of each, so that all together have at most `MOST_HELD` samples."""
     kept = min(1.0, MOST_HELD / max(sum(len(p) for p in pieces), 1))
     cut = [replace(p, stop=p.start + max(int(kept * len(p)), min(len(p), MIN_PIECE))) for p in pieces]

@@ -13,7 +13,7 @@ from flysid.model.base import Fitted
 from flysid.model.capabilities import HasOperatingPoints, LinearModel
 from flysid.model.rules import phrases as words
 from flysid.model.rules.operating_words import sentences
-from flysid.validate.beyond import cautioned
+from flysid.validate.beyond import caution
 from flysid.validate.responses import answers
 
 S = TypeVar("S", contravariant=True)
@@ -62,7 +62,7 @@ def fit_one(estimator: FitsTo[S], train: S, path: Path) -> Fitted | str:
     except UNFIT as error:
         return reason(error)
     if isinstance(train, Dataset):
-        model = cautioned(model, train)
+        model = caution(model, train)
     model.save(path)
     write_atomically(path.with_suffix(".txt"), in_words(model).encode())
     return model

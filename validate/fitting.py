@@ -29,7 +29,7 @@ from flysid.ingest.lake.lake import Lake
 from flysid.ingest.lake.stretches import held_spans
 from flysid.ingest.lake.workers import Bounds, Lost, run_bounded
 from flysid.model.base import Estimator
-from flysid.model.linear_choice import choose_baseline, confirmed
+from flysid.model.linear_choice import choose_baseline, confirm
 from flysid.model.one_rule import linear_rivals
 from flysid.model.rules.search_settings import SearchSettings
 from flysid.model.shared import sharing
@@ -150,9 +150,9 @@ class MemoryJob(ChannelJob[Dataset]):
 
     def _run(self) -> ChannelRun | str:
         with sharing():
-            return self._shared()
+            return self._share()
 
-    def _shared(self) -> ChannelRun | str:
+    def _share(self) -> ChannelRun | str:
         settings = self.settings
         split = (
             plan_held(self.data, self.held, seed=settings.seed)
@@ -179,7 +179,7 @@ class MemoryJob(ChannelJob[Dataset]):
         linear = {label: model for label, model in fits.models.items() if label in beside}
         if not linear:
             return fits.reasons
-        told = self.told(fits, confirmed(choice, linear, train), split, train, late)
+        told = self.told(fits, confirm(choice, linear, train), split, train, late)
         tell(
             "best linear model",
             model=told.baseline,
@@ -283,7 +283,7 @@ def fit_run(
                     queue.append(replace(job, doubts=(*job.doubts, *more), held=held))
                 except (DataError, MemoryError) as error:
                     skipped[name] = reason(error)
-            found, interrupted = _fitted(queue, jobs)
+            found, interrupted = _fit(queue, jobs)
         fitted = [c for c in map(found.get, wanted) if isinstance(c, ChannelRun)]
         skipped |= {name: str(why) for name, why in found.items() if not isinstance(why, ChannelRun)}
         if interrupted:
@@ -325,7 +325,7 @@ def fit_file(path: Path, out: Path, settings: FitSettings) -> Run:
     with replacing_folder(out) as folder:
         large = _megabytes(len(file), len(file.inputs) + len(file.outputs)) > settings.memory_mb
         job = DiskJob(file, folder, settings) if large else MemoryJob(file.read(), folder, settings)
-        found, interrupted = _fitted([job], 1)
+        found, interrupted = _fit([job], 1)
         channel = found[job.name]
         if isinstance(channel, str):
             raise DataError(f"{job.name!r} could not be fitted: {channel}", path=path)
@@ -385,7 +385,7 @@ def _chosen(names: Sequence[str], wanted: Sequence[str]) -> list[str]:
     return [n for n in names if not wanted or n in wanted]
 
 
-def _fitted(queue: Sequence[MemoryJob | DiskJob], jobs: int) -> tuple[dict[str, ChannelRun | str], bool]:
+def _fit(queue: Sequence[MemoryJob | DiskJob], jobs: int) -> tuple[dict[str, ChannelRun | str], bool]:
     """Every channel's run, or why there is none; and whether a keyboard's interrupt cut the work short."""
     found: dict[str, ChannelRun | str] = {}
     finished: dict[str, ChannelRun] = {}

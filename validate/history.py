@@ -110,10 +110,10 @@ def run_channels(folder: str | Path) -> list[RunChannel]:
     UsageError, StoreError : the run or its report is damaged or of another version.
     """
     run = open_run(folder)
-    judged = _judged(run)
+    judged = _judge(run)
     if judged is not None:
         return judged
-    return [_unjudged(run, channel.name) for channel in run.channels]
+    return [_leave_unjudged(run, channel.name) for channel in run.channels]
 
 
 def ranked(channels: Sequence[RunChannel]) -> list[RunChannel]:
@@ -130,7 +130,7 @@ def _place(channel: RunChannel) -> tuple[str, str, bool, str]:
     return channel.recipe, channel.channel, not channel.held_out, channel.held_out
 
 
-def _unjudged(run: Run, channel: str) -> RunChannel:
+def _leave_unjudged(run: Run, channel: str) -> RunChannel:
     return RunChannel(
         str(run.folder), run.recipe, channel, _fitted_at(run), {}, "", None, NOT_JUDGED, held_out=""
     )
@@ -141,7 +141,7 @@ def _fitted_at(run: Run) -> str:
     return written.isoformat(timespec="seconds")
 
 
-def _judged(run: Run) -> list[RunChannel] | None:
+def _judge(run: Run) -> list[RunChannel] | None:
     """The channels as the run's report tells of them; None where there is no report."""
     path = run.folder / REPORT / DOCUMENT
     if not path.is_file():

@@ -104,7 +104,7 @@ def change(
     seen : flights that the models were trained on; of those that are here, other parts than these.
     rotated : every flight was left out once, and judged by models of the others.
     """
-    ea, eb = _scaled(ea, eb)
+    ea, eb = _scale(ea, eb)
     logs = flight_logs(ea, eb, flights)
     by_flight = {name: _percent(value) for name, value in logs.items()}
     lost = not (any(e.any() for e in ea) and any(e.any() for e in eb))
@@ -297,7 +297,7 @@ def _autocovariance(x: FloatArray) -> FloatArray:
     return covariance
 
 
-def _scaled(ea: Sequence[FloatArray], eb: Sequence[FloatArray]) -> tuple[list[FloatArray], list[FloatArray]]:
+def _scale(ea: Sequence[FloatArray], eb: Sequence[FloatArray]) -> tuple[list[FloatArray], list[FloatArray]]:
     """All errors divided by the largest one, so that their squares neither overflow nor vanish."""
     largest = max(max(float(np.max(np.abs(e))) for e in (*ea, *eb)), _TINY)
     return [e / largest for e in ea], [e / largest for e in eb]

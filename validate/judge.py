@@ -18,13 +18,13 @@ from flysid.ingest.lake.chosen_flights import Selection
 from flysid.ingest.lake.lake import open as open_lake
 from flysid.loops.judged import Judged, judge, states_gains
 from flysid.progress import tell
-from flysid.showing import folded
+from flysid.showing import fold
 from flysid.validate.caution import Caution
 from flysid.validate.cautions import cautions
 from flysid.validate.compare_models import Comparison, across_channels, compare
 from flysid.validate.condition import matching_channels
 from flysid.validate.document import plain, to_json
-from flysid.validate.judgedparts import chosen_lake, restricted
+from flysid.validate.judgedparts import chosen_lake, restrict
 from flysid.validate.paperfigures import write_figures
 from flysid.validate.report.context import ReportContext
 from flysid.validate.report.narrative import worse_than_constant
@@ -82,7 +82,7 @@ class Judgement:
         """Dangers and warnings; notes are on the page."""
         grave = [c for c in self.cautions if c.level in ("danger", "warning")]
         lines = [f"caution: {c.text} Try: {c.todo}" for c in grave]
-        return ["\n".join(folded(one_line(line)) for line in lines)] if lines else []
+        return ["\n".join(fold(one_line(line)) for line in lines)] if lines else []
 
     def _simpler(self) -> list[str]:
         """The cheapest way to fewer words of every channel with several rules."""
@@ -91,7 +91,7 @@ class Judgement:
             checks = d.checks.get(self.comparisons[channel].contender or "")
             if checks is not None and checks.simpler:
                 lines.append(f"{channel}: simpler rules: {checks.simpler[0]} RMSE on the training flights")
-        return ["\n".join(folded(one_line(line)) for line in lines)] if lines else []
+        return ["\n".join(fold(one_line(line)) for line in lines)] if lines else []
 
     def text(self, form: str = "table") -> str:
         """The comparison as "table", "json", "markdown" or "csv", without a line break at the end.
@@ -155,7 +155,7 @@ def judge_run(
     for i, item in enumerate(held):
         tell("comparing on held-out segments", channel=item.channel.name, share=(i + 1) / (len(held) + 1))
         try:
-            judged = item if chosen is None else restricted(item, chosen)
+            judged = item if chosen is None else restrict(item, chosen)
             comparisons[item.channel.name] = compare(
                 item.models,
                 judged.test,

@@ -29,7 +29,7 @@ def chosen_lake(run: Run, data: str | Path | None, selection: Selection) -> Lake
     return select(open_lake(data or run.data).only(run.flights), selection)
 
 
-def restricted(held: HeldOut, lake: Lake) -> HeldOut:
+def restrict(held: HeldOut, lake: Lake) -> HeldOut:
     """Only what of the held-out part lies in the flights and stretches of a folder.
 
     Raises

@@ -74,7 +74,7 @@ def root_mean_square(e: FloatArray) -> float:
     return largest * float(np.sqrt(np.mean((e / largest) ** 2)))
 
 
-def pooled(ys: Sequence[FloatArray], yhs: Sequence[FloatArray]) -> Scores:
+def pool(ys: Sequence[FloatArray], yhs: Sequence[FloatArray]) -> Scores:
     """`scores` over the samples of all segments together."""
     return scores(np.concatenate(list(ys)), np.concatenate(list(yhs)))
 

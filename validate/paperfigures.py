@@ -76,7 +76,7 @@ def write_figure(path: Path, drawing: Callable[[], Figure]) -> Path:
     """
     kind = path.suffix.removeprefix(".")
     _refuse_unknown(kind)
-    content = _rendered(drawing, kind)
+    content = _render(drawing, kind)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         write_atomically(path, content)
@@ -113,7 +113,7 @@ def draw(context: ReportContext, channel: str, output: int = 0) -> Figure:
     return figure
 
 
-def _rendered(drawing: Callable[[], Figure], kind: str) -> bytes:
+def _render(drawing: Callable[[], Figure], kind: str) -> bytes:
     """The file's bytes; equal input gives equal bytes (no dates, no random ids)."""
     import io
 

@@ -75,7 +75,7 @@ class Correlation:
 
 def autocorrelation(errors: Sequence[FloatArray], lags: int) -> Correlation:
     """Of the errors (N_i,) at lags 1 .. `lags`."""
-    x = _centred(errors)
+    x = _centre(errors)
     rho = _pooled_products(x, x, lags)
     index = np.arange(1, lags + 1, dtype=np.float64)
     band = Z99 / np.sqrt(sum(len(s) for s in x))
@@ -84,8 +84,8 @@ def autocorrelation(errors: Sequence[FloatArray], lags: int) -> Correlation:
 
 def cross_correlation(errors: Sequence[FloatArray], inputs: Sequence[FloatArray], lags: int) -> Correlation:
     """Of the errors e(k) with u(k - lag), lags -`lags` .. `lags`, with Bartlett's band."""
-    e = _centred(errors)
-    u = _centred(inputs)
+    e = _centre(errors)
+    u = _centre(inputs)
     rho = _pooled_products(e, u, lags)
     longest = max(len(s) for s in e)
     rho_e, rho_u = (_pooled_products(x, x, longest - 1)[longest - 1 :] for x in (e, u))
@@ -97,7 +97,7 @@ def cross_correlation(errors: Sequence[FloatArray], inputs: Sequence[FloatArray]
     return Correlation(index, rho, float(min(band, 1.0)), (index >= 0).astype(np.float64))
 
 
-def _centred(series: Sequence[FloatArray]) -> list[FloatArray]:
+def _centre(series: Sequence[FloatArray]) -> list[FloatArray]:
     """Without their common mean, and divided by the largest value: squares neither overflow nor vanish."""
     largest = _largest(series)
     mean = float(np.mean(np.concatenate([s / largest for s in series])))

@@ -38,13 +38,13 @@ def list_runs(folders: Sequence[str | Path]) -> tuple[list[RunChannel], list[Sto
     channels: dict[tuple[str, str], RunChannel] = {}
     damaged: list[StoreError] = []
     for folder in dict.fromkeys(map(Path, folders)):
-        found, broken = _listed(folder)
+        found, broken = _list_runs(folder)
         channels |= {(c.folder, c.channel): c for c in found}
         damaged += broken
     return list(channels.values()), damaged
 
 
-def _listed(root: Path) -> tuple[list[RunChannel], list[StoreError]]:
+def _list_runs(root: Path) -> tuple[list[RunChannel], list[StoreError]]:
     known = _read(root)
     now = Indexed()
     damaged = []

@@ -62,7 +62,7 @@ HEADINGS = (
 )  # fmt: skip
 
 
-def _ranked(
+def _rank(
     comparisons: Mapping[str, Comparison], seconds: Seconds | None = None, every: bool = False
 ) -> Iterator[_Row]:
     """Rows for people, or, where `every` is asked for, of all models at all horizons."""
@@ -97,7 +97,7 @@ def to_markdown(
         said += ["", "Before you rely on this:", ""]
         said += [f"- {c.level}: {_escape(f'{c.text} {c.todo}'.strip())}" for c in cautions]
     lines = [f"| {' | '.join(HEADINGS)} |", "|---|---|---|---:|---:|---:|---:|---|---:|---:|---:|---|"]
-    lines += [f"| {' | '.join(_cells(row, _escape))} |" for row in _ranked(comparisons, seconds)]
+    lines += [f"| {' | '.join(_cells(row, _escape))} |" for row in _rank(comparisons, seconds)]
     return "\n".join([*said, "", *lines] if said else lines) + "\n"
 
 
@@ -138,14 +138,14 @@ def to_csv(comparisons: Mapping[str, Comparison]) -> str:
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
     writer.writerow(CSV_HEADER)
-    for row in _ranked(comparisons, every=True):
+    for row in _rank(comparisons, every=True):
         score = row.entry.models[row.model]
         head = [row.channel, row.entry.output.name, row.entry.output.unit, row.entry.horizon, row.model]
         first = min((s.diverged_s for s in score.diverged if s.diverged_s is not None), default=None)
-        writer.writerow(_safe([*head, "", "", *_numbers(score.scores), first, *_judged(row.pair)]))
+        writer.writerow(_safe([*head, "", "", *_numbers(score.scores), first, *_judge(row.pair)]))
         for s in score.segments:
             where: list[Cell] = [s.segment + 1, s.flight]
-            writer.writerow(_safe([*head, *where, *_numbers(s.scores), s.diverged_s, *_judged(None)]))
+            writer.writerow(_safe([*head, *where, *_numbers(s.scores), s.diverged_s, *_judge(None)]))
     return out.getvalue()
 
 
@@ -153,7 +153,7 @@ def _numbers(s: Scores) -> list[Cell]:
     return [s.n, s.rmse, s.mae, s.worst, s.bias, s.fit_pct, s.vaf_pct, s.r2]
 
 
-def _judged(pair: Pair | None) -> list[Cell]:
+def _judge(pair: Pair | None) -> list[Cell]:
     if pair is None:
         return [""] * 6
     low, high = pair.ci95 or (None, None)
@@ -185,7 +185,7 @@ def to_html(comparisons: Mapping[str, Comparison]) -> Markup:
                 Markup("<td>{}</td>").format(c) for i, c in enumerate(_cells(row, one_line)) if i != timed
             )
         )
-        for row in _ranked(comparisons)
+        for row in _rank(comparisons)
     )
     table = Markup("<table><thead><tr>{}</tr></thead><tbody>{}</tbody></table>").format(head, body)
     return Markup("<ul>{}</ul>{}").format(said, table) if said else table

@@ -189,7 +189,7 @@ class ChannelTransfers:
             "reference": list(self.reference),
             "follows_controller_rad_s": [list(map(list, self._follows(i))) for i in range(len(self.views))],
             "measured": [
-                None if m is None else _measured(m, j) | {"band_rad_s": self.band(i, j)}
+                None if m is None else _measure(m, j) | {"band_rad_s": self.band(i, j)}
                 for i, m in enumerate(self.measured)
                 for j in range(len(self.data.inputs))
             ],
@@ -248,7 +248,7 @@ def _number(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
 
 
-def _measured(measured: MeasuredResponse, source: int) -> dict[str, Any]:
+def _measure(measured: MeasuredResponse, source: int) -> dict[str, Any]:
     width = measured.half_width()[:, source]
     return {
         "input": measured.inputs[source].name,

@@ -125,7 +125,7 @@ def _run(models: Mapping[str, Fitted], test: Dataset, index: int, plan: Plan) ->
     outputs: dict[str, FloatArray] = {}
     diverged: dict[str, float] = {}
     for name, model in models.items():
-        yh, at = _modelled(model, segment, plan.horizon, first)
+        yh, at = _model(model, segment, plan.horizon, first)
         outputs[name], broken = _finite(yh, segment.y)
         at = broken if at is None else at
         if at is not None:
@@ -133,7 +133,7 @@ def _run(models: Mapping[str, Fitted], test: Dataset, index: int, plan: Plan) ->
     return StructureTrial(index, first, segment.y[first:], outputs, diverged)
 
 
-def _modelled(model: Fitted, segment: Segment, horizon: str, first: int) -> tuple[FloatArray, int | None]:
+def _model(model: Fitted, segment: Segment, horizon: str, first: int) -> tuple[FloatArray, int | None]:
     """The scored rows of the model's output, and the first of them at the output limits in free run."""
     if horizon != FREE_RUN:
         return model.predict(segment.u, segment.y, int(horizon))[first:], None

@@ -37,13 +37,15 @@ def defaults_of(verb: str, command: click.Command, verbs: Iterable[str], path: P
         raise UsageError(f"the settings cannot be read: {error}", path=path) from error
     for name, table in document.items():
         if name not in verbs or not isinstance(table, dict):
-            raise _unknown(f"no verb {name!r}", name, verbs, path)
+            raise _refuse_unknown(f"no verb {name!r}", name, verbs, path)
     known = _options(command)
     found = {}
     for key, value in document.get(verb, {}).items():
         option = known.get(key.replace("_", "-"))
         if option is None or option.name is None:
-            raise _unknown(f"'flysid {verb}' has no option {key!r}", key.replace("_", "-"), known, path)
+            raise _refuse_unknown(
+                f"'flysid {verb}' has no option {key!r}", key.replace("_", "-"), known, path
+            )
         found[option.name] = [value] if option.multiple and not isinstance(value, list) else value
     return found
 
@@ -66,7 +68,7 @@ def environment_of(verb: str, command: click.Command, environment: Mapping[str, 
         key = name.removeprefix(prefix).lower().replace("_", "-")
         option = known.get(key)
         if option is None or option.name is None:
-            raise _unknown(f"{name} is set, and 'flysid {verb}' has no option {key!r}", key, known)
+            raise _refuse_unknown(f"{name} is set, and 'flysid {verb}' has no option {key!r}", key, known)
         found[option.name] = value.split() if option.multiple else value
     return found
 
@@ -76,7 +78,7 @@ def _options(command: click.Command) -> dict[str, click.Option]:
     return {opt.lstrip("-"): p for p in options for opt in p.opts if opt.startswith("--")}
 
 
-def _unknown(message: str, name: str, known: Iterable[str], path: Path | None = None) -> UsageError:
+def _refuse_unknown(message: str, name: str, known: Iterable[str], path: Path | None = None) -> UsageError:
     near = difflib.get_close_matches(name, list(known), n=1)
     hint = f"did you mean {near[0]!r}?" if near else f"one of {', '.join(known)}"
     return UsageError(message, path=path, hint=hint)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from flysid.cli.display import Display, progress_options
-from flysid.cli.output import aligned, check_target, printable, say
+from flysid.cli.output import align_columns, check_target, printable, say
 from flysid.errors import UsageError
 
 if TYPE_CHECKING:
@@ -131,7 +131,7 @@ def command(
     else:
         for axis in design.axes:
             click.echo("\n".join(printable(line) for line in axis.lines()))
-            click.echo("\n".join(f"    {line}" for line in aligned(axis.table())) + "\n")
+            click.echo("\n".join(f"    {line}" for line in align_columns(axis.table())) + "\n")
     _write(design, out, quiet)
     if not as_json:
         say(design.caution)

@@ -15,11 +15,19 @@ from flysid.cli.bounds import memory_option, time_option
 from flysid.cli.display import Display, progress_options
 from flysid.cli.kinematics import Motion, motions, write_corrected
 from flysid.cli.ls import clock_text
-from flysid.cli.output import NAMES_SHOWN, REASONS_SHOWN, aligned, printable, say, say_passed_over, shortened
+from flysid.cli.output import (
+    NAMES_SHOWN,
+    REASONS_SHOWN,
+    align_columns,
+    printable,
+    say,
+    say_passed_over,
+    shorten,
+)
 from flysid.cli.source import format_option, time_unit_option
 from flysid.errors import UsageError
 from flysid.progress import tell
-from flysid.showing import WIDTH, counted, first_of, folded
+from flysid.showing import WIDTH, counted, first_of, fold
 
 if TYPE_CHECKING:
     from flysid.flight import Damage
@@ -139,8 +147,8 @@ def lines(surveys: Mapping[Path, Survey]) -> Iterator[str]:
     columns = [column for column in columns if not NOTHING.issuperset(column[1:])]
     names = [short_name(path) for path in surveys]
     room = WIDTH - sum(2 + max(map(len, column)) for column in columns)
-    shown = [shortened(name, max(room, SHORTEST_NAME)) for name in names]
-    yield from aligned(list(zip(("FILE", *shown), *columns, strict=True)))
+    shown = [shorten(name, max(room, SHORTEST_NAME)) for name in names]
+    yield from align_columns(list(zip(("FILE", *shown), *columns, strict=True)))
     rates = {column[0]: ROLES_SHOWN[column[0]] for column in columns if column[0] in ROLES_SHOWN}
     if rates:
         yield f"{', '.join(rates)}: rate of {', '.join(rates.values())} in Hz"
@@ -149,7 +157,7 @@ def lines(surveys: Mapping[Path, Survey]) -> Iterator[str]:
         for remark in remarks(found):
             about.setdefault(remark, []).append(name)
     for remark, those in about.items():
-        yield folded(printable(f"{first_of(those, NAMES_SHOWN)}: {remark}"))
+        yield fold(printable(f"{first_of(those, NAMES_SHOWN)}: {remark}"))
 
 
 def row(found: Survey) -> tuple[str, ...]:

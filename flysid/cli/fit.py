@@ -18,7 +18,7 @@ from flysid.cli.source import (
     Words,
     is_ingested,
     lost_on_the_way,
-    opened,
+    open_source,
     say_mixed_gains,
     selection_options,
     words_options,
@@ -185,7 +185,7 @@ def command(
         with display.shown():
             run = fit_file(data, output, settings)
     else:
-        with display.shown(), opened(data, words, selection, place, quiet) as (lake, chosen):
+        with display.shown(), open_source(data, words, selection, place, quiet) as (lake, chosen):
             with part(0.0 if is_ingested(data) else READING_OF_A_FIT):
                 run = fit_run(lake, chosen, output, settings, jobs=jobs or cores())
             lost = lost_on_the_way(data, lake)

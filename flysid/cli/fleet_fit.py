@@ -10,7 +10,7 @@ import click
 
 from flysid.cli.display import Display, progress_options
 from flysid.cli.fleet_data import FleetData, fleet_data_options
-from flysid.cli.output import aligned, check_target, say
+from flysid.cli.output import align_columns, check_target, say
 from flysid.showing import counted
 
 if TYPE_CHECKING:
@@ -108,7 +108,7 @@ def table(fitted: FleetFit) -> list[str]:
         model = group.models[0]
         rows.append((name_of(group.key), group.channel, str(len(group.flights)), f"{model.rows:,}",
                      f"{model.rmse:.3g}", gain, at))  # fmt: skip
-    return aligned(rows)
+    return align_columns(rows)
 
 
 def name_of(key: object) -> str:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from flysid.cli.ls import clock_text
-from flysid.cli.output import aligned, say
+from flysid.cli.output import align_columns, say
 from flysid.showing import counted
 
 if TYPE_CHECKING:
@@ -37,7 +37,7 @@ def command(lake: str, vehicle: str, firmware: str, where: str, sql: str, by: st
     """
     from flysid.fleet.asking import answer
 
-    conditions = [f"{name} = {_quoted(value)}" for name, value in _named(vehicle, firmware) if value]
+    conditions = [f"{name} = {_quote(value)}" for name, value in _name_columns(vehicle, firmware) if value]
     conditions += [f"({where})"] if where else []
     table = answer(lake, sql or _question(conditions, by))
     if as_json:
@@ -45,17 +45,17 @@ def command(lake: str, vehicle: str, firmware: str, where: str, sql: str, by: st
             click.echo(json.dumps(row, default=str))
     elif sql or by:
         rows = [[_cell(value) for value in row.values()] for row in table.to_pylist()]
-        click.echo("\n".join(aligned([[name.upper() for name in table.column_names], *rows])))
+        click.echo("\n".join(align_columns([[name.upper() for name in table.column_names], *rows])))
     else:
-        click.echo("\n".join(aligned([HEADINGS, *(_row(row) for row in table.to_pylist())])))
+        click.echo("\n".join(align_columns([HEADINGS, *(_row(row) for row in table.to_pylist())])))
         _sum_up(table)
 
 
-def _named(vehicle: str, firmware: str) -> tuple[tuple[str, str], ...]:
+def _name_columns(vehicle: str, firmware: str) -> tuple[tuple[str, str], ...]:
     return ("vehicle", vehicle), ("firmware", firmware)
 
 
-def _quoted(text: str) -> str:
+def _quote(text: str) -> str:
     doubled = text.replace("'", "''")
     return f"'{doubled}'"
 

@@ -9,7 +9,7 @@ import click
 
 from flysid.cli.design import a_range
 from flysid.cli.display import Display, progress_options
-from flysid.cli.output import ExitCode, aligned, check_target, say
+from flysid.cli.output import ExitCode, align_columns, check_target, say
 
 
 @click.command("fly")
@@ -75,7 +75,7 @@ def command(
     else:
         for axis in campaign.rows:
             click.echo(f"{axis}, {vehicles} vehicles")
-            click.echo("\n".join(f"  {line}" for line in aligned(campaign.table(axis))) + "\n")
+            click.echo("\n".join(f"  {line}" for line in align_columns(campaign.table(axis))) + "\n")
         held = " and ".join(f"{v:.1f} m/s along {a}" for a, v in campaign.held_wind_m_s.items())
         say(
             f"full tilt of the nominal vehicle holds {held}; beyond that, no gains can hold the position",

@@ -11,9 +11,9 @@ import click
 
 from flysid.cli.addresses import SOURCE, here
 from flysid.cli.display import Display
-from flysid.cli.output import aligned, check_target, explain, printable, say
+from flysid.cli.output import align_columns, check_target, explain, printable, say
 from flysid.cli.source import READING_OF_A_LOOK, Words, opened_flights, reading_options
-from flysid.showing import folded
+from flysid.showing import fold
 
 if TYPE_CHECKING:
     from flysid.loops.judged import Judged
@@ -68,7 +68,7 @@ def command(
     if as_json:
         click.echo(json.dumps([j.to_dict() for j in found], indent=1, allow_nan=False))
     else:
-        click.echo("\n\n".join("\n".join(folded(printable(line)) for line in j.lines()) for j in found))
+        click.echo("\n\n".join("\n".join(fold(printable(line)) for line in j.lines()) for j in found))
         _print_sets(found)
         if known:
             explain(CAUTION)
@@ -86,7 +86,7 @@ def _print_sets(found: Sequence[Judged]) -> None:
 
     rows = gain_sets(found)
     if rows:
-        click.echo("\n".join(["", *aligned(rows), *differences(found)]))
+        click.echo("\n".join(["", *align_columns(rows), *differences(found)]))
         say(
             "next: two sets in one plot: flysid step LOG -r RECIPE --against LOG --plot step.png; "
             "between two equal ones take the larger margin"

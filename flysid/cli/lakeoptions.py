@@ -52,9 +52,9 @@ class LakeOptions:
 @contextmanager
 def dask_cluster(address: str, workers: int, quiet: bool) -> Iterator[Cluster]:
     """The cluster that --cluster or --workers asks for; says how many workers it has."""
-    from flysid.fleet.cluster import connected
+    from flysid.fleet.cluster import connect
 
-    with connected(address, workers) as cluster:
+    with connect(address, workers) as cluster:
         if address.startswith("tcp://") and not LOOPBACK.match(address):
             say("this scheduler runs any code for whoever reaches it; tls:// with certificates is safer")
         say(f"cluster of {counted(cluster.workers, 'worker')}; dashboard: {cluster.dashboard}", quiet)

@@ -10,7 +10,7 @@ import click
 
 from flysid.cli.addresses import SOURCE
 from flysid.cli.display import Display, progress_options
-from flysid.cli.output import aligned
+from flysid.cli.output import align_columns
 from flysid.cli.source import READING_OF_A_FIT, opened_flights, selection_options
 
 if TYPE_CHECKING:
@@ -52,7 +52,7 @@ def command(
     if as_json:
         click.echo(json.dumps({"flights": [as_document(f) for f in flights]}, indent=1))
     else:
-        click.echo("\n".join(aligned([HEADINGS, *(row(f) for f in flights)])))
+        click.echo("\n".join(align_columns([HEADINGS, *(row(f) for f in flights)])))
 
 
 def _suggest(data: Path, selection: Selection, display: Display, as_json: bool, every: bool) -> None:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 
 from flysid.errors import UsageError
-from flysid.showing import counted, first_of, folded
+from flysid.showing import counted, first_of, fold
 
 if TYPE_CHECKING:
     from flysid.ingest.lake.finding import PassedOver
@@ -37,14 +37,14 @@ def printable(text: str) -> str:
     return "".join(c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in text)
 
 
-def aligned(rows: Sequence[Sequence[str]]) -> list[str]:
+def align_columns(rows: Sequence[Sequence[str]]) -> list[str]:
     """Rows of cells as lines with aligned columns, control characters removed."""
     clean = [[printable(cell) for cell in cells] for cells in rows]
     widths = [max(len(cell) for cell in column) for column in zip(*clean, strict=True)]
     return ["  ".join(c.ljust(w) for c, w in zip(cells, widths, strict=True)).rstrip() for cells in clean]
 
 
-def shortened(name: str, longest: int = 18) -> str:
+def shorten(name: str, longest: int = 18) -> str:
     """A name with its middle left out where it is too long."""
     half = (longest - 1) // 2
     return name if len(name) <= longest else f"{name[:half]}…{name[-half:]}"
@@ -59,7 +59,7 @@ def say(text: str, quiet: bool = False) -> None:
 def explain(text: str, quiet: bool = False) -> None:
     """A sentence or two for people, on stderr, within the width."""
     if not quiet:
-        click.echo(folded(printable(text)), err=True)
+        click.echo(fold(printable(text)), err=True)
 
 
 def say_passed_over(files: Sequence[PassedOver], quiet: bool) -> None:

@@ -11,7 +11,7 @@ import click
 
 from flysid.cli.display import Display
 from flysid.cli.output import check_target, printable
-from flysid.cli.source import Words, opened, selection_options, words_options
+from flysid.cli.source import Words, open_source, selection_options, words_options
 from flysid.errors import UsageError
 
 if TYPE_CHECKING:
@@ -155,7 +155,7 @@ def _begun(
     from flysid.ingest.align.recipe import load_recipe, recipe_text
     from flysid.plan.briefing import axes_of_last_flight
 
-    with Display(quiet=quiet).shown(), opened(source, words, selection, None, quiet) as (lake, name):
+    with Display(quiet=quiet).shown(), open_source(source, words, selection, None, quiet) as (lake, name):
         recipe = load_recipe(name)
         wanted = channels or lake.channels(recipe)
         found = [axes_of_last_flight(lake.dataset(recipe, channel)) for channel in wanted]

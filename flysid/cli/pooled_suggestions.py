@@ -17,7 +17,7 @@ NUMBER = re.compile(r"(?<![\w.])\d+(?:\.\d+)?(?![\w.]*\w)")
 """A number that stands alone, not the one in `motor1`."""
 
 
-def pooled(found: Sequence[Suggestion]) -> list[tuple[str, ...]]:
+def pool(found: Sequence[Suggestion]) -> list[tuple[str, ...]]:
     """The rows of suggestions of one verdict and recipe: the most coherent channel first."""
     channels: dict[str, list[Suggestion]] = {}
     for suggestion in found:

@@ -31,7 +31,7 @@ def command(name: str, source: Path | None, toml: bool) -> None:
     from flysid.cli.output import say
     from flysid.errors import UsageError
     from flysid.ingest.align.recipe import load_recipe, recipe_text, shipped_recipes
-    from flysid.showing import folded
+    from flysid.showing import fold
 
     if name and source is not None:
         raise UsageError("a recipe's name and --for are mutually exclusive", hint="give one of them")
@@ -40,18 +40,18 @@ def command(name: str, source: Path | None, toml: bool) -> None:
     if toml:
         click.echo(recipe_text(name)[0], nl=False)
     elif name:
-        click.echo("\n".join(explained(load_recipe(name))))
+        click.echo("\n".join(explain(load_recipe(name))))
     else:
-        served = _served(source)
+        served = _list_served(source)
         for recipe, channels in served.items():
-            click.echo(folded(f"{recipe}: {', '.join(channels)}"))
-            click.echo(folded(f"  {load_recipe(recipe).description}"))
+            click.echo(fold(f"{recipe}: {', '.join(channels)}"))
+            click.echo(fold(f"  {load_recipe(recipe).description}"))
         if not served:
             say(f"no recipe fits {source}; shipped ones: {', '.join(shipped_recipes())}")
             say("from your own fields: flysid fit LOG --from FIELD --to FIELD -o run")
 
 
-def _served(source: Path | None) -> dict[str, tuple[str, ...]]:
+def _list_served(source: Path | None) -> dict[str, tuple[str, ...]]:
     """Recipe -> its channels; of a log, those that it can serve."""
     from flysid.ingest.align.recipe import load_recipe, shipped_recipes
 
@@ -63,7 +63,7 @@ def _served(source: Path | None) -> dict[str, tuple[str, ...]]:
         return lake.recipes()
 
 
-def explained(recipe: Recipe) -> Iterator[str]:
+def explain(recipe: Recipe) -> Iterator[str]:
     """A recipe in words: the channels first, then every signal with the places where it is looked for."""
     yield f"{recipe.name}: {recipe.description}" if recipe.description else recipe.name
     for name, channel in recipe.channels.items():

@@ -67,7 +67,7 @@ def command(
     secret = load_key(key)
     guard = None if secret is None else Guard(secret, unsigned)
     warm_up()
-    recording = Recording(opened(links, buffer, heartbeat), output, rotation, guard, heartbeat)
+    recording = Recording(open_links(links, buffer, heartbeat), output, rotation, guard, heartbeat)
     for text in recording.receiver.warnings():
         say(text, quiet)
     run(recording, seconds, quiet)
@@ -76,7 +76,7 @@ def command(
     return finish(recording, quiet)
 
 
-def opened(links: tuple[str, ...], buffer: int | None, sends: bool) -> list[Any]:
+def open_links(links: tuple[str, ...], buffer: int | None, sends: bool) -> list[Any]:
     """The links, all open; none where one cannot be."""
     from flysid.live.links import open_link
 

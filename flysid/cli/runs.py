@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from flysid.cli.output import aligned, say
+from flysid.cli.output import align_columns, say
 
 if TYPE_CHECKING:
     from flysid.validate.history import RunChannel
@@ -34,7 +34,7 @@ def command(folders: tuple[Path, ...], as_json: bool) -> int:
     if as_json:
         click.echo(json.dumps({"runs": [c.to_dict() for c in order]}, indent=1, allow_nan=False))
     elif order:
-        click.echo("\n".join(aligned([HEADINGS, *(row(c) for c in order)])))
+        click.echo("\n".join(align_columns([HEADINGS, *(row(c) for c in order)])))
     for reason in damaged:
         say(f"left out: {reason}")
     return 3 if damaged else 0

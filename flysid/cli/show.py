@@ -17,7 +17,7 @@ from flysid.cli.addresses import SOURCE
 from flysid.cli.display import Display
 from flysid.cli.losses import losses
 from flysid.cli.ls import clock_text
-from flysid.cli.output import aligned, printable, say
+from flysid.cli.output import align_columns, printable, say
 from flysid.cli.source import Words, opened_flights, reading_options
 from flysid.errors import StoreError, UsageError
 from flysid.flight import BOOT, RECEIVED, TIME
@@ -134,7 +134,7 @@ def _print_fields(log: StoredLog) -> None:
         fields = [c for c in entry.columns if c.name not in (TIME, BOOT, RECEIVED)]
         counts.append(len(fields))
         rows += [(f"  {c.name}", c.unit, *statistics(ranges[c.name])) for c in fields]
-    heading, *lines = aligned(rows)
+    heading, *lines = align_columns(rows)
     click.echo(heading)
     for entry, count in zip(log.manifest.streams, counts, strict=True):
         click.echo("\n".join([stream_title(entry), *lines[:count]]))
@@ -156,7 +156,7 @@ def _print_events(log: StoredLog, kinds: Sequence[str]) -> None:
 
     rows = [(f"{e.time_ns / 1e9:.3f} s", e.kind, e.text) for e in events(log) if e.kind in kinds]
     if rows:
-        click.echo("\n".join(aligned(rows)))
+        click.echo("\n".join(align_columns(rows)))
     else:
         say(f"the log holds none of these: {', '.join(kinds)}")
 
@@ -229,7 +229,7 @@ def flight_text(manifest: Manifest, modes: Sequence[str] = ()) -> str:
         )
         for s in manifest.streams
     ]
-    return "\n".join([*aligned(facts), "", *aligned(rows)])
+    return "\n".join([*align_columns(facts), "", *align_columns(rows)])
 
 
 def stream_title(entry: StreamEntry) -> str:
@@ -287,7 +287,7 @@ def stream_text(log: StoredLog, entry: StreamEntry, count: int) -> str:
     first = [tuple(c.name for c in entry.columns)]
     table = log.table(entry.stream, [c.name for c in entry.columns]).slice(0, count)
     first += [tuple(cell(value) for value in row.values()) for row in table.to_pylist()]
-    return "\n".join([stream_title(entry), "", *aligned(columns), "", *aligned(first)])
+    return "\n".join([stream_title(entry), "", *align_columns(columns), "", *align_columns(first)])
 
 
 def cell(value: object) -> str:

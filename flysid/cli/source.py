@@ -203,7 +203,7 @@ _STRETCHES = (
 
 
 @contextmanager
-def opened(
+def open_source(
     data: Path, words: Words, selection: Selection, place: Path | None, quiet: bool
 ) -> Iterator[tuple[Lake, str]]:
     """The flights that are meant, and the name of a recipe; both hold until the block ends.

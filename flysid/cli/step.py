@@ -11,7 +11,7 @@ import click
 from flysid.cli.addresses import SOURCE
 from flysid.cli.display import Display
 from flysid.cli.output import check_target, printable, say
-from flysid.cli.source import Words, opened, say_mixed_gains, selection_options, words_options
+from flysid.cli.source import Words, open_source, say_mixed_gains, selection_options, words_options
 
 if TYPE_CHECKING:
     from flysid.ingest.lake.chosen_flights import Selection
@@ -62,7 +62,10 @@ def command(
     skipped: dict[str, str] = {}
     for place in (data, *([against] if against is not None else [])):
         of = place.name if against is not None else ""
-        with Display(quiet=quiet).shown(), opened(place, words, selection, None, quiet) as (lake, chosen):
+        with (
+            Display(quiet=quiet).shown(),
+            open_source(place, words, selection, None, quiet) as (lake, chosen),
+        ):
             steps, why = channel_steps(lake, chosen, channels=channels, horizon_s=horizon, fast=fast, of=of)
             say_mixed_gains(lake, quiet)
         found += steps

@@ -115,8 +115,8 @@ def new_recording(folder: Path) -> Path:
 
 def open_session(links: tuple[str, ...], run: Path | None, false_alarms: float, target: Path) -> Session:
     """Links to be recorded, with the watches of a run where one is given; not yet started."""
-    from flysid.cli.record import opened
-    from flysid.cli.watch import calibrated, recipe_of
+    from flysid.cli.record import open_links
+    from flysid.cli.watch import calibrate, recipe_of
     from flysid.live.receiving import warm_up
     from flysid.live.recording import Recording
     from flysid.live.session import Session
@@ -128,9 +128,9 @@ def open_session(links: tuple[str, ...], run: Path | None, false_alarms: float, 
         fitted = open_run(run)
         recipe = recipe_of(fitted, "a link")
         say("calibrating on held-out flights")
-        watches = calibrated(fitted, None, (), None, false_alarms)
+        watches = calibrate(fitted, None, (), None, false_alarms)
     warm_up()
-    recording = Recording(opened(links, None, sends=False), target)
+    recording = Recording(open_links(links, None, sends=False), target)
     for text in recording.receiver.warnings():
         say(text)
     return Session(recording, watches, recipe)

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING
 
 import click
 
-from flysid.cli.output import aligned, printable, say, shortened
+from flysid.cli.output import align_columns, printable, say, shorten
 from flysid.cli.pooled_suggestions import HEADINGS as POOLED_HEADINGS
-from flysid.cli.pooled_suggestions import dead_time, hertz, pooled, pooled_advice
-from flysid.showing import counted, folded
+from flysid.cli.pooled_suggestions import dead_time, hertz, pool, pooled_advice
+from flysid.showing import counted, fold
 
 if TYPE_CHECKING:
     from flysid.ingest.lake.suggest import Suggestion
@@ -52,8 +52,8 @@ def print_suggestions(
         for recipe in dict.fromkeys(s.recipe for s in shown if s.verdict == verdict):
             group = [s for s in shown if (s.verdict, s.recipe) == (verdict, recipe)]
             rows = [row(s, names[s.flight]) for s in sorted(group, key=lambda s: -s.coherence)]
-            table = [POOLED_HEADINGS, *pooled(group)] if together else [HEADINGS, *rows]
-            lines += [f"{verdict.upper()}  {recipe}", *(f"  {line}" for line in aligned(table)), ""]
+            table = [POOLED_HEADINGS, *pool(group)] if together else [HEADINGS, *rows]
+            lines += [f"{verdict.upper()}  {recipe}", *(f"  {line}" for line in align_columns(table)), ""]
     delays = [_delay(s) for s in shown if s.rate_hz > 0]
     lines += [SIGN] if any(s.sign and s.band_hz is not None for s in shown) else []
     lines += [COHERENCE] if shown else []
@@ -62,7 +62,7 @@ def print_suggestions(
     lines += pooled_advice(shown, names) if together else advice(shown, names)
     lines += unusable(found, flights, names, told=every)
     lines += _more(len(found) - len(shown), together)
-    click.echo("\n".join(folded(printable(line)) for line in lines).strip())
+    click.echo("\n".join(fold(printable(line)) for line in lines).strip())
     say(next_command(found, data, vehicles))
 
 
@@ -85,11 +85,11 @@ def unusable(
         own = [s for s in found if s.flight == flight]
         if not own:
             lines.append(
-                f"{shortened(names[flight])}: no shipped recipe fits; name an input and an output yourself"
+                f"{shorten(names[flight])}: no shipped recipe fits; name an input and an output yourself"
             )
         elif not told and not any(s.verdict in USABLE for s in own):
             first = own[0]
-            lines.append(f"{shortened(names[flight])}: {first.channel} {first.verdict}: {first.advice}")
+            lines.append(f"{shorten(names[flight])}: {first.channel} {first.verdict}: {first.advice}")
     return lines
 
 
@@ -123,9 +123,9 @@ def row(found: Suggestion, flight: str) -> tuple[str, ...]:
     related = made and found.band_hz is not None
     band = found.band_hz or (0.0, 0.0)
     return (
-        shortened(flight),
+        shorten(flight),
         found.channel,
-        {1: "+", -1: "-", 0: ""}[found.sign if related else 0] + shortened(found.input, 13),
+        {1: "+", -1: "-", 0: ""}[found.sign if related else 0] + shorten(found.input, 13),
         f"{found.duration_s:.0f} s" if made else "-",
         f"{found.rate_hz:.3g} Hz" if made else "-",
         f"{found.coherence:.2f}" if made else "-",

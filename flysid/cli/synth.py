@@ -94,7 +94,7 @@ def command(
     **options: Any,
 ) -> None:
     """Simulate flights, write the logs that the vehicles would have written, and print their paths."""
-    order = ordered(**options)
+    order = read_order(**options)
     if live is not None:
         from flysid.ingest.synth.live import Pace, fly_live
 
@@ -121,7 +121,7 @@ def command(
             click.echo(path)
 
 
-def ordered(*, dropouts: tuple[str, ...], **options: Any) -> Order:
+def read_order(*, dropouts: tuple[str, ...], **options: Any) -> Order:
     """The order that the options describe."""
     from flysid.ingest.synth.synth import Order
 

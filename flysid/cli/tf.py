@@ -11,16 +11,16 @@ import click
 from flysid.cli import complete
 from flysid.cli.addresses import SOURCE
 from flysid.cli.display import Display, progress_options
-from flysid.cli.output import ExitCode, aligned, check_target, say
+from flysid.cli.output import ExitCode, align_columns, check_target, say
 from flysid.cli.source import (
     Words,
     lost_on_the_way,
-    opened,
+    open_source,
     say_mixed_gains,
     selection_options,
     words_options,
 )
-from flysid.showing import folded
+from flysid.showing import fold
 
 if TYPE_CHECKING:
     from flysid.ingest.lake.chosen_flights import Selection
@@ -149,7 +149,7 @@ def command(
         band=settings["band"] or None,
         method=settings["method"],
     )
-    with display.shown(), opened(data, words, selection, None, quiet) as (lake, chosen):
+    with display.shown(), open_source(data, words, selection, None, quiet) as (lake, chosen):
         found, skipped = identify(
             lake, chosen, estimator, channels=channels, reference=reference, reference_at=reference_at
         )
@@ -188,10 +188,10 @@ def text_of(channel: ChannelTransfers, table: bool) -> str:
     from flysid.cli.output import printable
 
     lines = [printable(line) for text in channel.lines() for line in text.split("\n")]
-    lines = [folded(line) if line.startswith("- ") else line for line in lines]  # no polynomial is broken
+    lines = [fold(line) if line.startswith("- ") else line for line in lines]  # no polynomial is broken
     if table:
         for i, output in enumerate(channel.data.outputs):
             for j, source in enumerate(channel.data.inputs):
                 lines += ["", printable(f"{source.name} to {output.name}, measured (+- 95 %) and modelled")]
-                lines += aligned(channel.table(i, j))
+                lines += align_columns(channel.table(i, j))
     return "\n".join(lines)

@@ -76,7 +76,7 @@ def command(
 
     opened = open_run(run)
     say("calibrating on held-out flights", quiet)
-    watches = calibrated(opened, data, channels, label, false_alarms)
+    watches = calibrate(opened, data, channels, label, false_alarms)
     for one in watches:
         for text in one.visibility:
             say(text, quiet)
@@ -97,7 +97,7 @@ def command(
     return ExitCode.ALARM if fail and alarms else 0
 
 
-def calibrated(
+def calibrate(
     run: Run, data: Path | None, channels: tuple[str, ...], label: str | None, false_alarms: float
 ) -> list[ChannelWatch]:
     """The watches of the chosen channels; says which cannot be watched. Raises where none can."""

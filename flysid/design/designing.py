@@ -13,7 +13,7 @@ from flysid.design.designed import Axis, Design, DesignMeaning
 from flysid.design.drawn_plants import PlantSet, Spread, plants_of
 from flysid.design.firmware import Firmware, firmware_for
 from flysid.design.gain_search import Bounds, Box, search
-from flysid.design.identified import Identified, identified
+from flysid.design.identified import Identified, identify
 from flysid.design.law import Gains
 from flysid.errors import DataError, UsageError
 from flysid.progress import tell
@@ -82,7 +82,7 @@ def design_run(run: Run, wish: Wish, data: str | Path | None = None) -> Design:
     tell("searching for gains")
     scheme = ready[0].firmware.scheme
     together = [ready] if scheme.shared else [[r] for r in ready]
-    axes = [axis for group in together for axis in _designed(group, wish)]
+    axes = [axis for group in together for axis in _design(group, wish)]
     return Design(
         str(run.folder),
         (wish.firmware, scheme.words),
@@ -110,7 +110,7 @@ def none_left(refused: Mapping[str, tuple[str, str]]) -> DataError:
 
 def ready_channel(item: HeldOut, wish: Wish, *, noise_share: float = 0.05) -> Ready:
     """A channel of a run, or DataError, UsageError where it may not be designed for."""
-    found = identified(item, wish.limit)
+    found = identify(item, wish.limit)
     u = found.train.inputs[0]
     firmware = firmware_for(wish.firmware, _own(wish.old, found.name), u.unit, wish.limit)
     plants = plants_of(found.models, found.train, found.band)
@@ -128,7 +128,7 @@ def _own(old: Mapping[str, float], channel: str) -> dict[str, float]:
     return {**{name: v for name, v in old.items() if "." not in name}, **own}
 
 
-def _designed(group: Sequence[Ready], wish: Wish) -> list[Axis]:
+def _design(group: Sequence[Ready], wish: Wish) -> list[Axis]:
     """The channels of one set of gains."""
     first = group[0]
     plants = replace(

@@ -43,7 +43,7 @@ class Identified:
     reach: float
 
 
-def identified(item: HeldOut, limit: float | None) -> Identified:
+def identify(item: HeldOut, limit: float | None) -> Identified:
     """What may be used of a channel of a run.
 
     Parameters

@@ -173,7 +173,7 @@ def packed_rules(laws: Sequence[RuleLaw | None], *, far: float = 1e6) -> Packed:
 
 
 @njit(cache=True)
-def blended(xi, numbers, sets):  # type: ignore[no-untyped-def]
+def blend(xi, numbers, sets):  # type: ignore[no-untyped-def]
     """The input at a state, of one law as `packed_rules` makes it."""
     _, rules, n_z = sets.shape
     grades = np.zeros(rules)

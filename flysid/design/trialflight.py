@@ -15,7 +15,7 @@ from numba import njit
 
 from flysid.dataset import FloatArray
 from flysid.design.law import ComplexArray, Gains, keeping
-from flysid.design.rule_plants import RuleLaw, blended, packed_rules
+from flysid.design.rule_plants import RuleLaw, blend, packed_rules
 from flysid.design.self_tuning import Tuner, packed_tuners, tuned_gains
 from flysid.errors import UsageError
 from flysid.ingest.synth.dryden import Wind, wind_field
@@ -236,7 +236,7 @@ def _fly(x, place, speed, noise, air, laws, keep, limit, late, f, tuners, counts
                 xi[speeds] = inputs[k - 1, axis] if k else 0.0
                 away = p - place[k, axis]
                 xi[speeds + sent] = away
-                u = blended(xi, numbers[axis], sets[axis])
+                u = blend(xi, numbers[axis], sets[axis])
                 inputs[k, axis] = min(max(u, -limit), limit)
                 if abs(u) <= limit or u * away > 0.0:
                     xi[speeds + sent + 1] += PERIOD_S * away

@@ -11,11 +11,11 @@ from flysid.errors import UsageError
 from flysid.model.base import Fitted
 from flysid.model.freerun import Difference
 from flysid.model.frequency.rational import Rational
-from flysid.model.frequency.sampling import sampled
+from flysid.model.frequency.sampling import sample
 from flysid.model.transfer_function import FittedTF
 
 
-def resampled(model: Fitted, rate_hz: float) -> Fitted:
+def resample(model: Fitted, rate_hz: float) -> Fitted:
     """The model at `rate_hz` steps a second, its inputs constant between samples.
 
     Raises
@@ -54,7 +54,7 @@ def _sample(model: FittedTF, output: int, dt_s: float) -> tuple[FloatArray, list
         tuple(t.numerator for t in own),
         np.array([t.dead_time_s for t in own]),
     )
-    return sampled(rational, dt_s, "zero")
+    return sample(rational, dt_s, "zero")
 
 
 def _level(model: FittedTF, output: int) -> float:

@@ -7,7 +7,7 @@ from flysid.export.from_linear import linear_program, state_space_program
 from flysid.export.from_physics import multirotor_program
 from flysid.export.from_rules import program_of_rules, static_program
 from flysid.export.from_terms import polynomial_program
-from flysid.export.other_rate import resampled
+from flysid.export.other_rate import resample
 from flysid.export.program import Program
 from flysid.model.base import Fitted
 from flysid.model.linear.difference_equation import FittedLinear
@@ -32,7 +32,7 @@ def program_of(model: Fitted, rate_hz: float | None = None) -> Program:
     if not model.inputs:
         raise UsageError("the model has no inputs", hint="fit a channel with an input")
     if rate_hz is not None:
-        model = resampled(model, rate_hz)
+        model = resample(model, rate_hz)
     if isinstance(model, FittedLinear):
         return linear_program(model)
     if isinstance(model, FittedStateSpace):

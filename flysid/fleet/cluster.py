@@ -172,7 +172,7 @@ def _key(kind: str, *parts: str) -> str:
 
 
 @contextmanager
-def connected(address: str = "", workers: int = 0) -> Iterator[Cluster]:
+def connect(address: str = "", workers: int = 0) -> Iterator[Cluster]:
     """A cluster: the scheduler at an address; or one of this many processes here, for as long as the block.
 
     Raises

@@ -115,7 +115,7 @@ def files_of(place: Place, message: str, where: str = "") -> list[str]:
     return addresses + tables
 
 
-def unreferenced(place: Place) -> list[Found]:
+def find_unreferenced(place: Place) -> list[Found]:
     """Parts that the list of parts does not name."""
     named = {part.key for part in _parts(place).parts}
     return [found for found in place.list(FOLDER) if found.key not in named]

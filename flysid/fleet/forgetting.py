@@ -7,9 +7,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from flysid.catalogue import FlightFacts
-from flysid.fleet.compaction import PARTS, compact, unreferenced
+from flysid.fleet.compaction import PARTS, compact, find_unreferenced
 from flysid.fleet.lakes import DUPLICATES, QUARANTINE
-from flysid.ingest.lake.flighttable import TABLE, opened, remove
+from flysid.ingest.lake.flighttable import TABLE, open_table, remove
 from flysid.manifest import MANIFEST_FILE
 from flysid.mirror import home_of
 from flysid.place import Place
@@ -45,7 +45,7 @@ def forget(place: Place, flights: Sequence[FlightFacts]) -> Forgotten:
     remove(place, sorted(hashes))
     if place.head(PARTS) is not None:
         compact(place)
-        old = [found.key for found in unreferenced(place)]
+        old = [found.key for found in find_unreferenced(place)]
         place.delete(old)
         keys += old
     keys += _without_history(place)
@@ -58,11 +58,11 @@ def _names_one(text: bytes, names: Sequence[str]) -> bool:
 
 def _without_history(place: Place) -> list[str]:
     """Remove the catalogue's former files and log; returns the keys that are gone."""
-    table = opened(place)
+    table = open_table(place)
     if table is None:
         return []
     removed = table.vacuum(retention_hours=0, enforce_retention_duration=False, dry_run=False, full=True)
-    table = opened(place)
+    table = open_table(place)
     table.create_checkpoint()
     version = table.version()
     log = re.compile(rf"{re.escape(TABLE)}/_delta_log/(\d+)\.(json|checkpoint\.parquet)")

@@ -30,7 +30,7 @@ class Published:
     is_new: bool
 
 
-def committed(place: Place, sha256: str) -> FlightFacts | None:
+def find_committed(place: Place, sha256: str) -> FlightFacts | None:
     """The flight of a log with this hash, if the lake has it."""
     for digits in DIGITS:
         key = f"{home_of(sha256[:digits])}/{MANIFEST_FILE}"

@@ -24,7 +24,7 @@ import msgspec
 from flysid.catalogue import FlightFacts
 from flysid.errors import PlaceError, StoreError
 from flysid.fleet.lakes import DUPLICATES, QUARANTINE
-from flysid.fleet.publish import committed, publish
+from flysid.fleet.publish import find_committed, publish
 from flysid.ingest.align.vehicle import vehicle_named
 from flysid.ingest.formats.base import Limits
 from flysid.ingest.lake.batch import Job, Result, Task, work_on
@@ -126,7 +126,7 @@ def _ingest_file(path: Path, log: Log, place: Place, settings: Settings, reader:
     job = reader.hash(path)
     if isinstance(job, Result):
         return _refuse(log, place, job.reason)
-    there = committed(place, job.sha256)
+    there = find_committed(place, job.sha256)
     if there is not None and not settings.replace:
         return _already(log, place, there)
     result, modes = reader.read(job)

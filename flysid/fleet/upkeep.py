@@ -13,7 +13,7 @@ from datetime import UTC, datetime, timedelta
 
 from flysid.catalogue import FlightFacts, facts_of
 from flysid.errors import StoreError
-from flysid.fleet.compaction import unreferenced
+from flysid.fleet.compaction import find_unreferenced
 from flysid.ingest.lake.flighttable import facts_in, rebuild, select
 from flysid.manifest import MANIFEST_FILE, Manifest, content_stamp, parse_manifest
 from flysid.mirror import GENERATION
@@ -85,7 +85,7 @@ def check(place: Place) -> LakeState:
         ),
         orphans=(
             *(found for key, found in objects.items() if key not in owned),
-            *unreferenced(place),
+            *find_unreferenced(place),
         ),
     )
 

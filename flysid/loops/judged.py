@@ -81,7 +81,7 @@ class Judged:
         checked = f"the rebuilt controller gives the recorded output to {100.0 * self.miss:.0f} %"
         rows = [
             "; ".join(crossing),
-            "; ".join(peaks + _unknown(self.margins)),
+            "; ".join(peaks + _list_unknown(self.margins)),
             "; ".join(answers),
             f"identified from {low:.0f} to {high:.0f} Hz; {checked}",
         ]
@@ -126,7 +126,7 @@ def _known(row: list[tuple[str, Figure, str, str]]) -> list[str]:
     ]
 
 
-def _unknown(m: Margins) -> list[str]:
+def _list_unknown(m: Margins) -> list[str]:
     """The figures that are not determined, each reason once."""
     by_reason: dict[str, list[str]] = {}
     for name, figure, _, _ in (item for row in _rows(m) for item in row):
@@ -196,7 +196,7 @@ Stating = tuple[Any, Settings]
 """A log, and what it states."""
 
 
-def _stated(settings: Settings) -> Mapping[str, Any]:
+def _state(settings: Settings) -> Mapping[str, Any]:
     if isinstance(settings, Exception):
         raise settings
     return settings
@@ -278,7 +278,7 @@ def _judge(group: list[Stating], axis: str) -> Judged:
     gains: Mapping[str, float] = {}
     try:
         kind = _kind(logs[0])
-        settings = [_stated(own) for _, own in group]
+        settings = [_state(own) for _, own in group]
         stated = kind.controller(settings[0], axis, NO_THROTTLE)
         gains = stated.gains
         parts = [kind.record(log, axis, own) for log, own in zip(logs, settings, strict=True)]

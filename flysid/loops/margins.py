@@ -92,7 +92,7 @@ def trusted_band(loop: Loop, *, lowest_hz: float = 1.5) -> tuple[float, float]:
         )
     wrong = np.flatnonzero(~known[first:])
     last = first + int(wrong[0]) - 1 if len(wrong) else len(known) - 1
-    if last - first <= POWERS:  # no more lines than `smoothed` has coefficients
+    if last - first <= POWERS:  # no more lines than `smooth` has coefficients
         raise DataError(
             f"the plant is known between {loop.f[first]:.0f} and {loop.f[last]:.0f} Hz alone",
             hint="fly quick stick movements on this axis, a minute of them, in calm air",
@@ -143,8 +143,8 @@ def _least_off(loop: Loop, at: npt.NDArray[np.bool_]) -> tuple[ComplexArray, Com
     own = np.mean(np.abs(np.log(plant(loop.draws)[:, at] / plain)) ** 2, axis=0)
     best = np.inf
     for octaves in OCTAVES:
-        centre, draws = smoothed(loop, at, octaves=octaves)
-        other, _ = smoothed(loop, at, POWERS + 1, octaves)
+        centre, draws = smooth(loop, at, octaves=octaves)
+        other, _ = smooth(loop, at, POWERS + 1, octaves)
         off = np.mean(np.abs(np.log(draws / centre)) ** 2, axis=0) + np.abs(np.log(other / centre)) ** 2
         error = float(np.mean(off / np.maximum(own, 1e-300)))
         if error < best:
@@ -153,7 +153,7 @@ def _least_off(loop: Loop, at: npt.NDArray[np.bool_]) -> tuple[ComplexArray, Com
     return found
 
 
-def smoothed(
+def smooth(
     loop: Loop, at: npt.NDArray[np.bool_], powers: int = POWERS, octaves: float = OCTAVES[0]
 ) -> tuple[ComplexArray, ComplexArray]:
     """The plant (F,) at these lines and its draws (D, F), without scatter from line to line and without bend.

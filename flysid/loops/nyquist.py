@@ -11,7 +11,7 @@ import numpy as np
 from flysid.dataset import FloatArray
 from flysid.errors import UsageError
 from flysid.loops.judged import Judged
-from flysid.loops.margins import smoothed
+from flysid.loops.margins import smooth
 from flysid.loops.stick_response import ComplexArray
 
 
@@ -39,7 +39,7 @@ def curve_of(judged: Judged, *, level: float = 0.95) -> Curve | None:
     at = (judged.loop.f >= low) & (judged.loop.f <= high)
     f = judged.loop.f[at]
     back = judged.controller.feedback(f)
-    centre, draws = smoothed(judged.loop, at)
+    centre, draws = smooth(judged.loop, at)
     away = np.abs((draws - centre) * back)
     return Curve(f, centre * back, np.asarray(np.quantile(away, level, axis=0)))
 

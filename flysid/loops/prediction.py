@@ -15,7 +15,7 @@ import numpy as np
 from flysid.dataset import FloatArray
 from flysid.errors import DataError
 from flysid.loops.controller import Controller
-from flysid.loops.margins import smoothed, trusted_band
+from flysid.loops.margins import smooth, trusted_band
 from flysid.loops.stick_response import DRAWS, ComplexArray, Loop, plant
 
 FEW_POWERS = 3
@@ -37,7 +37,7 @@ class Prediction:
 def predict(flights: Sequence[Loop], controller: Controller) -> Prediction:
     """The closed loop under a controller, from flights of the same vehicle under any gains.
 
-    Inside the band in which the plant of all flights together is known, its curve is smooth (`smoothed`), of
+    Inside the band in which the plant of all flights together is known, its curve is smooth (`smooth`), of
     few powers: flights differ by more than those bend it.
 
     Raises
@@ -60,7 +60,7 @@ def predict(flights: Sequence[Loop], controller: Controller) -> Prediction:
     weights *= np.sqrt((n - 1) / rng.chisquare(n - 1, DRAWS))[:, None]
     low, high = trusted_band(together)
     at = (f >= low) & (f <= high)
-    pooled[at], _ = smoothed(together, at, FEW_POWERS)
+    pooled[at], _ = smooth(together, at, FEW_POWERS)
     draws = pooled * np.exp(weights @ apart)
     return Prediction(f, _close(pooled, f, controller), _close(draws, f, controller))
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from flysid.dataset import FloatArray, Signal
 from flysid.errors import UsageError
-from flysid.outside.like import Like, Matched, matched
+from flysid.outside.like import Like, Matched, match
 from flysid.outside.simulator import Simulated, running
 
 SETTABLE = ("local", "output")
@@ -192,7 +192,7 @@ def _side(
             hint=f"name its {side}s as the data do",
         )
     used = found if missing else [found[names.index(s.name)] for s in ours]
-    own = matched(ours, [v.name for v in used], [_unit(v) for v in used], side)
+    own = match(ours, [v.name for v in used], [_unit(v) for v in used], side)
     return own, tuple(used[j].valueReference for j in own.order)
 
 

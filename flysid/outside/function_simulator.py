@@ -24,7 +24,7 @@ import numpy as np
 
 from flysid.dataset import FloatArray
 from flysid.errors import UsageError
-from flysid.outside.like import Like, matched
+from flysid.outside.like import Like, match
 from flysid.outside.simulator import Simulated, running
 
 
@@ -85,7 +85,7 @@ def function_model(name: str, like: Like) -> Simulated:
         units = stated if isinstance(stated, dict) else dict.fromkeys(stated, "")
         if units and len(units) != len(ours):
             raise UsageError(f"{name} has {side}s {', '.join(units)}, the data {like.words}")
-        sides.append(matched(ours, tuple(units), tuple(units.values()), side))
+        sides.append(match(ours, tuple(units), tuple(units.values()), side))
     ins, outs = sides
     start = getattr(function, "start", None)
     own = FunctionSimulator(

@@ -52,7 +52,7 @@ class Matched:
     notes: tuple[str, ...]
 
 
-def matched(ours: Sequence[Signal], names: Sequence[str], units: Sequence[str], side: str) -> Matched:
+def match(ours: Sequence[Signal], names: Sequence[str], units: Sequence[str], side: str) -> Matched:
     """Match by name; by place where nobody named the model's signals.
 
     Raises

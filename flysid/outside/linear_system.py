@@ -19,7 +19,7 @@ from flysid.model.base import try_out
 from flysid.model.start import lags_inside_window
 from flysid.model.subspace.fitted_model import FittedStateSpace, resting
 from flysid.model.subspace.kalman import gains_of
-from flysid.outside.like import Like, matched
+from flysid.outside.like import Like, match
 from flysid.outside.sampled import (
     Block,
     Matrices,
@@ -146,8 +146,8 @@ def linear_model(fields: Mapping[str, Any], like: Like, source: str) -> FittedSt
             f"the model has {b.shape[1]} input(s) and {len(c)} output(s), the data {like.words}",
             hint="name the channel that it is a model of: CHANNEL/LABEL=FILE",
         )
-    ins = matched(like.inputs, parts.words("inputname"), parts.words("inputunit"), "input")
-    outs = matched(like.outputs, parts.words("outputname"), parts.words("outputunit"), "output")
+    ins = match(like.inputs, parts.words("inputname"), parts.words("inputunit"), "input")
+    outs = match(like.outputs, parts.words("outputname"), parts.words("outputunit"), "output")
     late = tuple(delays[j] for j in ins.order)
     matrices = (
         matrices[0],
@@ -158,10 +158,10 @@ def linear_model(fields: Mapping[str, Any], like: Like, source: str) -> FittedSt
     u0 = _offsets(parts, "u0", len(ins.order))[ins.order] / ins.factors
     y0 = (_offsets(parts, "y0", len(outs.order)) + _constant(parts, len(c)))[outs.order] / outs.factors
     notes = (f"Taken over from {source}; nothing was estimated.", *ins.notes, *outs.notes)
-    return started(replace(_balanced(matrices, like), delays=late, u_origin=u0, y_origin=y0, notes=notes))
+    return start_from(replace(_balance(matrices, like), delays=late, u_origin=u0, y_origin=y0, notes=notes))
 
 
-def started(model: FittedStateSpace, *, diffuse: float = 1e10) -> FittedStateSpace:
+def start_from(model: FittedStateSpace, *, diffuse: float = 1e10) -> FittedStateSpace:
     """The model with a start that is estimated from measured samples, without a belief about the state.
 
     As many samples as a fifth of the window that estimates the start of a free run, or as it has states.
@@ -181,7 +181,7 @@ def started(model: FittedStateSpace, *, diffuse: float = 1e10) -> FittedStateSpa
     return found
 
 
-def _balanced(matrices: Matrices, like: Like) -> FittedStateSpace:
+def _balance(matrices: Matrices, like: Like) -> FittedStateSpace:
     """Rest, in coordinates of like sizes."""
     from scipy.linalg import matrix_balance
 

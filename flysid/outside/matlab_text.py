@@ -143,23 +143,23 @@ class _Reader:
         return value
 
     def _product(self) -> Any:
-        value = self._signed()
+        value = self._sign()
         while (token := self._tokens[self._at]).text in ("*", "/", "^"):
             self._at += 1
             left = self._number(value, token)
-            right = self._number(self._signed(), token)
+            right = self._number(self._sign(), token)
             with np.errstate(all="ignore"):
                 value = {"*": np.multiply, "/": np.divide, "^": np.power}[token.text](left, right)
         return value
 
-    def _signed(self) -> Any:
+    def _sign(self) -> Any:
         token = self._tokens[self._at]
         if token.text in SIGNS:
             self._at += 1
-            return SIGNS[token.text] * self._number(self._signed(), token)
-        return self._transposed(self._value())
+            return SIGNS[token.text] * self._number(self._sign(), token)
+        return self._transpose(self._value())
 
-    def _transposed(self, value: Any) -> Any:
+    def _transpose(self, value: Any) -> Any:
         while (token := self._tokens[self._at]).text == "'" and token.kind == "mark":
             self._at += 1
             value = np.atleast_2d(self._number(value, token)).T

@@ -18,7 +18,7 @@ from flysid.dataset import FloatArray, Signal
 from flysid.errors import UsageError
 from flysid.model.arguments import as_columns, as_record
 from flysid.model.base import Rule
-from flysid.model.freerun import saturated
+from flysid.model.freerun import saturate
 from flysid.model.noise import output_error_ahead
 from flysid.model.start import STEPS, FreeRuns, lags_inside_window
 
@@ -149,7 +149,7 @@ class Simulated(FreeRuns):
 
     def _run(self, u: FloatArray, start: FloatArray) -> FloatArray:
         y = self.simulator.run(u * self.u_factors, start) / self.y_factors
-        return saturated(y, self.output_limits)
+        return saturate(y, self.output_limits)
 
     def _start_for(self, u: FloatArray, y: FloatArray) -> FloatArray:
         """(n,) the start from which the run follows measured rows best; the simulator's own where it has

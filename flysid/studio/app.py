@@ -128,10 +128,10 @@ class Studio:
         return answer(await run_in_threadpool(commands.suggestions, self.jobs, self.workspace, flight))
 
     async def align(self, request: Request) -> Response:
-        from flysid.studio.channels import aligned
+        from flysid.studio.channels import align_channel
 
         asked = query_of(request, forms.Aligned)
-        return answer(await run_in_threadpool(aligned, self.workspace, self.recipes, asked))
+        return answer(await run_in_threadpool(align_channel, self.workspace, self.recipes, asked))
 
     async def list_recipes(self, request: Request) -> Response:
         query_of(request, forms.Nothing)
@@ -388,7 +388,7 @@ def make_app(
     app = Starlette(
         routes=studio.routes(),
         lifespan=working,
-        exception_handlers={FlysidError: _refused, HTTPException: _not_served, ClientDisconnect: _gone},
+        exception_handlers={FlysidError: _refuse, HTTPException: _not_served, ClientDisconnect: _gone},
     )
     return RequestGuard(app, key, bounds or RequestBounds(), quiet)
 
@@ -457,7 +457,7 @@ def _page(path: Path) -> Response:
     return FileResponse(path, headers={"Content-Security-Policy": FRAME_POLICY})
 
 
-async def _refused(_: Request, error: Exception) -> Response:
+async def _refuse(_: Request, error: Exception) -> Response:
     assert isinstance(error, FlysidError)
     status = 404 if isinstance(error, NotThere) else 507 if isinstance(error, WriteError) else 400
     return answer({"message": error.message, "where": error.where, "hint": error.hint}, status)

@@ -20,7 +20,7 @@ from flysid.manifest import FLIGHTS, read_manifest
 from flysid.studio.flights import boot_offsets_s, lake_of
 from flysid.studio.folders import NotThere, Workspace
 from flysid.studio.forms import Aligned, Draft
-from flysid.validate.report.decimate import decimate, rounded
+from flysid.validate.report.decimate import decimate, round_for_json
 
 INFINITE = ("inf", "-inf")
 POINTS = 1500  # of a signal: more than a page is wide
@@ -126,7 +126,7 @@ def _with(part: Any, change: Callable[[Any], Any]) -> Any:
     return [_with(value, change) for value in part] if isinstance(part, list) else change(part)
 
 
-def aligned(workspace: Workspace, recipes: Recipes, asked: Aligned) -> dict[str, Any]:
+def align_channel(workspace: Workspace, recipes: Recipes, asked: Aligned) -> dict[str, Any]:
     """The segments of a channel in one flight, and their signals thinned to what a page can show.
 
     `boots` holds the number of each, the beginning from which the command line counts times, and the end.
@@ -172,6 +172,6 @@ def _segment(data: Dataset, index: int, offsets: dict[int, float]) -> dict[str, 
         "start_s": float(time_s[0]),
         "end_s": float(time_s[-1]),
         "marks": dict(segment.marks),
-        "time_s": rounded(shown_s, 6),
-        "values": [rounded(values) for values in shown.values()],
+        "time_s": round_for_json(shown_s, 6),
+        "values": [round_for_json(values) for values in shown.values()],
     }

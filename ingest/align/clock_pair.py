@@ -20,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from flysid.errors import DataError
-from flysid.ingest.align.resample import Series, period_ns, smoothed
+from flysid.ingest.align.resample import Series, period_ns, smooth
 from flysid.stretch import FloatArray
 
 IntArray = npt.NDArray[np.int64]
@@ -101,9 +101,9 @@ def fit_clock(
     y = other.x[usable]
     at_ns = int((t[0] + t[-1]) // 2)
     pair = _Pair(_Curve.of(reference, at_ns), np.asarray((t - at_ns) * 1e-9, dtype=np.float64), y)
-    found = _refined(pair, start, drift, at_ns)
+    found = _refine(pair, start, drift, at_ns)
     if drift and abs(found.drift_ppm) < significant * found.drift_std_ppm:
-        return _refined(pair, found.offset_s, False, at_ns)
+        return _refine(pair, found.offset_s, False, at_ns)
     return found
 
 
@@ -112,7 +112,7 @@ def band_passed(series: Series, narrow_s: float, wide_s: float = WIDE_S) -> Seri
     dt = period_ns(series.t_ns)
     grid = np.arange(0.0, float(series.t_ns[-1] - series.t_ns[0]), dt)
     x = np.interp(grid, (series.t_ns - series.t_ns[0]).astype(float), series.x)
-    slow_removed = smoothed(x, narrow_s * 1e9 / dt) - smoothed(x, wide_s * 1e9 / dt)
+    slow_removed = smooth(x, narrow_s * 1e9 / dt) - smooth(x, wide_s * 1e9 / dt)
     return Series(series.t_ns[0] + np.round(grid).astype(np.int64), slow_removed)
 
 
@@ -142,7 +142,7 @@ class _Pair:
     y: FloatArray
 
 
-def _refined(pair: _Pair, start: float, drift: bool, at_ns: int, *, iterations: int = 12) -> ClockFit:
+def _refine(pair: _Pair, start: float, drift: bool, at_ns: int, *, iterations: int = 12) -> ClockFit:
     """Gauss-Newton from a first offset."""
     theta = np.array([start, 0.0])
     for _ in range(iterations):
@@ -202,7 +202,7 @@ def _inside(reference: Series, other: Series, offset_s: float) -> npt.NDArray[np
 
 def _gauss_newton(pair: _Pair, theta: FloatArray, drift: bool) -> tuple[FloatArray, FloatArray]:
     """One weighted step for (offset, drift); gain and bias are solved along."""
-    jacobian, residual, gain = _linearised(pair, theta, drift)
+    jacobian, residual, gain = _linearise(pair, theta, drift)
     weight = _huber(residual)
     solution, *_ = np.linalg.lstsq(jacobian * weight[:, None], residual * weight, rcond=None)
     step = np.zeros(2)
@@ -211,7 +211,7 @@ def _gauss_newton(pair: _Pair, theta: FloatArray, drift: bool) -> tuple[FloatArr
     return theta + np.clip(step, -limit, limit), step if gain else np.zeros(2)
 
 
-def _linearised(pair: _Pair, theta: FloatArray, drift: bool) -> tuple[FloatArray, FloatArray, float]:
+def _linearise(pair: _Pair, theta: FloatArray, drift: bool) -> tuple[FloatArray, FloatArray, float]:
     """Jacobian for (gain, bias, offset, drift), residual of the best gain and bias, and that gain."""
     s = pair.s
     y = pair.y
@@ -233,7 +233,7 @@ def _huber(residual: FloatArray, *, bend: float = 1.345) -> FloatArray:
 
 
 def _describe(pair: _Pair, theta: FloatArray, drift: bool, at_ns: int) -> ClockFit:
-    jacobian, residual, gain = _linearised(pair, theta, drift)
+    jacobian, residual, gain = _linearise(pair, theta, drift)
     weight = _huber(residual)
     effective = len(residual) / _correlation_time(residual * weight)
     variance = float(np.sum((weight * residual) ** 2)) / max(effective - jacobian.shape[1], 1.0)

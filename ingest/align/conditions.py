@@ -92,7 +92,7 @@ def _spans(condition: Condition, log: Log) -> tuple[dict[int, list[Span]], str]:
         spans[int(boot)] = _held(condition, t_ns[rows], values[rows], names)
     texts = list(dict.fromkeys(texts_of(values, names)))
     listed = ", ".join(texts[:MOST_VALUES]) + (", ..." if len(texts) > MOST_VALUES else "")
-    return spans, f"{_wanted(condition)}: {stream}.{column} is {listed} in this log"
+    return spans, f"{_describe_wanted(condition)}: {stream}.{column} is {listed} in this log"
 
 
 def _held(
@@ -134,7 +134,7 @@ def _is_wanted(values: npt.NDArray[np.generic], condition: Condition, names: Map
     return is_one_of(values, condition.any_of, names)
 
 
-def _wanted(condition: Condition) -> str:
+def _describe_wanted(condition: Condition) -> str:
     """What was asked for, in words."""
     if condition.has_bits:
         return f" (bits {condition.has_bits})"

@@ -226,7 +226,7 @@ def decimate(x: FloatArray, ratio: int) -> FloatArray:
     return np.asarray(np.convolve(x, lowpass(ratio), mode="valid")[::ratio])
 
 
-def smoothed(x: FloatArray, sigma: float) -> FloatArray:
+def smooth(x: FloatArray, sigma: float) -> FloatArray:
     """Gaussian mean with `sigma` samples, its weights renormalised at the ends."""
     reach = min(int(4 * sigma) + 1, len(x) - 1)
     kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma) ** 2)

@@ -44,7 +44,7 @@ def column_values(table: pa.Table, name: str) -> npt.NDArray[np.generic]:
             raise RecipeError(f"{name!r} has {matrix.shape[1]} elements, no [{element}]")
         return np.asarray(matrix if element is None else matrix[:, element])
     if pa.types.is_list(column.type):
-        return _ragged(column, name, element)
+        return _take_ragged(column, name, element)
     if element is not None:
         raise RecipeError(f"{name!r} holds no lists: it has no [{element}]", hint=f"name the column: {name}")
     if pa.types.is_boolean(column.type):  # numbers, so that rows without a value are NaN
@@ -81,7 +81,7 @@ def _matrix(column: pa.Array) -> npt.NDArray[np.generic]:
     return matrix
 
 
-def _ragged(column: pa.Array, name: str, element: int | None) -> npt.NDArray[np.generic]:
+def _take_ragged(column: pa.Array, name: str, element: int | None) -> npt.NDArray[np.generic]:
     """Lists of varying length: one element of each (NaN where it is too short), or all where equal."""
     lengths = np.diff(column.offsets.to_numpy())
     flat = column.values.to_numpy(zero_copy_only=False)

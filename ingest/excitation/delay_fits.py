@@ -19,7 +19,7 @@ from typing import TypeAlias
 import numpy as np
 
 from flysid.dataset import FloatArray
-from flysid.filters import filtered
+from flysid.filters import apply_filter
 
 Piece: TypeAlias = tuple[FloatArray, FloatArray]  # input and output of one segment, without their means
 
@@ -37,7 +37,7 @@ class Fit:
 
     def sign(self, steps: int) -> int:
         """Sign of the step response after `steps` samples."""
-        response = filtered(self.zeros, self.poles, np.ones(steps + 2))
+        response = apply_filter(self.zeros, self.poles, np.ones(steps + 2))
         return -1 if response[-1] < 0 else 1
 
 
@@ -94,7 +94,7 @@ class _Search:
     def look(self, poles: Iterable[FloatArray]) -> None:
         """What models with these poles explain at every dead time; the best is fitted."""
         for one in poles:
-            explained = _explained(self.pieces, one, self.last)
+            explained = _explain(self.pieces, one, self.last)
             better = explained > self._explained
             self._explained[better] = explained[better]
             self._poles[better] = one
@@ -113,7 +113,7 @@ class _Search:
             return
         known = sorted(self.fits, key=lambda other: abs(other - nk))[:2]
         starts = [self._poles[nk], *(self.fits[other].poles for other in known)]
-        runs = (_refined(self.pieces, nk, poles, self.last + ORDER, self.slack) for poles in starts)
+        runs = (_refine(self.pieces, nk, poles, self.last + ORDER, self.slack) for poles in starts)
         self.fits[nk] = min(runs, key=lambda fit: fit.error)
 
     def find_end(self, direction: int) -> None:
@@ -140,7 +140,7 @@ def _pole_pairs(last: int) -> list[FloatArray]:
     return [np.array([1.0, -2.0 * r, r * r]) for r in (0.0, *np.exp(-1.0 / constants))]
 
 
-def _explained(pieces: Sequence[Piece], poles: FloatArray, last: int) -> FloatArray:
+def _explain(pieces: Sequence[Piece], poles: FloatArray, last: int) -> FloatArray:
     """(last + 1,) squares of the output that two zeros and the starts explain, by the dead time."""
     from scipy.fft import irfft, next_fast_len, rfft
 
@@ -151,12 +151,12 @@ def _explained(pieces: Sequence[Piece], poles: FloatArray, last: int) -> FloatAr
     neighbours = np.zeros(last + 1)
     for u, y in pieces:
         starts = _start_responses(poles, len(y) - lags)
-        through = filtered(np.ones(1), poles, u)
+        through = apply_filter(np.ones(1), poles, u)
         size = next_fast_len(len(u) + lags, real=True)
         late = np.concatenate([np.zeros((len(starts) + 1, lags)), [*starts, y[lags:]]], axis=1)
         products = irfft(rfft(late, size) * np.conj(rfft(through, size)), size)[:, :lags]
         start_y = starts @ y[lags:]
-        share = _solved(starts @ starts.T, np.column_stack([products[:-1], start_y]))
+        share = _solve(starts @ starts.T, np.column_stack([products[:-1], start_y]))
         by_starts += float(start_y @ share[:, -1])
         with_output += products[-1] - start_y @ share[:, :-1]
         by_own, by_neighbours = _band(through, lags, ORDER, lags).T
@@ -171,19 +171,19 @@ def _explained(pieces: Sequence[Piece], poles: FloatArray, last: int) -> FloatAr
     return np.asarray(by_starts + np.where(apart > 1e-10, both, first**2))
 
 
-def _refined(
+def _refine(
     pieces: Sequence[Piece], nk: int, poles: FloatArray, first: int, slack: float, *, steps: int = 12
 ) -> Fit:
     """Poles moved by Gauss-Newton until the error falls by a small part of what makes dead times alike.
 
     `steps`: Gauss-Newton steps.
     """
-    best, step = _projected(pieces, nk, _stable(poles), first)
+    best, step = _project(pieces, nk, _stable(poles), first)
     for _ in range(steps):
         tried = None
         for share in (1.0, 0.3):
             moved = _stable(np.concatenate([[1.0], best.poles[1:] + share * step]))
-            tried = _projected(pieces, nk, moved, first)
+            tried = _project(pieces, nk, moved, first)
             if tried[0].error < best.error:
                 break
         assert tried is not None
@@ -195,24 +195,24 @@ def _refined(
     return best
 
 
-def _projected(pieces: Sequence[Piece], nk: int, poles: FloatArray, first: int) -> tuple[Fit, FloatArray]:
+def _project(pieces: Sequence[Piece], nk: int, poles: FloatArray, first: int) -> tuple[Fit, FloatArray]:
     """The best zeros and starts for these poles, and the (2,) Gauss-Newton step of the poles."""
     gram = np.zeros((ORDER, ORDER))
     right = np.zeros(ORDER)
     prepared = []
     for u, y in pieces:
         starts = _start_responses(poles, len(u) - first)
-        through = filtered(np.ones(1), poles, u)
+        through = apply_filter(np.ones(1), poles, u)
         late = [through[first - nk - i : len(u) - nk - i] for i in range(ORDER)]
         rows = np.concatenate([starts, late])
         products = rows @ rows.T
         with_y = rows @ y[first:]
         s = len(starts)
-        share = _solved(products[:s, :s], np.column_stack([products[:s, s:], with_y[:s]]))
+        share = _solve(products[:s, :s], np.column_stack([products[:s, s:], with_y[:s]]))
         gram += products[s:, s:] - products[s:, :s] @ share[:, :-1]
         right += with_y[s:] - products[s:, :s] @ share[:, -1]
         prepared.append((rows, share, products))
-    zeros = _solved(gram, right)
+    zeros = _solve(gram, right)
     normal = np.zeros((2 * ORDER, 2 * ORDER))
     slope = np.zeros(2 * ORDER)
     squares = 0.0
@@ -221,23 +221,23 @@ def _projected(pieces: Sequence[Piece], nk: int, poles: FloatArray, first: int) 
         model = np.concatenate([share[:, -1] - share[:, :-1] @ zeros, zeros]) @ rows
         left = y[first:] - model
         squares += float(left @ left)
-        by_pole = _late_rows(filtered(-np.ones(1), poles, model), 1)
+        by_pole = _late_rows(apply_filter(-np.ones(1), poles, model), 1)
         crossed = rows @ by_pole.T
-        free = _solved(products[:s, :s], np.column_stack([crossed[:s], products[:s, s:]]))
+        free = _solve(products[:s, :s], np.column_stack([crossed[:s], products[:s, s:]]))
         own = np.block([[by_pole @ by_pole.T, crossed[s:].T], [crossed[s:], products[s:, s:]]])
         normal += own - np.concatenate([crossed[:s].T, products[s:, :s]]) @ free
         with_left = rows @ left
         slope += np.concatenate([by_pole @ left, with_left[s:]])
         slope -= free.T @ with_left[:s]
     fit = Fit(squares / sum(len(y) - first for _, y in pieces), np.concatenate([np.zeros(nk), zeros]), poles)
-    return fit, _solved(normal, slope)[:ORDER]
+    return fit, _solve(normal, slope)[:ORDER]
 
 
 def _start_responses(poles: FloatArray, samples: int) -> FloatArray:
     """(3, N) of norm 1: responses to the two initial states and to a constant input."""
     impulse = np.zeros(samples)
     impulse[0] = 1.0
-    first = filtered(np.ones(1), poles, impulse)
+    first = apply_filter(np.ones(1), poles, impulse)
     rows = np.concatenate([_late_rows(first, 0), np.cumsum(first)[None]])
     return np.asarray(rows / np.linalg.norm(rows, axis=1, keepdims=True))
 
@@ -250,7 +250,7 @@ def _late_rows(x: FloatArray, samples: int) -> FloatArray:
     return rows
 
 
-def _solved(gram: FloatArray, right: FloatArray, least: float = 1e-10) -> FloatArray:
+def _solve(gram: FloatArray, right: FloatArray, least: float = 1e-10) -> FloatArray:
     """Least squares from sums of products, columns scaled alike; what the data do not tell stays 0."""
     scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
     wide = scale if right.ndim == 1 else scale[:, None]
@@ -292,7 +292,7 @@ def predictors(pieces: Sequence[Piece], last: int) -> dict[int, Fit]:
         mixed = -crossed[taps, 1:]
         gram = np.block([[own_y[1:, 1:], mixed.T], [mixed, inputs]])
         right = np.concatenate([-own_y[1:, 0], crossed[taps, 0]])
-        theta = _solved(gram, right, 1e-12)
+        theta = _solve(gram, right, 1e-12)
         error = max(0.0, float(own_y[0, 0]) - float(theta @ (2 * right - gram @ theta))) / max(rows, 1)
         zeros = np.concatenate([np.zeros(nk), theta[na:]])
         fits[nk] = Fit(error, zeros, np.concatenate([[1.0], theta[:na]]))

@@ -117,8 +117,8 @@ def spectrum(data: Dataset, column: int = 0, output: int = 0, window_s: float | 
     count = 0
     for segment in data.segments:
         for start in range(0, len(segment) - length + 1, max(1, length // 2)):
-            u = _transformed(segment.u[start : start + length, column], taper)
-            y = _transformed(segment.y[start : start + length, output], taper)
+            u = _transform(segment.u[start : start + length, column], taper)
+            y = _transform(segment.y[start : start + length, output], taper)
             s_uu += np.abs(u) ** 2
             s_yy += np.abs(y) ** 2
             s_uy += np.conj(u) * y
@@ -155,7 +155,7 @@ def _window_length(data: Dataset, window_s: float | None) -> int:
     return int(np.clip(round(window_s / data.dt_s), 8, longest))
 
 
-def _transformed(x: FloatArray, taper: FloatArray) -> npt.NDArray[np.complex128]:
+def _transform(x: FloatArray, taper: FloatArray) -> npt.NDArray[np.complex128]:
     return np.asarray(np.fft.rfft((x - x.mean()) * taper))
 
 

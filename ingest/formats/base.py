@@ -19,7 +19,7 @@ import pyarrow as pa
 
 from flysid.errors import FormatError
 from flysid.flight import ClockMap, Damage, Flight, Source
-from flysid.parts import exhausted
+from flysid.parts import exhaust
 
 HEAD_BYTES = 65536
 _HASH_BYTES = 16 << 20
@@ -184,12 +184,12 @@ def collect(view: memoryview, name: str, fmt: Format, limits: Limits) -> Flight:
     """Run a format's reader to its end and join the parts of each stream."""
     parts: dict[str, list[pa.Table]] = {}
     reader = fmt.read(view, name, limits)
-    summary = exhausted(reader, lambda part: parts.setdefault(part.stream, []).append(part.table))
-    tables = {stream: _joined(parts.pop(stream)) for stream in sorted(parts)}
+    summary = exhaust(reader, lambda part: parts.setdefault(part.stream, []).append(part.table))
+    tables = {stream: _join(parts.pop(stream)) for stream in sorted(parts)}
     return Flight(source_of(view, name, fmt), tables, summary.damage, summary.clocks, summary.info)
 
 
-def _joined(parts: list[pa.Table]) -> pa.Table:
+def _join(parts: list[pa.Table]) -> pa.Table:
     """One chunk per column where that is cheap; a large table keeps its few parts, which are not copied."""
     table = parts[0] if len(parts) == 1 else pa.concat_tables(parts)
     if table.num_columns == 0 or table.column(0).num_chunks <= 1:

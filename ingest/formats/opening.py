@@ -29,7 +29,7 @@ from flysid.ingest.formats.common.compression import (
     GZIP_MAGIC,
     ZSTD_MAGIC,
     Expanded,
-    expanded,
+    expand,
     first_bytes,
     packer_for,
     unpacked_pieces,
@@ -98,11 +98,11 @@ def open_log(path: Path, limits: Limits | None = None) -> Iterator[OpenLog]:
         if inside or is_archive(log.view):
             member = _member(file, inside)
             name = PurePosixPath(inside or member.name.replace("\\", "/")).name
-            packing = expanded(member_pieces(log.view, member, limits.max_ratio))
-            log = _unpacked(name, stack.enter_context(packing))
+            packing = expand(member_pieces(log.view, member, limits.max_ratio))
+            log = _unpack(name, stack.enter_context(packing))
         if is_compressed(log.view):
-            packing = expanded(unpacked_pieces(log.view, limits.max_ratio))
-            log = _unpacked(own_name(log.name), stack.enter_context(packing), log.lost)
+            packing = expand(unpacked_pieces(log.view, limits.max_ratio))
+            log = _unpack(own_name(log.name), stack.enter_context(packing), log.lost)
         _check(log, path)
         yield log
 
@@ -128,7 +128,7 @@ def _identify_opened(path: Path, limits: Limits) -> tuple[str, int]:
         return hash_log(log.view), len(log.view)
 
 
-def _unpacked(name: str, found: Expanded, lost_before: str = "") -> OpenLog:
+def _unpack(name: str, found: Expanded, lost_before: str = "") -> OpenLog:
     return OpenLog(name, found.view, "; ".join(filter(None, (lost_before, found.lost))))
 
 

@@ -120,11 +120,11 @@ def detect(head: bytes, name: str) -> Format:
             return likely  # the usual case: no other reader is imported
     confidence, best = _most_likely(head, name)
     if confidence < PLAUSIBLE:
-        raise _unknown(head, name)
+        raise _refuse_unknown(head, name)
     return best
 
 
-def _unknown(head: bytes, name: str) -> FormatError:
+def _refuse_unknown(head: bytes, name: str) -> FormatError:
     """What to say of a file that no format recognises."""
     from flysid.ingest.formats.common.capture import is_capture
 

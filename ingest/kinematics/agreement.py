@@ -195,7 +195,7 @@ def _of_record(record: Record, highest_hz: float, lag_s: float, *, tapered: floa
     measured = spectrum(record.measured)
     implied = spectrum(late(record.implied, lag_s / record.dt_s))
     brought = (omega[low, None] ** 2 * record.noise + record.flat) / record.dt_s
-    power = _smoothed(np.abs(implied) ** 2)
+    power = _smooth(np.abs(implied) ** 2)
     motion = np.clip(1.0 - brought / np.maximum(power, 1e-300), 0.0, 1.0) * _coherence(measured, implied)
     return _Lines(
         omega[low],
@@ -210,7 +210,7 @@ def _of_record(record: Record, highest_hz: float, lag_s: float, *, tapered: floa
     )
 
 
-def _smoothed(values: npt.NDArray[Number]) -> npt.NDArray[Number]:
+def _smooth(values: npt.NDArray[Number]) -> npt.NDArray[Number]:
     """(K, n) means over neighbouring frequencies."""
     from scipy.ndimage import uniform_filter1d
 
@@ -219,8 +219,8 @@ def _smoothed(values: npt.NDArray[Number]) -> npt.NDArray[Number]:
 
 def _coherence(y: ComplexArray, x: ComplexArray) -> FloatArray:
     """(K, n) share of two spectra's power that is common to both, less what chance gives."""
-    cross = _smoothed(y * x.conj())
-    powers = [_smoothed(np.abs(s) ** 2) for s in (x, y)]
+    cross = _smooth(y * x.conj())
+    powers = [_smooth(np.abs(s) ** 2) for s in (x, y)]
     seen = np.abs(cross) ** 2 / np.maximum(powers[0] * powers[1], 1e-300)
     return np.asarray(np.clip((NEIGHBOURS * seen - 1.0) / (NEIGHBOURS - 1.0), 0.0, 1.0))
 
@@ -248,7 +248,7 @@ def _start(lines: _Lines) -> FloatArray:
     return found
 
 
-def _moved(lines: _Lines, theta: FloatArray) -> ComplexArray:
+def _move(lines: _Lines, theta: FloatArray) -> ComplexArray:
     """(K, n) what is implied, lever arm and lag included."""
     axes = lines.y.shape[1]
     turn = np.exp(-1j * lines.omega * theta[2 * axes])
@@ -273,7 +273,7 @@ def _noise(lines: _Lines, theta: FloatArray, axis: int, taken: FloatArray) -> Fl
     """
     from scipy.optimize import nnls
 
-    seen = np.abs(_residual(lines, theta, axis, _moved(lines, theta))) ** 2 + taken
+    seen = np.abs(_residual(lines, theta, axis, _move(lines, theta))) ** 2 + taken
     omega = np.maximum(lines.omega, 0.5 * lines.slowest)
     shapes = np.column_stack([(omega / omega.max()) ** power for power in NOISE_POWERS])
     fitted = np.full(len(seen), seen.mean() + 1e-300)
@@ -303,7 +303,7 @@ class _Normal:
     ) -> _Normal:
         """`most_relief`: of what is known of a parameter; where noise is more of `implied`, nothing is."""
         axes = lines.y.shape[1]
-        moved = _moved(lines, theta)
+        moved = _move(lines, theta)
         turn = np.exp(-1j * lines.omega * theta[2 * axes])
         matrix = np.zeros((len(theta), len(theta)))
         expected = np.zeros_like(matrix)

@@ -167,8 +167,8 @@ def compatibility(log: Log) -> Compatibility:
     for instrument in ("velocity", "heading_velocity", "gyro", "accelerometer"):
         compared = _compare(instrument, log, corrections)
         comparisons.append(compared)
-        corrections |= corrections_of(_judged([compared])[0].parameters)
-    return Compatibility(log.name, tuple(_judged(comparisons)))
+        corrections |= corrections_of(_judge([compared])[0].parameters)
+    return Compatibility(log.name, tuple(_judge(comparisons)))
 
 
 @dataclass(frozen=True)
@@ -306,7 +306,7 @@ def _parameters(
         yield Parameter(instrument, "", f"arm {axis}", float(value), float(sd), 0.0, 0.0, "m")
 
 
-def _judged(comparisons: Sequence[Comparison], *, level: float = 0.05) -> list[Comparison]:
+def _judge(comparisons: Sequence[Comparison], *, level: float = 0.05) -> list[Comparison]:
     """Holm over all parameters; of an axis that follows another motion, only that is said.
 
     `level`: chance of any finding at all in a flight whose instruments agree.

@@ -57,7 +57,7 @@ def gridded(series: Mapping[str, Series], allowed: Sequence[Span] | None) -> lis
         spans = resample.intersect(spans, resample.spans_between_gaps(own.t_ns, gap_ns))
     long_enough = [s for s in spans if (s[1] - s[0]) * 1e-9 >= MIN_SECONDS]
     noise = {name: white_noise(own) for name, own in series.items()}
-    return [Grid(dt_ns * 1e-9, _sampled(series, span, dt_ns), noise) for span in long_enough]
+    return [Grid(dt_ns * 1e-9, _sample(series, span, dt_ns), noise) for span in long_enough]
 
 
 def white_noise(series: Series) -> float:
@@ -71,7 +71,7 @@ def white_noise(series: Series) -> float:
     return float(np.median(0.5 * power[fast] / (2.0 - 2.0 * np.cos(omega[fast]))))
 
 
-def _sampled(series: Mapping[str, Series], span: Span, dt_ns: float) -> Columns:
+def _sample(series: Mapping[str, Series], span: Span, dt_ns: float) -> Columns:
     from scipy.interpolate import CubicSpline
 
     steps = np.arange(0.0, float(span[1] - span[0] - 1), dt_ns)

@@ -64,8 +64,8 @@ def select(lake: Lake, selection: Selection) -> Lake:
     ------
     UsageError : a name is of no flight, or of several; so is a vehicle's; nothing is left.
     """
-    chosen = _named(lake, selection.flights) or [facts.id for facts in lake.facts]
-    excluded = set(_named(lake, selection.exclude))
+    chosen = _name_flights(lake, selection.flights) or [facts.id for facts in lake.facts]
+    excluded = set(_name_flights(lake, selection.exclude))
     left = lake.only([flight for flight in chosen if flight not in excluded])
     if selection.vehicle:
         name = _vehicle_named(left, selection.vehicle)
@@ -105,7 +105,7 @@ def require_one_vehicle(lake: Lake) -> None:
     """
     known = {name: ids for name, ids in vehicles(lake).items() if name}
     if len(known) > 1:
-        told = "; ".join(f"{name}: {_counted(ids)}" for name, ids in list(known.items())[:SHOWN])
+        told = "; ".join(f"{name}: {_count(ids)}" for name, ids in list(known.items())[:SHOWN])
         more = f"; and {len(known) - SHOWN} more" if len(known) > SHOWN else ""
         example = shortest_end(max(known, key=lambda name: len(known[name])), list(known))
         raise UsageError(
@@ -113,9 +113,9 @@ def require_one_vehicle(lake: Lake) -> None:
             path=lake.address or lake.folder,
             hint=f"--vehicle {example!r} for one of them, --pool to put them together",
         )
-    for fact, stated in _stated(lake).items():
+    for fact, stated in _state(lake).items():
         if len(stated) > 1:
-            told = "; ".join(f"{value}: {_counted(ids)}" for value, ids in list(stated.items())[:SHOWN])
+            told = "; ".join(f"{value}: {_count(ids)}" for value, ids in list(stated.items())[:SHOWN])
             raise UsageError(
                 f"flights of {len(stated)} vehicles, by {fact}: {told}",
                 path=lake.address or lake.folder,
@@ -123,7 +123,7 @@ def require_one_vehicle(lake: Lake) -> None:
             )
 
 
-def _stated(lake: Lake) -> dict[str, dict[str, list[str]]]:
+def _state(lake: Lake) -> dict[str, dict[str, list[str]]]:
     """What flights without a serial number say of their vehicle: fact -> value -> ids of the flights."""
     found: dict[str, dict[str, list[str]]] = {}
     if len(lake.facts) < 2:
@@ -143,7 +143,7 @@ def _stated(lake: Lake) -> dict[str, dict[str, list[str]]]:
     return found
 
 
-def _named(lake: Lake, names: Sequence[str]) -> list[str]:
+def _name_flights(lake: Lake, names: Sequence[str]) -> list[str]:
     held = {facts.id for facts in lake.facts}
     found = [lake.find(name) for name in names]
     return [flight for flight in dict.fromkeys(found) if flight in held]
@@ -172,5 +172,5 @@ def shortest_end(name: str, others: Sequence[str]) -> str:
     return name
 
 
-def _counted(ids: Sequence[str]) -> str:
+def _count(ids: Sequence[str]) -> str:
     return f"{len(ids)} flights" if len(ids) > 1 else f"1 flight, {ids[0]}"

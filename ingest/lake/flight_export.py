@@ -127,7 +127,7 @@ def _physical(table: pa.Table) -> pa.Table:
             continue
         field = table.schema.field(name)
         for label, values in _elements(name, table[name].combine_chunks()):
-            scaled = _scaled(values, field_scale(field))
+            scaled = _scale(values, field_scale(field))
             columns.append(scaled)
             fields.append(pa.field(label, scaled.type, metadata=field_metadata(unit=field_unit(field))))
     return pa.table(columns, schema=pa.schema(fields))
@@ -155,7 +155,7 @@ def _as_hex(value: Any) -> str:
     return value.hex() if isinstance(value, bytes) else str(value)
 
 
-def _scaled(column: pa.Array, scale: float) -> pa.Array:
+def _scale(column: pa.Array, scale: float) -> pa.Array:
     if scale == 1.0 or not is_number(column.type):
         return column
     return pc.multiply(column.cast(pa.float64(), safe=False), scale)
@@ -204,7 +204,7 @@ def _on_grid(t_ns: Any, values: Any, grid: Any, is_smooth: bool) -> Any:
 # ------------------------------------------------------------------------------------------- files
 
 
-def _titled(table: pa.Table) -> list[str]:
+def _title(table: pa.Table) -> list[str]:
     """Headings with units, as flysid's own reader of tables takes them."""
     units = [field_unit(field) for field in table.schema]
     return [
@@ -217,7 +217,7 @@ def _write_csv(path: Path, tables: Mapping[str, pa.Table]) -> None:
     from pyarrow import csv
 
     [table] = tables.values()
-    csv.write_csv(table.rename_columns(_titled(table)), path)
+    csv.write_csv(table.rename_columns(_title(table)), path)
 
 
 def _write_parquet(path: Path, tables: Mapping[str, pa.Table]) -> None:
@@ -279,7 +279,7 @@ def _write_xlsx(path: Path, tables: Mapping[str, pa.Table]) -> None:
                 hint="--rate HZ thins it; --to csv or parquet hold any number",
             )
         sheet = book.create_sheet(_sheet_name(stream, taken))
-        sheet.append(_titled(table))
+        sheet.append(_title(table))
         columns = [column.to_pylist() for column in table.columns]
         for row in zip(*columns, strict=True):
             sheet.append([ILLEGAL_CHARACTERS_RE.sub("", v) if isinstance(v, str) else v for v in row])

@@ -141,7 +141,7 @@ def ask(place: Place, sql: str) -> pa.Table:
     ------
     UsageError : not understood, or more than a question.
     """
-    table = opened(place)
+    table = open_table(place)
     if table is None:
         with TemporaryDirectory() as folder:
             return ask_table(_made(folder), sql, place.address)
@@ -166,7 +166,7 @@ def ask_table(table: Any, sql: str, where: str) -> pa.Table:
         ) from error
 
 
-def opened(place: Place) -> Any:
+def open_table(place: Place) -> Any:
     """A lake's table; None where there is none yet."""
     from deltalake import DeltaTable
     from deltalake.exceptions import TableNotFoundError
@@ -210,7 +210,7 @@ def merge(place: Place, flights: Sequence[FlightFacts]) -> None:
 def _merge(place: Place, rows: pa.Table) -> None:
     from deltalake import CommitProperties
 
-    table = opened(place)
+    table = open_table(place)
     if table is None:
         table = _made(place.at(TABLE))
     (
@@ -242,7 +242,7 @@ def rebuild(place: Place, flights: Sequence[FlightFacts]) -> None:
 
 def remove(place: Place, hashes: Sequence[str]) -> None:
     """Take flights out of the table; its history still has them."""
-    if (table := opened(place)) is None:
+    if (table := open_table(place)) is None:
         return
     listed = ", ".join(f"'{digits}'" for digits in hashes if re.fullmatch("[0-9a-f]+", digits))
     committing(place, lambda: table.delete(f"sha256 in ({listed})"))

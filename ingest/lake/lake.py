@@ -31,8 +31,8 @@ from flysid.manifest import (
     check_lake,
     content_stamp,
     find_flight,
+    find_named,
     folder_names,
-    named,
     read_manifest,
 )
 from flysid.mirror import address_of, forget
@@ -172,7 +172,7 @@ class Lake(Shown):
     def find(self, flight: str) -> str:
         """The id of the flight whose id is, or unambiguously begins with, `flight`; raises UsageError."""
         if self.address:
-            return named(flight, [facts.id for facts in self.facts], self.address)
+            return find_named(flight, [facts.id for facts in self.facts], self.address)
         return find_flight(self.folder, flight).id
 
     def recipes(self) -> dict[str, tuple[str, ...]]:
@@ -303,10 +303,10 @@ def _open_lake(place: Place, where: str) -> Lake:
         )
     check_lake(document, place.address)
     facts = facts_in(select(place, where))
-    return Lake(mirrored(str(place), facts), facts, address=str(place))
+    return Lake(mirror(str(place), facts), facts, address=str(place))
 
 
-def mirrored(address: str, facts: Sequence[FlightFacts]) -> Path:
+def mirror(address: str, facts: Sequence[FlightFacts]) -> Path:
     """The mirror of a lake; what has been read of these flights is dropped where they have changed since."""
     folder = mirror_of(address)
     known = {flight.id: flight.stamp for flight in facts}

@@ -103,7 +103,7 @@ def _suggest_channel(log: Log, recipe: Recipe, channel: str) -> list[Suggestion]
     try:
         aligned = align([log], recipe, channel)
     except (DataError, RecipeError) as error:
-        return [_refused(log, recipe, channel, error)]
+        return [_refuse(log, recipe, channel, error)]
     notes = tuple(note for flight in aligned.report.flights for note in flight.notes)
     data = aligned.dataset
     found: list[Suggestion] = []
@@ -114,7 +114,7 @@ def _suggest_channel(log: Log, recipe: Recipe, channel: str) -> list[Suggestion]
     return found
 
 
-def _refused(log: Log, recipe: Recipe, channel: str, error: DataError | RecipeError) -> Suggestion:
+def _refuse(log: Log, recipe: Recipe, channel: str, error: DataError | RecipeError) -> Suggestion:
     """A channel that gives no dataset, and why."""
     spec = recipe.channel(channel)
     text = error.message

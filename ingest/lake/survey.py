@@ -21,7 +21,7 @@ from flysid.ingest.formats.base import Limits, StreamPart, source_of
 from flysid.ingest.formats.opening import open_log
 from flysid.ingest.formats.registry import format_of
 from flysid.ingest.lake.flown import Kept, changes, within
-from flysid.parts import exhausted
+from flysid.parts import exhaust
 
 ROLES: Mapping[str, tuple[str, ...]] = {
     "attitude": (
@@ -167,7 +167,7 @@ def survey(path: Path, limits: Limits | None = None) -> Survey:
             if found is not None:
                 kept.setdefault(part.stream, []).append(found)
 
-        summary = exhausted(log.read(fmt, limits), look_at)
+        summary = exhaust(log.read(fmt, limits), look_at)
         source = source_of(log.view, log.name, fmt)
     rows = {key: count.rows for key, count in streams.items()}
     tables = {key: pa.concat_tables(parts, promote_options="default") for key, parts in kept.items()}

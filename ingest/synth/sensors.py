@@ -98,13 +98,13 @@ def observe(truth: Series, sensor: Sensor, rng: np.random.Generator) -> Series:
     return Series(
         time_ns,
         {
-            name: _blurred(np.interp(since, grid, values), name, sensor, rng)
+            name: _blur(np.interp(since, grid, values), name, sensor, rng)
             for name, values in truth.values.items()
         },
     )
 
 
-def _blurred(exact: FloatArray, name: str, sensor: Sensor, rng: np.random.Generator) -> FloatArray:
+def _blur(exact: FloatArray, name: str, sensor: Sensor, rng: np.random.Generator) -> FloatArray:
     """Bias, noise, then the step of the display."""
     value = exact
     if sensor.bias.get(name):

@@ -66,7 +66,7 @@ def fly_linear(command: FloatArray, dt_s: float, _: Air, *, attitude_lag_s: floa
     """
     truth = {loop.output: fly(loop, u, dt_s) for loop, u in zip(LOOPS.values(), command.T, strict=True)}
     keep = np.exp(-dt_s / attitude_lag_s)
-    truth |= {name: _lagged(u, keep) for name, u in zip(("theta", "phi"), command.T, strict=False)}
+    truth |= {name: _lag(u, keep) for name, u in zip(("theta", "phi"), command.T, strict=False)}
     truth["psi"] = np.zeros(len(command))
     for axis in "xyz":
         v = truth[f"v{axis}"]
@@ -80,9 +80,9 @@ def fly_rigid_body(command: FloatArray, dt_s: float, air: Air) -> Truth:
 
     vehicle = Vehicle(effects=replace(ALL, **dict.fromkeys(air.without, False)))
     if air.vehicle:
-        vehicle = dispersed(vehicle, np.random.default_rng([air.seed, air.vehicle, 2]))
+        vehicle = disperse(vehicle, np.random.default_rng([air.seed, air.vehicle, 2]))
     for name, factor in air.changes:
-        vehicle = changed(vehicle, name, factor)
+        vehicle = change(vehicle, name, factor)
     wind = replace(air.wind, towards_deg=float(air.rng.uniform(0.0, 360.0)))
     field = wind_field(wind, len(command), dt_s, air.altitude_m, air.rng)
     start = vehicle.hover(air.altitude_m)
@@ -92,7 +92,7 @@ def fly_rigid_body(command: FloatArray, dt_s: float, air: Air) -> Truth:
     return {**flown.series(), "z": flown.states[:, 2] - air.altitude_m}
 
 
-def dispersed(vehicle: Vehicle, rng: np.random.Generator) -> Vehicle:
+def disperse(vehicle: Vehicle, rng: np.random.Generator) -> Vehicle:
     """The same type, another specimen: parameters spread by `SPREAD`, drag by 10 %, inertias by 3 %."""
     a = vehicle.airframe
     numbers = {
@@ -112,7 +112,7 @@ def dispersed(vehicle: Vehicle, rng: np.random.Generator) -> Vehicle:
     return replace(vehicle, airframe=airframe)
 
 
-def changed(vehicle: Vehicle, name: str, factor: float) -> Vehicle:
+def change(vehicle: Vehicle, name: str, factor: float) -> Vehicle:
     """The vehicle after something, a name of `CHANGES`, of which its inner loop knows nothing."""
     a = vehicle.airframe
     drag = {"mass": 1.0 / factor, "drag": factor}.get(name, 1.0)  # drag is per mass
@@ -131,7 +131,7 @@ def changed(vehicle: Vehicle, name: str, factor: float) -> Vehicle:
     )
 
 
-def _lagged(u: FloatArray, keep: float) -> FloatArray:
+def _lag(u: FloatArray, keep: float) -> FloatArray:
     """x[k+1] = keep x[k] + (1 - keep) u[k], from rest."""
     x = np.zeros(len(u))
     for k in range(len(u) - 1):

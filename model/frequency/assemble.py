@@ -13,7 +13,7 @@ from flysid.model.freerun import Difference
 from flysid.model.frequency.continuous_error import STEP, ContinuousError
 from flysid.model.frequency.continuous_transfer import ContinuousTransfer
 from flysid.model.frequency.rational import is_determined
-from flysid.model.frequency.sampling import sampled
+from flysid.model.frequency.sampling import sample
 from flysid.model.linear.data import Parts, records
 from flysid.model.linear.difference_equation import FittedLinear
 from flysid.model.linear.free_runner import free_runner
@@ -53,7 +53,7 @@ class OneTransfer:
 
     def polynomials(self, theta: FloatArray) -> tuple[FloatArray, list[FloatArray]]:
         """a and b of the sampled transfer functions."""
-        return sampled(self.problem.rational(theta), self.problem.dt_s, self.problem.hold)
+        return sample(self.problem.rational(theta), self.problem.dt_s, self.problem.hold)
 
     def is_determined(self, lowest: float) -> bool:
         """The data determine every pole; see `rational.is_determined`."""
@@ -95,7 +95,7 @@ def runner(parts: Parts, fits: Sequence[OneTransfer], n_init: int | None) -> Fit
     return free_runner("tf", parts, system, starts, _free(fits, system))
 
 
-def assembled(
+def assemble(
     parts: Parts, fits: Sequence[OneTransfer], n_init: int | None
 ) -> tuple[FittedLinear, tuple[ContinuousTransfer, ...]]:
     """The model with noise and covariance, and its transfer functions, outputs outermost."""

@@ -14,10 +14,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from flysid.dataset import FloatArray
-from flysid.filters import filtered
+from flysid.filters import apply_filter
 from flysid.model.detrend import Trend
 from flysid.model.frequency.rational import Coordinates, Hold, Rational
-from flysid.model.frequency.sampling import sampled
+from flysid.model.frequency.sampling import sample
 from flysid.model.refine import Refinement, levenberg_marquardt
 from flysid.model.simulation_error import Record, free_space
 
@@ -70,7 +70,7 @@ class ContinuousError:
         """Projected errors of every usable segment; None where theta is not allowed."""
         if not self._allowed(theta):
             return None
-        a, b = sampled(self.rational(theta), self.dt_s, self.hold)
+        a, b = sample(self.rational(theta), self.dt_s, self.hold)
         spaces = {rows: self._nuisance(a, rows) for rows in {len(r.y) - self.skip for r in self.usable()}}
         found = []
         for record in self.usable():
@@ -96,7 +96,7 @@ class ContinuousError:
         """Free run from rest, without the first samples."""
         forced = np.zeros(len(record.y))
         for j, taps in enumerate(b):
-            forced += filtered(taps, a, record.u[:, j])
+            forced += apply_filter(taps, a, record.u[:, j])
         return forced[self.skip :]
 
     def _nuisance(self, a: FloatArray, rows: int) -> FloatArray:

@@ -23,7 +23,7 @@ import numpy.typing as npt
 
 from flysid.dataset import Dataset, FloatArray, Signal
 from flysid.errors import DataError, UsageError
-from flysid.model.detrend import Trend, detrended
+from flysid.model.detrend import Trend, detrend
 from flysid.model.frequency.local_polynomial import local_response
 from flysid.model.frequency.spectra import multitaper_response, welch_response
 from flysid.model.polynomials import DB, ComplexArray
@@ -177,7 +177,7 @@ def measure_response(
     if references and method != "local":
         raise UsageError(f"method {method!r} cannot use a reference", hint="use method='local'")
     order = [*references, *(j for j in range(len(data.inputs)) if j not in references)]
-    records = _records(detrended(data, trend), order, output)
+    records = _records(detrend(data, trend), order, output)
     _check_motion(records, data, order, output)
     scale = np.sqrt(sum((r**2).sum(axis=0) for r in records) / sum(map(len, records)))
     scaled = [r / scale for r in records]

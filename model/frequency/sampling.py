@@ -15,7 +15,7 @@ from flysid.model.frequency.rational import Hold, Rational
 from flysid.model.polynomials import ComplexArray
 
 
-def sampled(rational: Rational, dt_s: float, hold: Hold) -> tuple[FloatArray, list[FloatArray]]:
+def sample(rational: Rational, dt_s: float, hold: Hold) -> tuple[FloatArray, list[FloatArray]]:
     """a (n + 1,) monic and one b per input, in rising powers of q⁻¹, from lag 0.
 
     Parameters
@@ -38,7 +38,7 @@ def sampled_response(rational: Rational, omega: FloatArray, dt_s: float, hold: H
     """(F, n_u) response of the sampled transfer functions; with hold "none", of the continuous ones."""
     if hold == "none":
         return rational.at(omega)
-    a, b = sampled(rational, dt_s, hold)
+    a, b = sample(rational, dt_s, hold)
     delay = np.exp(-1j * omega * dt_s)[:, None] ** np.arange(max(len(a), *(len(t) for t in b)))
     bottom = delay[:, : len(a)] @ a
     return np.stack([delay[:, : len(t)] @ t / bottom for t in b], axis=1)

@@ -152,7 +152,7 @@ class _Problem:
         found = []
         for delay in tried:
             delays = np.array([delay if t is None else t * self.omega_0 for t in self.form.dead_time_s])
-            d, tops = self._iterated(self.g * np.exp(1j * self.x * delays[self.source]))
+            d, tops = self._iterate(self.g * np.exp(1j * self.x * delays[self.source]))
             if self.form.stable:
                 d = _reflect(d)
                 tops = self._numerators(d, delays)
@@ -161,7 +161,7 @@ class _Problem:
                 found.append(theta)
         return found
 
-    def _iterated(self, g: ComplexArray, *, rounds: int = 8) -> tuple[FloatArray, list[FloatArray]]:
+    def _iterate(self, g: ComplexArray, *, rounds: int = 8) -> tuple[FloatArray, list[FloatArray]]:
         """D and N_j minimising |N_j - g D|^2 / |g D_before|^2."""
         s = 1j * self.x
         n = self.form.poles

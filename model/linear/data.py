@@ -239,7 +239,7 @@ def as_tuple(value: int | Sequence[int], count: int) -> tuple[int, ...]:
     return (int(value),) * count if isinstance(value, int) else tuple(int(v) for v in value)
 
 
-def shortened(data: Dataset, rows: int) -> Dataset:
+def shorten(data: Dataset, rows: int) -> Dataset:
     """The first segments, about `rows` samples in all: enough to look for delays."""
     kept = []
     total = 0

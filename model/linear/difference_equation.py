@@ -19,14 +19,14 @@ import numpy as np
 
 from flysid.dataset import FloatArray, Signal
 from flysid.errors import UsageError
-from flysid.filters import filtered
+from flysid.filters import apply_filter
 from flysid.model.arguments import as_columns
 from flysid.model.base import Rule, write_document
 from flysid.model.capabilities import Coefficient, FrequencyResponse
 from flysid.model.control_form import ControlForm, control_of_difference
 from flysid.model.documents import array_of, head_of, monic, signals_of, with_null
-from flysid.model.freerun import Difference, far, saturated
-from flysid.model.linear.laws import always, is_stable, predicted
+from flysid.model.freerun import Difference, far, saturate
+from flysid.model.linear.laws import always, is_stable, predict_ahead
 from flysid.model.linear.text import conclusion, describe
 from flysid.model.linear.uncertainty import coefficients_of, free_run_band, response_of
 from flysid.model.noise import k_step_ahead
@@ -102,7 +102,7 @@ class FittedLinear(FreeRuns):
         """
         u = as_columns(u, len(self.inputs), "u")
         if y0 is None:
-            return saturated(self._from_rest(u), self.output_limits)
+            return saturate(self._from_rest(u), self.output_limits)
         n = self.n_init
         y0 = as_columns(y0, len(self.outputs), "y0")
         if len(y0) < min(n, len(u)):
@@ -112,7 +112,7 @@ class FittedLinear(FreeRuns):
         if len(u) <= n:
             return np.array(y0[: len(u)])
         first, state = self.begin(du, dy)
-        tail = saturated(self.system.run(du[first:], state)[n - first :] + self.y_origin, self.output_limits)
+        tail = saturate(self.system.run(du[first:], state)[n - first :] + self.y_origin, self.output_limits)
         return np.concatenate([y0[:n], tail])
 
     def unlimited(self) -> FittedLinear:
@@ -146,7 +146,7 @@ class FittedLinear(FreeRuns):
         ------
         UsageError : shapes do not fit, or k < 1.
         """
-        return predicted(self, u, y, k, self._ahead)
+        return predict_ahead(self, u, y, k, self._ahead)
 
     def rules(self) -> tuple[Rule, ...]:
         """One rule that always holds."""
@@ -208,7 +208,7 @@ class FittedLinear(FreeRuns):
         """
         if not np.isfinite(self.covariance).all() or not len(self.free):
             raise UsageError("this model carries no covariance", hint="fit it, rather than take it over")
-        return free_run_band(self, self._moved, self.covariance, draws, seed, u=u, y0=y0)
+        return free_run_band(self, self._move, self.covariance, draws, seed, u=u, y0=y0)
 
     def coefficients(self) -> list[Coefficient]:
         """Estimated entries of A and B, signed as in y(k) = ...; none where there is no covariance."""
@@ -288,9 +288,11 @@ class FittedLinear(FreeRuns):
         for lag in range(1, len(a)):
             right[lag:] += y[:-lag] @ a[lag].T
         right[: self.n_init] = 0.0
-        return np.stack([filtered(np.ones(1), self.ma[:, i], right[:, i]) for i in range(y.shape[1])], axis=1)
+        return np.stack(
+            [apply_filter(np.ones(1), self.ma[:, i], right[:, i]) for i in range(y.shape[1])], axis=1
+        )
 
-    def _moved(self, step: FloatArray) -> FittedLinear:
+    def _move(self, step: FloatArray) -> FittedLinear:
         """The model with a step added to its estimated parameters."""
         s = self.system
         flat = self.flat

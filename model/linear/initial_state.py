@@ -15,7 +15,7 @@ import numpy as np
 
 from flysid.dataset import FloatArray
 from flysid.model.freerun import Difference
-from flysid.model.linear.data import EXACT, SEARCH_ROWS, Parts, shortened
+from flysid.model.linear.data import EXACT, SEARCH_ROWS, Parts, shorten
 from flysid.model.simulation_error import free_space, without
 from flysid.model.start import most_start_rows, settled_start_rows
 
@@ -39,7 +39,7 @@ class Past:
 def pasts(system: Difference, parts: Parts) -> list[Past]:
     """One per output of a system whose outputs do not feed each other."""
     depth = system.depth
-    small = parts.scaling.apply(shortened(parts.train, SEARCH_ROWS))
+    small = parts.scaling.apply(shorten(parts.train, SEARCH_ROWS))
     found = []
     for i in range(len(system.c)):
         pick = slice(i, i + 1)

@@ -16,12 +16,12 @@ from flysid.dataset import FloatArray
 from flysid.errors import DataError, FitError
 from flysid.model.freerun import Difference
 from flysid.model.gram import lagged_gram
-from flysid.model.linear.data import SEARCH_ROWS, Parts, as_tuple, shortened
+from flysid.model.linear.data import SEARCH_ROWS, Parts, as_tuple, shorten
 from flysid.model.linear.difference_equation import FittedLinear
 from flysid.model.linear.free_runner import free_runner
 from flysid.model.linear.initial_state import start_gains
 from flysid.model.noise import HIGHEST_ORDER, noise_models
-from flysid.model.polynomials import NEARLY_ONE, RCOND, VANISHING, stabilised
+from flysid.model.polynomials import NEARLY_ONE, RCOND, VANISHING, stabilise
 from flysid.model.stream import Block, Blocks, windows
 
 LONG_ORDER = 20
@@ -231,9 +231,7 @@ def _driven(blocks: Blocks, target: int, references: Sequence[int]) -> Path:
 
 def _path(orders: IVOrders, theta: FloatArray, rows: Sequence[int]) -> Path:
     a, b, _ = orders.polynomials(theta)
-    return Path(
-        stabilised(a, NEARLY_ONE), {row: taps for row, taps in zip(rows, b, strict=True) if len(taps)}
-    )
+    return Path(stabilise(a, NEARLY_ONE), {row: taps for row, taps in zip(rows, b, strict=True) if len(taps)})
 
 
 def _four_stages(signals: _Signals, orders: IVOrders, driven: Path | None, memory: int) -> Estimate:
@@ -375,7 +373,7 @@ def _with_noise(model: FittedLinear, parts: Parts) -> FittedLinear:
     n = model.n_init
     errors = [
         (s.y - model.simulate(s.u, s.y[:n]))[n:] / parts.scaling.y_scale
-        for s in shortened(parts.train, SEARCH_ROWS).segments
+        for s in shorten(parts.train, SEARCH_ROWS).segments
         if len(s) > n + 1
     ]
     return replace(model, noise=noise_models(errors)) if errors else model

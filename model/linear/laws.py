@@ -10,10 +10,10 @@ from flysid.dataset import FloatArray
 from flysid.model.arguments import as_record
 from flysid.model.base import Rule
 from flysid.model.capabilities import LinearModel
-from flysid.model.freerun import saturated
+from flysid.model.freerun import saturate
 
 
-def predicted(
+def predict_ahead(
     model: LinearModel,
     u: FloatArray,
     y: FloatArray,
@@ -35,7 +35,7 @@ def predicted(
         found = ahead(u, y, k)[first:]
         is_finite = np.isfinite(found)
         if not is_finite.all():  # a forged model, or one far outside its data
-            found = np.where(is_finite, found, saturated(found, model.output_limits))
+            found = np.where(is_finite, found, saturate(found, model.output_limits))
         out[first:] = found
     return out
 

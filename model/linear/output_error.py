@@ -22,7 +22,7 @@ from flysid.model.linear.data import (
     Parts,
     judging_window,
     records,
-    shortened,
+    shorten,
 )
 from flysid.model.linear.difference_equation import FittedLinear
 from flysid.model.linear.free_runner import free_runner
@@ -73,7 +73,7 @@ def delay_steps(dt_s: float, longest: int) -> list[int]:
     return [s for s in steps if s <= most]
 
 
-def widened(options: Sequence[int], delay: int, most: int) -> list[int]:
+def widen(options: Sequence[int], delay: int, most: int) -> list[int]:
     """The options, then another delay and its neighbours, as far as they are new and not above `most`."""
     return [*options, *(d for d in (delay, delay - 1, delay + 1) if 0 <= d <= most and d not in options)]
 
@@ -107,14 +107,14 @@ def find_delays(data: Dataset, output: int, probe: OutputOrders) -> tuple[int, .
     ----------
     probe : the orders to try delays with. Its own delays are tried too, with their neighbours.
     """
-    small = shortened(data, SEARCH_ROWS)
+    small = shorten(data, SEARCH_ROWS)
     parts = records(small, output)
     rows = sum(len(r.y) for r in parts)
     longest = max(len(r.y) for r in parts)
     nk = [1] * len(probe.nb)
     for j in range(len(nk)):
         costs: dict[int, float] = {}
-        for delay in widened(delay_steps(data.dt_s, longest), probe.nk[j], longest // 4):
+        for delay in widen(delay_steps(data.dt_s, longest), probe.nk[j], longest // 4):
             costs[delay] = _delay_cost(parts, replace(probe, nk=(*nk[:j], delay, *nk[j + 1 :])))
         best = min(costs, key=lambda d: costs[d])
         for delay in {best - 1, best + 1} - set(costs) - {-1}:  # between the sparse steps
@@ -365,13 +365,13 @@ def _fit(parts: Parts, orders: Sequence[OutputOrders], before: Sequence[OneOutpu
         fit = fit_output(OutputError(records(parts.fit, i), own))
         lower = before[i] if before else None
         if lower is not None and fit.cost > lower.cost and lower.problem.orders.nk == own.nk:
-            nested = fit.problem.refine(raised(lower.transfer, own), max_iterations=40)
+            nested = fit.problem.refine(raise_order(lower.transfer, own), max_iterations=40)
             fit = OneOutput(fit.problem, nested.theta, nested.cost) if nested.cost < fit.cost else fit
         fits.append(fit)
     return fits
 
 
-def raised(transfer: Transfer, orders: OutputOrders) -> FloatArray:
+def raise_order(transfer: Transfer, orders: OutputOrders) -> FloatArray:
     """The same transfer in higher orders: its poles and zeros, and as many more that cancel."""
     a = transfer.a
     b = list(transfer.b)

@@ -19,10 +19,10 @@ from typing import Literal
 import numpy as np
 
 from flysid.dataset import FloatArray
-from flysid.filters import filtered
+from flysid.filters import apply_filter
 from flysid.model.compiled_filters import differences, is_stable
 from flysid.model.noise import burg
-from flysid.model.polynomials import stabilised
+from flysid.model.polynomials import stabilise
 from flysid.model.refine import Refinement, levenberg_marquardt
 from flysid.model.simulation_error import (
     ONE,
@@ -126,14 +126,14 @@ class PredictionError:
         """
         first = self.start_row()
         if self.kind == "armax":
-            equation = filtered(transfer.a, ONE, record.y) - transfer.driven(record.u)
-            error = filtered(ONE, noise.c, equation[first:])
+            equation = apply_filter(transfer.a, ONE, record.y) - transfer.driven(record.u)
+            error = apply_filter(ONE, noise.c, equation[first:])
             basis = _pad(free_space(noise.c, len(error)), len(error))
             return error, basis, (np.zeros((len(error), 0)), np.zeros((0, basis.shape[1])))
         miss = (record.y - transfer.forced(record.u))[first:]
-        error = filtered(noise.d, noise.c, miss)
+        error = apply_filter(noise.d, noise.c, miss)
         states = _pad(free_space(transfer.a, len(miss)), len(miss))
-        seen = filtered(noise.d, noise.c, states)
+        seen = apply_filter(noise.d, noise.c, states)
         own = _pad(free_space(noise.c, len(miss)), len(miss))
         tail = np.eye(len(miss), self.nd) if self.nc < self.nd else np.zeros((len(miss), 0))
         q, r = np.linalg.qr(np.hstack([seen, own, tail]))
@@ -151,8 +151,8 @@ class PredictionError:
         columns = [_apply_filter(differences(record.y, orders.na, 0, rows, monic=True), noise.c)]
         columns += [-_apply_filter(x, noise.c) for x in _input_columns(record.u, orders, rows)]
         if orders.offset:
-            columns.append(-filtered(ONE, noise.c, np.ones(len(rest)))[:, None])
-        shifted = filtered(ONE, noise.c, rest)
+            columns.append(-apply_filter(ONE, noise.c, np.ones(len(rest)))[:, None])
+        shifted = apply_filter(ONE, noise.c, rest)
         return [*columns, *(-delayed(shifted, i)[:, None] for i in range(1, self.nc + 1))]
 
     def _bj_columns(
@@ -164,21 +164,21 @@ class PredictionError:
         response = transfer.forced(record.u)
         response[first:] += free
         response[:first] = 0.0
-        inner = filtered(ONE, transfer.a, response)
+        inner = apply_filter(ONE, transfer.a, response)
         columns = [_apply_filter(differences(inner, orders.na, 0, rows, monic=True), noise.c, noise.d)]
-        through = filtered(ONE, transfer.a, record.u)
+        through = apply_filter(ONE, transfer.a, record.u)
         columns += [-_apply_filter(x, noise.c, noise.d) for x in _input_columns(through, orders, rows)]
         if orders.offset:
-            ramp = filtered(ONE, transfer.a, np.ones(len(record.y)))[first:]
-            columns.append(-filtered(noise.d, noise.c, ramp)[:, None])
-        shifted = filtered(ONE, noise.c, rest)
+            ramp = apply_filter(ONE, transfer.a, np.ones(len(record.y)))[first:]
+            columns.append(-apply_filter(noise.d, noise.c, ramp)[:, None])
+        shifted = apply_filter(ONE, noise.c, rest)
         columns += [-delayed(shifted, i)[:, None] for i in range(1, self.nc + 1)]
-        miss = filtered(ONE, noise.c, record.y[first:] - response[first:])
+        miss = apply_filter(ONE, noise.c, record.y[first:] - response[first:])
         return [*columns, *(delayed(miss, i)[:, None] for i in range(1, self.nd + 1))]
 
 
 def _apply_filter(columns: FloatArray, c: FloatArray, d: FloatArray | None = None) -> FloatArray:
-    return filtered(ONE if d is None else d, c, columns)
+    return apply_filter(ONE if d is None else d, c, columns)
 
 
 def _input_columns(u: FloatArray, orders: OutputOrders, rows: slice) -> list[FloatArray]:
@@ -214,7 +214,7 @@ def innovations_start(errors: Sequence[FloatArray], nc: int, nd: int) -> tuple[F
     for v in errors:
         if len(v) <= len(long) + deepest:
             continue
-        e = filtered(long, ONE, v)
+        e = apply_filter(long, ONE, v)
         keep = slice(len(long) + deepest, len(v))
         past = [-delayed(v, i)[keep] for i in range(1, nd + 1)]
         past += [delayed(e, i)[keep] for i in range(1, nc + 1)]
@@ -225,4 +225,4 @@ def innovations_start(errors: Sequence[FloatArray], nc: int, nd: int) -> tuple[F
     theta = np.linalg.lstsq(np.concatenate(rows), np.concatenate(goals), rcond=None)[0]
     c = np.concatenate([[1.0], theta[nd:]])
     d = np.concatenate([[1.0], theta[:nd]])
-    return stabilised(c, 0.98), stabilised(d, 0.98)
+    return stabilise(c, 0.98), stabilise(d, 0.98)

@@ -9,7 +9,7 @@ import numpy as np
 
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, UsageError
-from flysid.filters import filtered
+from flysid.filters import apply_filter
 from flysid.model.freerun import Difference
 from flysid.model.linear.data import Parts, records
 from flysid.model.linear.difference_equation import FittedLinear
@@ -18,7 +18,7 @@ from flysid.model.linear.oe_search import search
 from flysid.model.linear.output_error import OneOutput, runner
 from flysid.model.linear.pem import Kind, PredictionError, innovations_start
 from flysid.model.linear.settings import PolynomialSettings
-from flysid.model.linear.stability import settled
+from flysid.model.linear.stability import keep_stable
 from flysid.model.simulation_error import OutputError, OutputOrders, to_transfer
 
 BJ_NOISES = ((0, 0), (0, 1), (0, 2), (1, 1), (2, 2), (0, 4))
@@ -82,7 +82,7 @@ def fit_prediction_error(
     how = "of lowest BIC" if len(noises) > 1 else "as given"
     notes = found.note, f"Noise model {how}: {names}."
     model = _assemble(kind, parts, fits, notes, settings.n_init)
-    return settled(model, train, stable=settings.stable)
+    return keep_stable(model, train, stable=settings.stable)
 
 
 def _fit(kind: Kind, parts: Parts, output: int, start: OneOutput, noise: tuple[int, int]) -> NoisyFit:
@@ -94,7 +94,7 @@ def _fit(kind: Kind, parts: Parts, output: int, start: OneOutput, noise: tuple[i
         )
     errors = replace(start.problem, records=problem.records).errors(start.theta)
     if kind == "armax":
-        errors = [filtered(start.transfer.a, np.ones(1), e)[problem.orders.na :] for e in errors]
+        errors = [apply_filter(start.transfer.a, np.ones(1), e)[problem.orders.na :] for e in errors]
     c, d = innovations_start(errors, *noise)
     theta = np.concatenate([start.theta, c[1:], d[1:]])
     best = problem.refine(theta)

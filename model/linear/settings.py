@@ -10,7 +10,7 @@ import numpy as np
 
 from flysid.dataset import Dataset
 from flysid.errors import UsageError
-from flysid.model.detrend import Trend, check_trend, detrended
+from flysid.model.detrend import Trend, check_trend, detrend
 from flysid.model.stream import OnDisk, Source
 
 Auto: TypeAlias = Literal["auto"]
@@ -55,7 +55,7 @@ class PolynomialSettings:
 
     def detrended(self, train: Dataset, validation: Dataset | None) -> tuple[Dataset, Dataset | None]:
         """Both parts, without their trends where that is asked for."""
-        return detrended(train, self.trend), None if validation is None else detrended(validation, self.trend)
+        return detrend(train, self.trend), None if validation is None else detrend(validation, self.trend)
 
 
 def check_inputs(n_u: int) -> None:

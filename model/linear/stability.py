@@ -17,10 +17,10 @@ from flysid.errors import FitError
 from flysid.model.freerun import Difference
 from flysid.model.linear.difference_equation import FittedLinear
 from flysid.model.noise import coloured_covariance, noise_model
-from flysid.model.polynomials import NEARLY_ONE, stabilised
+from flysid.model.polynomials import NEARLY_ONE, stabilise
 
 
-def settled(model: FittedLinear, data: Dataset, *, stable: bool) -> FittedLinear:
+def keep_stable(model: FittedLinear, data: Dataset, *, stable: bool) -> FittedLinear:
     """The model itself where it is stable; else with a note, or made stable where `stable` asks for it.
 
     Raises
@@ -88,7 +88,7 @@ def _inside(system: Difference) -> Difference:
     a = system.a.copy()
     if system.is_diagonal:
         for i in range(a.shape[1]):
-            a[:, i, i] = stabilised(a[:, i, i], NEARLY_ONE)
+            a[:, i, i] = stabilise(a[:, i, i], NEARLY_ONE)
         return replace(system, a=a)
     n = len(a) - 1
     n_y = a.shape[1]

@@ -57,7 +57,7 @@ class TermFit:
         first = self.depth - self.memory
         return np.concatenate([W[first : self.depth, : self.n_y].ravel() for W in self.runs])
 
-    def _started(self, p: FloatArray) -> Iterator[tuple[FloatArray, FloatArray]]:
+    def _start(self, p: FloatArray) -> Iterator[tuple[FloatArray, FloatArray]]:
         """Of every run W to run in, and its start's distance from what was measured."""
         gaps = p[len(self.terms.equation) :] - self.measured_starts
         for W, gap in zip(self.runs, gaps.reshape(len(self.runs), self.own), strict=True):
@@ -69,7 +69,7 @@ class TermFit:
         """Sum of squared errors of the free runs; infinite where one is held at a limit."""
         theta = p[: len(self.terms.equation)]
         total = 0.0
-        for W, (run, gap) in zip(self.runs, self._started(p), strict=True):
+        for W, (run, gap) in zip(self.runs, self._start(p), strict=True):
             if free_run(run, self.depth, self.terms, theta, self.limits):
                 return np.inf
             error = (run - W)[self.depth :, : self.n_y]
@@ -86,7 +86,7 @@ class TermFit:
         own = np.zeros((len(self.runs), q))
         common = np.zeros(count)
         total = 0.0
-        for s, (W, (run, gap)) in enumerate(zip(self.runs, self._started(p), strict=True)):
+        for s, (W, (run, gap)) in enumerate(zip(self.runs, self._start(p), strict=True)):
             own[s] = gap
             total += float(gap @ gap)
             for error, J in self._pieces(W, run, p[:count]):
@@ -152,7 +152,7 @@ class TermFit:
         """
         count = len(self.terms.equation)
         scores = []
-        for W, (run, _) in zip(self.runs, self._started(p), strict=True):
+        for W, (run, _) in zip(self.runs, self._start(p), strict=True):
             for error, J in self._pieces(W, run, p[:count]):
                 along = J[:, :count] * error[:, None]
                 cuts = max(round(len(error) / (block * self.n_y)), 1)
@@ -171,7 +171,7 @@ class TermFit:
         count = len(self.terms.equation)
         pulls = []
         curvature = np.zeros((count, count))
-        for W, (run, _) in zip(self.runs, self._started(p), strict=True):
+        for W, (run, _) in zip(self.runs, self._start(p), strict=True):
             for error, J in self._pieces(W, run, p[:count]):
                 curvature += J[:, :count].T @ J[:, :count]
                 along = J[:, :count] * error[:, None]
@@ -200,7 +200,7 @@ class TermFit:
         across = np.zeros((present, count))
         slope = np.zeros(count)
         size = np.zeros(count)
-        for W, (run, _) in zip(self.runs, self._started(p), strict=True):
+        for W, (run, _) in zip(self.runs, self._start(p), strict=True):
             for error, J in self._pieces(W, run, p[:count]):
                 across += J[:, :present].T @ J[:, :count]
                 slope += error @ J[:, :count]

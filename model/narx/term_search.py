@@ -275,7 +275,7 @@ def _with_term(search: TermSearch, now: RefinedTerms, term: Term) -> RefinedTerm
     return search.refined((*now.terms, term), [np.insert(p, count, 0.0) for p in now.unknowns])
 
 
-def pruned(search: TermSearch, grown: RefinedTerms, notes: list[str]) -> RefinedTerms:
+def prune(search: TermSearch, grown: RefinedTerms, notes: list[str]) -> RefinedTerms:
     """Without the terms that the held-out free run does not miss."""
     now = grown
     while True:
@@ -334,7 +334,7 @@ def _without_term(search: TermSearch, now: RefinedTerms, place: int) -> RefinedT
     return search.refined(terms, [np.delete(p, place) for p in now.unknowns])
 
 
-def finished(search: TermSearch, chosen: RefinedTerms) -> tuple[FittedPolyNARX, float]:
+def finish(search: TermSearch, chosen: RefinedTerms) -> tuple[FittedPolyNARX, float]:
     """The terms refined on all of the training data, and their squared error there, normalised.
 
     The error is infinite where a free run is held at a limit, under the probe too.
@@ -349,7 +349,7 @@ def finished(search: TermSearch, chosen: RefinedTerms) -> tuple[FittedPolyNARX, 
 
 
 def unchanged(search: TermSearch) -> tuple[FittedPolyNARX, float]:
-    """The linear model that the search began with, as terms; error as of `finished`."""
+    """The linear model that the search began with, as terms; error as of `finish`."""
     problem = search.problem(search.parts.train, search.start)
     p = search.begun(search.parts.train, search.start, search.theta)
     cost = problem.cost(p)

@@ -38,7 +38,7 @@ def voltage_of(u: FloatArray, battery: int | None, mean: FloatArray) -> FloatArr
     return np.asarray(np.log(np.maximum(u[:, battery], least) / mean[battery]))
 
 
-def quietened(volts: FloatArray | None, longest: int = 12) -> FloatArray | None:
+def quieten(volts: FloatArray | None, longest: int = 12) -> FloatArray | None:
     """A voltage without its own noise, which would draw its power towards 0 (errors in variables).
 
     A level that wanders is known best from rows on both sides, weighed by theta^|k|, with the theta whose
@@ -50,13 +50,13 @@ def quietened(volts: FloatArray | None, longest: int = 12) -> FloatArray | None:
     if volts is None or len(volts) < 4:
         return volts
     thetas = 1.0 - 0.5 ** np.arange(longest + 1)
-    missed = [float(np.sum((volts[1:] - _faded(volts, theta)[:-1]) ** 2)) for theta in thetas]
+    missed = [float(np.sum((volts[1:] - _fade(volts, theta)[:-1]) ** 2)) for theta in thetas]
     theta = float(thetas[int(np.argmin(missed))])
-    both = _faded(volts, theta) + _faded(volts[::-1], theta)[::-1] - (1.0 - theta) * volts
+    both = _fade(volts, theta) + _fade(volts[::-1], theta)[::-1] - (1.0 - theta) * volts
     return np.asarray(both / (1.0 + theta))
 
 
-def _faded(values: FloatArray, theta: float) -> FloatArray:
+def _fade(values: FloatArray, theta: float) -> FloatArray:
     """(1 - theta) sum theta^k of earlier values, as if the first had stood before."""
     from scipy.signal import lfilter
 

@@ -14,7 +14,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from flysid.dataset import FloatArray
-from flysid.model.rules.free_run_error import range_of, widened
+from flysid.model.rules.free_run_error import range_of, widen
 from flysid.model.rules.kernel import Lags, Parameters, free_run
 from flysid.model.rules.recursion import rule_radius
 from flysid.model.rules.stages import Stage
@@ -38,7 +38,7 @@ def is_bounded(stage: Stage) -> bool:
     half the range beyond what was simulated: ends at which a plant itself saturates are no limits in this
     sense. The model must also forget how it was started (`is_contracting`). Of a model that holds an
     integrator the changes of the output are asked instead (the range widened tenfold), as its output may go
-    anywhere. Lags are held at the limits here, those of a single rule too (`unheld`): one that stays there is
+    anywhere. Lags are held at the limits here, those of a single rule too (`drop_held`): one that stays there is
     too near to instability.
     """
     problem = stage.problem
@@ -50,12 +50,12 @@ def is_bounded(stage: Stage) -> bool:
     limits = problem.limits
     seen = [run[layout.uncompared :, : layout.n] for run in stage.simulated()]
     if layout.hidden:
-        limits = widened(range_of(seen), _NEAR)
+        limits = widen(range_of(seen), _NEAR)
     if problem.integrates:
         if not all(rule_radius(layout.lags, rule) < 1.0 + _ROUNDING for rule in par.theta):
             return False  # behind an integrator it would drift away
         x = np.diff(x, axis=0)
-        limits = widened(range_of([np.diff(run, axis=0) for run in seen]), FAR)
+        limits = widen(range_of([np.diff(run, axis=0) for run in seen]), FAR)
     if not _share_at(x, limits) < _RARELY:
         return False
     return problem.integrates or is_contracting(problem.runs, range_of(seen), layout.depth, layout.lags, par)

@@ -28,7 +28,7 @@ from flysid.model.rules import learning
 from flysid.model.rules.fitted import FittedTS
 from flysid.model.rules.judging import blocks, hold_out
 from flysid.model.rules.learning import LinearSide, Search
-from flysid.model.rules.operating_points import described
+from flysid.model.rules.operating_points import describe
 from flysid.model.rules.refit import free_run_errors
 from flysid.model.rules.regressor_layout import scaling
 from flysid.model.rules.search_settings import QUARTERS, RuleSettings
@@ -111,7 +111,7 @@ class Contest:
     def described(self) -> FittedTS:
         """The better of the two kinds, and what it does at operating points unless one rule is linear."""
         taken = self.taken
-        return self.of_rules if taken.linear else described(self.of_rules, taken.train, taken.neighbour)
+        return self.of_rules if taken.linear else describe(self.of_rules, taken.train, taken.neighbour)
 
     @property
     def of_rules(self) -> FittedTS:
@@ -153,7 +153,7 @@ def _judge(
     """The advantage of hidden states on held-out parts, and whether they fit the training data better."""
     fits = advantage([block_errors((lags.bare, states.bare), train)]).gain < 0.0
     parts = parts_to_compare_on(train, validation, max(lags.least, states.least))
-    pairs = [block_errors(*pair) for pair in refitted(lags.again, states.again, parts)]
+    pairs = [block_errors(*pair) for pair in refit(lags.again, states.again, parts)]
     return advantage(pairs), fits
 
 
@@ -174,7 +174,7 @@ def hints_at_hidden_state(model: FittedTS, train: Dataset) -> bool:
     return False
 
 
-def refitted(
+def refit(
     first: Refit, second: Refit, parts: Sequence[tuple[Dataset, Dataset]]
 ) -> Iterator[tuple[tuple[FreeRunning, FreeRunning], Dataset]]:
     """Both models of every fold, and its judging part, as far as a part holds enough for both."""
@@ -199,7 +199,7 @@ def unproven(first: Refit, second: Refit, parts: Sequence[tuple[Dataset, Dataset
     runs to its output limits on none of them that the first gets through.
     """
     pairs = []
-    for models, check in refitted(first, second, parts):
+    for models, check in refit(first, second, parts):
         if _lost(models[1], check) and not _lost(models[0], check):
             return "on a held-out part of the training data their free run went to its limits"
         pairs.append(block_errors(models, check))

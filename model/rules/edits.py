@@ -23,7 +23,7 @@ from flysid.model.rules.consequents import refuse_few, refuse_other_data
 from flysid.model.rules.growth import Training, best_started, one_rule_more, rule_support
 from flysid.model.rules.judging import Candidate
 from flysid.model.rules.kernel import Parameters
-from flysid.model.rules.operating_points import described
+from flysid.model.rules.operating_points import describe
 from flysid.model.rules.phrases import from_to
 from flysid.model.rules.refit import as_problem, at_stage, free_run_rmse
 from flysid.model.rules.regressor_layout import Layout, runs_of
@@ -207,6 +207,6 @@ def simplifications(
         refined = stage.under(ridge=ridge * stage.cost).refined(iterations, 1e-5)
         if np.isfinite(refined.cost) and is_bounded(refined):
             told = replace(model, notes=(*model.notes, f"Simplified by hand: {what}."))
-            edited = described(at_stage(told, ordered(refined), train), train)
+            edited = describe(at_stage(told, ordered(refined), train), train)
             found.append(PricedEdit(what, edited, before, free_run_rmse(edited, judge)))
     return sorted(found, key=lambda s: s.loss_pct)

@@ -75,7 +75,7 @@ class FittedTS(RuleModel):
         return to_nonlinear_system(self)
 
 
-def finished(stage: Stage, train: Dataset, notes: tuple[str, ...]) -> FittedTS:
+def finish(stage: Stage, train: Dataset, notes: tuple[str, ...]) -> FittedTS:
     """The stage as a fitted model, with its start, support and noise model."""
     parameters = stage.problem.parameters(stage.body)
     start = start_of(stage, train.dt_s)

@@ -121,7 +121,7 @@ class Problem:
             np.ascontiguousarray(self.offset + body.a @ self.basis),
             np.ascontiguousarray(body.centre),
             np.ascontiguousarray(body.width),
-            widened(self.z_range, self.layout.reach),
+            widen(self.z_range, self.layout.reach),
             np.ascontiguousarray(self.limits),
         )
 
@@ -153,7 +153,7 @@ class Problem:
         return np.stack(found)
 
 
-def widened(limits: FloatArray, times: float) -> FloatArray:
+def widen(limits: FloatArray, times: float) -> FloatArray:
     """(2, n) ranges, wider by so many times themselves on each side."""
     margin = times * (limits[1] - limits[0])
     return np.ascontiguousarray(np.stack([limits[0] - margin, limits[1] + margin]))

@@ -29,7 +29,7 @@ from flysid.model.rules.free_run_error import Body, Problem, antecedent_range
 from flysid.model.rules.kernel import firing
 from flysid.model.rules.memberships import Partition
 from flysid.model.rules.regressor_layout import Antecedent, Layout, windows
-from flysid.model.rules.stages import Stage, expected_cost, inserted, on_runs_of
+from flysid.model.rules.stages import Stage, expected_cost, insert, on_runs_of
 from flysid.model.selection import FEWEST
 from flysid.model.start import START_SHARE, STEPS
 
@@ -76,13 +76,13 @@ def _difference_matrix(layout: Layout) -> FloatArray:
 
 def linear_stage(problem: Problem, iterations: int, more: tuple[Stage, ...] = ()) -> Stage:
     """The refined linear model: one rule, from the best of the linear starts and `more`."""
-    estimated = min((unrefined(problem, body) for body in _linear_starts(problem)), key=lambda s: s.cost)
+    estimated = min((skip_refining(problem, body) for body in _linear_starts(problem)), key=lambda s: s.cost)
     short = max(8, iterations // 3)
-    trials = [rebased(start).refined(short, 1e-4) for start in (*more, estimated)]
-    return rebased(min(trials, key=lambda s: s.cost)).refined(iterations, 1e-6)
+    trials = [rebase(start).refined(short, 1e-4) for start in (*more, estimated)]
+    return rebase(min(trials, key=lambda s: s.cost)).refined(iterations, 1e-6)
 
 
-def unrefined(problem: Problem, body: Body | None = None, initial: FloatArray | None = None) -> Stage:
+def skip_refining(problem: Problem, body: Body | None = None, initial: FloatArray | None = None) -> Stage:
     """A stage that has not seen its simulation error; one-step least squares where no body is given."""
     body = next(_linear_starts(problem)) if body is None else body
     return best_started(problem, body) if initial is None else Stage(problem, body, initial).priced()
@@ -96,9 +96,9 @@ def best_started(problem: Problem, body: Body) -> Stage:
     """
     starts = problem.starts(problem.runs), problem.smooth_initial()
     plain = replace(problem, ridge=0.0, stress=None)
-    stage = min((unrefined(plain, body, initial) for initial in starts), key=lambda s: s.cost)
+    stage = min((skip_refining(plain, body, initial) for initial in starts), key=lambda s: s.cost)
     found = stage.refined(STEPS, 1e-3, NOTHING)
-    return unrefined(problem, body, found.initial)
+    return skip_refining(problem, body, found.initial)
 
 
 def embedded_start(stage: Stage, problem: Problem) -> tuple[Stage, ...]:
@@ -114,7 +114,7 @@ def embedded_start(stage: Stage, problem: Problem) -> tuple[Stage, ...]:
     wider = replace(problem, offset=theta[0])
     # from the simulated start the lower order is a saddle that no gradient leaves; from the measured one
     # the search is pushed off it, but a noisy start may be hopeless: try both
-    return unrefined(wider, body, initial), unrefined(wider, body)
+    return skip_refining(wider, body, initial), skip_refining(wider, body)
 
 
 def _linear_starts(problem: Problem) -> Iterator[Body]:
@@ -137,7 +137,7 @@ def _linear_starts(problem: Problem) -> Iterator[Body]:
         a = np.asarray(np.linalg.lstsq(Z.T @ E, Z.T @ Y, rcond=1e-12)[0], dtype=np.float64)
 
 
-def rebased(stage: Stage) -> Stage:
+def rebase(stage: Stage) -> Stage:
     """The same one-rule model in the basis where its Gauss-Newton matrix is the identity.
 
     Where its sensitivities overflow it is no start: its cost becomes infinite.
@@ -182,7 +182,7 @@ def clustered_stage(linear: Stage, antecedents: tuple[Antecedent, ...], rules: i
     design = (phi[:, :, None] * E[:, None, :]).reshape(len(E), -1)
     solution = np.linalg.lstsq(design, Y, rcond=VANISHING)[0].reshape(rules, E.shape[1], n_y)
     a = np.ascontiguousarray(solution.transpose(0, 2, 1))
-    return unrefined(replace(problem, offset=np.zeros_like(problem.offset)), Body(a, centre, width))
+    return skip_refining(replace(problem, offset=np.zeros_like(problem.offset)), Body(a, centre, width))
 
 
 def holds_integrator(theta: FloatArray, lags: int) -> bool:
@@ -223,7 +223,7 @@ def with_integrator(
     theta = stage.problem.parameters(stage.body).theta[0].copy()
     theta[0, 0] += 1.0 - theta[0, : problem.layout.orders.na].sum()
     still = Body(np.zeros((1, 1, len(problem.basis))), stage.body.centre, stage.body.width)
-    near = unrefined(replace(problem, offset=theta), still)
+    near = skip_refining(replace(problem, offset=theta), still)
     nested = (embedded_start(lower, problem) for lower in reversed(known) if lower.problem.integrates)
     held = linear_stage(problem, iterations, (*next(filter(None, nested), ()), near))
     outside = slowest_pole(stage) > 1.0 and held.cost <= dearer * stage.cost
@@ -331,7 +331,7 @@ def _inserted_along(
         width[j] = min(max(0.5 * float(np.std(chosen)), 0.03 * span), 0.3 * span)
         if stage.rules == 1:
             width[j] = max(width[j], 0.2 * span)
-        yield at, inserted(wide, centre, width)
+        yield at, insert(wide, centre, width)
 
 
 def z_and_firing(stage: Stage, runs: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray]:
@@ -354,7 +354,7 @@ def seen(stage: Stage) -> list[FloatArray]:
     return found
 
 
-def thinned(stage: Stage, samples: int) -> Stage:
+def thin(stage: Stage, samples: int) -> Stage:
     """The stage on at most about `samples` rows: evenly spaced windows, started where the model is."""
     total = sum(len(W) for W in stage.problem.runs)
     if total <= samples:
@@ -374,7 +374,7 @@ def one_rule_more(stage: Stage, antecedents: Sequence[Antecedent], how: Training
     rows, by a few steps of refinement.
     """
     stage = stage.under(ridge=how.ridge * stage.mean_square())
-    few = thinned(stage, _FEW)
+    few = thin(stage, _FEW)
     options = insertions(few, antecedents)
     promised = [expected_cost(grown) for _, grown in options]
     order = [i for i in np.argsort(promised, kind="stable") if np.isfinite(promised[i])][: how.tries]
@@ -382,13 +382,13 @@ def one_rule_more(stage: Stage, antecedents: Sequence[Antecedent], how: Training
     if not trials:
         return None
     where, trial = min(trials, key=lambda each: each[1].cost)
-    best = settled(trial, how)
+    best = settle(trial, how)
     if few is not stage:
-        best = settled(on_runs_of(best, stage), how)
+        best = settle(on_runs_of(best, stage), how)
     return Grown(where, best)
 
 
-def settled(stage: Stage, how: Training) -> Stage:
+def settle(stage: Stage, how: Training) -> Stage:
     """Refined fully, under the ridge that its present error asks for."""
     return stage.under(ridge=how.ridge * stage.mean_square()).refined(how.iterations, how.tolerance)
 
@@ -396,9 +396,7 @@ def settled(stage: Stage, how: Training) -> Stage:
 def same_insertion(stage: Stage, insertion: Insertion, how: Training) -> Stage | None:
     """A rule more where another part of the data wanted it, refined fully; None where it cannot be."""
     ridged = stage.under(ridge=how.ridge * stage.mean_square())
-    return next(
-        (settled(s, how) for _, s in _inserted_along(ridged, insertion.antecedent, [insertion])), None
-    )
+    return next((settle(s, how) for _, s in _inserted_along(ridged, insertion.antecedent, [insertion])), None)
 
 
 def rule_support(stage: Stage) -> FloatArray:

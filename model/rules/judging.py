@@ -20,7 +20,7 @@ from flysid.model.rules.boundedness import is_bounded
 from flysid.model.rules.free_run_error import started_run
 from flysid.model.rules.likely_start import initial_states
 from flysid.model.rules.linear_starts import PLAIN, PLAIN_WORDS, LinearStart, StateRealisation
-from flysid.model.rules.recursion import unheld
+from flysid.model.rules.recursion import drop_held
 from flysid.model.rules.regressor_layout import windows
 from flysid.model.rules.search_settings import QUARTERS
 from flysid.model.rules.stages import Stage, prior_of
@@ -75,7 +75,7 @@ def free_run_errors(stage: Stage, runs: Sequence[FloatArray], window: int) -> li
     layout = stage.layout
     n_y = layout.n_y
     par = stage.problem.parameters(stage.body)
-    par = par if layout.hidden else unheld(layout.lags, par)
+    par = par if layout.hidden else drop_held(layout.lags, par)
     first = initial_states(layout, runs, par, prior_of(stage), window - layout.uncompared)
     limits = stage.problem.limits[:, :n_y]
     return [

@@ -20,7 +20,7 @@ from flysid.model.base import Fitted
 from flysid.model.linear.settings import check_hint
 from flysid.model.rules import edits
 from flysid.model.rules.boundedness import is_bounded
-from flysid.model.rules.fitted import FittedTS, finished
+from flysid.model.rules.fitted import FittedTS, finish
 from flysid.model.rules.growth import clustered_stage
 from flysid.model.rules.judging import (
     INTEGRATES,
@@ -32,7 +32,7 @@ from flysid.model.rules.judging import (
     tolerant,
 )
 from flysid.model.rules.linear_starts import PLAIN, StateRealisation, as_linear, as_stage
-from flysid.model.rules.operating_points import described
+from flysid.model.rules.operating_points import describe
 from flysid.model.rules.refit import STEPS_ON_PARTS, on_all_runs, refit
 from flysid.model.rules.regressor_layout import runs_of, scaling
 from flysid.model.rules.search import search
@@ -136,19 +136,19 @@ class Search:
     @cached_property
     def bare(self) -> FittedTS:
         """The fitted model, without what it does at operating points."""
-        return finished(self.stage, self.train, (*self.notes, *self.verdict))
+        return finish(self.stage, self.train, (*self.notes, *self.verdict))
 
     @property
     def model(self) -> FittedTS:
         """The fitted model; it says what it does at operating points, and how surely."""
-        return described(self.bare, self.train, self.neighbour)
+        return describe(self.bare, self.train, self.neighbour)
 
     def again(self, data: Dataset) -> FittedTS:
         """The model refined from where it is on a part of the data; itself for all of them."""
         if data is self.train:
             return self.bare
         runs = runs_of(self.stage.layout, data.segments, self.least)
-        return finished(on_all_runs(self.stage, runs, STEPS_ON_PARTS), data, ())
+        return finish(on_all_runs(self.stage, runs, STEPS_ON_PARTS), data, ())
 
 
 def over_lags(

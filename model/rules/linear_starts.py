@@ -29,7 +29,7 @@ from flysid.model.linear.difference_equation import FittedLinear
 from flysid.model.oe import OE
 from flysid.model.polynomials import ROUNDING
 from flysid.model.rules.free_run_error import Body, Problem
-from flysid.model.rules.growth import unrefined
+from flysid.model.rules.growth import skip_refining
 from flysid.model.rules.recursion import Recursion
 from flysid.model.rules.regressor_layout import Layout, Orders
 from flysid.model.rules.rule_model import RuleModel
@@ -159,7 +159,7 @@ def as_stage(found: LinearStart, problem: Problem) -> Stage:
     """A linear model as a stage of a problem with the same orders."""
     still = np.zeros((1, problem.z_range.shape[1]))
     body = Body(np.zeros((1, problem.layout.n_y, len(problem.basis))), still, np.ones_like(still))
-    return unrefined(replace(problem, offset=consequents(found, problem.layout)), body)
+    return skip_refining(replace(problem, offset=consequents(found, problem.layout)), body)
 
 
 def arx_start(problem: Problem, data: Dataset) -> tuple[Stage, ...]:
@@ -234,7 +234,7 @@ class StateRealisation:
         return np.stack(columns, axis=1)
 
 
-def realised(fitted: FittedLinear, shift: FloatArray, scale: FloatArray) -> StateRealisation:
+def realise(fitted: FittedLinear, shift: FloatArray, scale: FloatArray) -> StateRealisation:
     """A difference equation in states (observer form), normalised by (n_y + n_u,) shift and scale.
 
     Delays common to all outputs become the inputs' lags. What is deeper than the order is dropped: the

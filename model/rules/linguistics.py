@@ -17,7 +17,7 @@ import numpy as np
 
 from flysid.dataset import FloatArray
 from flysid.model.rules.memberships import Partition
-from flysid.model.rules.vocabulary import Axis, Name, Vocabulary, signed, tongue_of, unsigned
+from flysid.model.rules.vocabulary import Axis, Name, Vocabulary, name_directions, name_sizes, tongue_of
 
 _AT_ZERO = 0.08  # of the range: a centre nearer to zero is at zero
 _AROUND_ZERO = 0.15  # of the range: a piece around zero that reaches no farther is at zero
@@ -122,12 +122,12 @@ def _named_pieces(
 ) -> list[tuple[int, Name]] | None:
     """(level, name) of every piece in order; None where there are more than words."""
     if tongue is None:
-        scale = unsigned(axis).get(len(found))
+        scale = name_sizes(axis).get(len(found))
         return None if scale is None else [(p.level, ("", w)) for p, w in zip(found, scale, strict=True)]
     parts: list[tuple[int, int]] = []
     for p in found:
         parts += [(p.level, sign) for sign in _signs(p, axis.span)]
-    names = signed([sign for _, sign in parts], tongue)
+    names = name_directions([sign for _, sign in parts], tongue)
     return None if names is None else [(level, n) for (level, _), n in zip(parts, names, strict=True)]
 
 
@@ -221,12 +221,12 @@ def labels(values: FloatArray, axis: Axis, *, apart: float = 0.0) -> list[str]:
         return ["" for _ in values]
     tongue = tongue_of(axis)
     if tongue is None:
-        scale = unsigned(axis).get(len(levels))
+        scale = name_sizes(axis).get(len(levels))
         said = None if scale is None else list(scale)
     else:
         nearest = min(levels, key=abs)
         zero = nearest if abs(nearest) <= _AT_ZERO * axis.span else None
-        names = signed([0 if v == zero else -1 if v < 0 else 1 for v in levels], tongue)
+        names = name_directions([0 if v == zero else -1 if v < 0 else 1 for v in levels], tongue)
         said = None if names is None else [tongue.say(d, [size]) for d, size in names]
     if said is None:
         said = [f"near {axis.place(v)}" for v in levels]

@@ -23,7 +23,7 @@ Conjunction = Literal["product", "minimum"]
 _FAR = float(np.finfo(float).max) ** 0.25  # standardised distances stop here: their squares stay finite
 
 
-def standardised(x: FloatArray, centre: FloatArray, left: FloatArray, right: FloatArray) -> FloatArray:
+def standardise(x: FloatArray, centre: FloatArray, left: FloatArray, right: FloatArray) -> FloatArray:
     """(N, R) signed distance of x (N,) from each centre (R,) in widths of the side it lies on."""
     # a row per rule: NumPy takes several times as long along a short last axis
     gap = x[None, :] - centre[:, None]
@@ -49,7 +49,7 @@ def log_grade(distance: FloatArray, shape: Shape = "gaussian") -> FloatArray:
         return np.log(np.clip(grade, 0.0, 1.0))
 
 
-def normalised(log_strength: FloatArray, distance: FloatArray) -> FloatArray:
+def normalise(log_strength: FloatArray, distance: FloatArray) -> FloatArray:
     """(N, R) firing strengths that sum to 1, eq. (2), from their logarithms.
 
     `distance` (N, R) decides where no rule fires (all -inf): the nearest rule speaks alone.
@@ -109,7 +109,7 @@ class Partition:
         count = self.centre.shape[1]
         if not 0 <= j < count:
             raise UsageError(f"no antecedent variable {j!r}", hint=f"there are {count}, counted from 0")
-        distance = standardised(
+        distance = standardise(
             np.asarray(x, dtype=np.float64), self.centre[:, j], self.left[:, j], self.right[:, j]
         )
         return np.asarray(np.exp(log_grade(distance, self.shape)))
@@ -117,15 +117,15 @@ class Partition:
     def firing(self, z: FloatArray) -> FloatArray:
         """(N, R) normalised firing strengths of z (N, n_z), eq. (7) and (2); rows sum to 1."""
         z = np.clip(z, self.low, self.high)
-        total = np.zeros((len(self), len(z))).T  # in memory as `standardised` has it
+        total = np.zeros((len(self), len(z))).T  # in memory as `standardise` has it
         far = np.zeros_like(total)
         for j in range(z.shape[1]):
-            d = standardised(z[:, j], self.centre[:, j], self.left[:, j], self.right[:, j])
+            d = standardise(z[:, j], self.centre[:, j], self.left[:, j], self.right[:, j])
             grade = log_grade(d, self.shape)
             total = total + grade if self.conjunction == "product" else np.minimum(total, grade)
             if self.shape != "gaussian":  # which always fires
                 far = far + d * d
-        return normalised(total, far)
+        return normalise(total, far)
 
     def to_dict(self) -> dict[str, Any]:
         """JSON types only."""

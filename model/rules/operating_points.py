@@ -44,7 +44,7 @@ _EVENLY = CONFIDENCE * np.sqrt(3.0)  # standard deviations that so many of evenl
 M = TypeVar("M", bound=RuleModel)
 
 
-def described(model: M, train: Dataset, neighbour: Stage | None = None) -> M:
+def describe(model: M, train: Dataset, neighbour: Stage | None = None) -> M:
     """The model with its operating points.
 
     With intervals where it stands at a minimum of the simulation error and another one is known beside it:
@@ -115,7 +115,7 @@ class _Asked:
         nearest = [levels[np.abs(levels - v).argmin()] for v in wanted] if found else []
         chosen = np.unique(nearest).tolist()
         apart = np.array([self._of_neighbour(level, found[level]) for level in chosen])
-        for level, gap in zip(chosen, _pooled(apart), strict=True):
+        for level, gap in zip(chosen, _pool(apart), strict=True):
             yield self._point(found[level], gap)
 
     @cached_property
@@ -186,10 +186,10 @@ class _Asked:
                 noise += ((more - less) / (2.0 * STEP * figures)) ** 2
             lack = np.maximum((self.misfit**2 - 1.0) * noise, apart**2)
             lack = np.maximum(lack, _FLOOR**2)
-            lack[1] = np.maximum(lack[1], (self._switched() / figures[1]) ** 2)
+            lack[1] = np.maximum(lack[1], (self._switch() / figures[1]) ** 2)
             return np.asarray(np.hypot(Z95 * np.sqrt(noise), _EVENLY * np.sqrt(lack)))
 
-    def _switched(self) -> FloatArray:
+    def _switch(self) -> FloatArray:
         """(n_u,) samples from the first to the last lag of every input that conditions speak of; else 0.
 
         Such a condition switches the weights of all these lags at once, with one of them, so that how an
@@ -219,7 +219,7 @@ class _Asked:
             return np.where(ratio > 0.0, np.log(ratio), np.inf)
 
 
-def _pooled(apart: FloatArray) -> FloatArray:
+def _pool(apart: FloatArray) -> FloatArray:
     """(places, 2, n_u) in the mean square over all places where the neighbour rests; infinite elsewhere."""
     known = np.isfinite(apart)
     mean = np.where(known, apart**2, 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1)

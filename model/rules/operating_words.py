@@ -117,9 +117,9 @@ def _place(group: Sequence[OperatingPoint], own: Sequence[OperatingPoint], signa
     high = float(levels.max())
     skipped = any(low < _level(p) < high for p in own if p not in group)
     if len(group) == 1:
-        return f"Near {signal.name} = {_rounded(low, own)}{unit}"
+        return f"Near {signal.name} = {_round_off(low, own)}{unit}"
     if not skipped:
-        return f"From {signal.name} = {_rounded(low, own)} to {_rounded(high, own)}{unit}"
+        return f"From {signal.name} = {_round_off(low, own)} to {_round_off(high, own)}{unit}"
     size = np.abs(levels)
     if len(group) == 2:
         return f"Near {signal.name} = {number(float(size.mean()))}{unit} in either direction"
@@ -128,7 +128,7 @@ def _place(group: Sequence[OperatingPoint], own: Sequence[OperatingPoint], signa
     )
 
 
-def _rounded(level: float, own: Sequence[OperatingPoint]) -> str:
+def _round_off(level: float, own: Sequence[OperatingPoint]) -> str:
     span = max(abs(_level(p)) for p in own)
     return number(0.0 if abs(level) < 1e-9 * span else level)
 

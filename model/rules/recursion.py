@@ -198,7 +198,7 @@ def rule_radius(lags: Lags, rule: FloatArray) -> float:
     return Recursion.of(lags, rule, max(len(rule), int(lags.column.max(initial=0)) + 1)).pole_radius
 
 
-def unheld(lags: Lags, par: Parameters) -> Parameters:
+def drop_held(lags: Lags, par: Parameters) -> Parameters:
     """Parameters for a free run that is cut off at the limits afterwards; `par` where it must be held there.
 
     Lags held at a limit are not those of the linear model: one of high order at a fast rate, although stable,

@@ -12,7 +12,7 @@ from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError
 from flysid.model.noise import noise_models
 from flysid.model.rules.boundedness import is_bounded
-from flysid.model.rules.free_run_error import Body, Problem, antecedent_range, widened
+from flysid.model.rules.free_run_error import Body, Problem, antecedent_range, widen
 from flysid.model.rules.growth import best_started, first_basis, holds_integrator, rule_support
 from flysid.model.rules.judging import Candidate
 from flysid.model.rules.kernel import Parameters
@@ -65,7 +65,7 @@ def as_problem(
     held = holds_integrator(theta, layout.orders.na)
     if basis is None:
         basis = first_basis(layout, runs, integrating=held)
-    trained = widened(p.z_range, -layout.reach / (1.0 + 2.0 * layout.reach))
+    trained = widen(p.z_range, -layout.reach / (1.0 + 2.0 * layout.reach))
     problem = Problem(layout, runs, basis, theta[0].copy(), trained, p.limits)
     rows = (theta - theta[0]).reshape(-1, theta.shape[2]).T
     a = (np.linalg.lstsq(basis.T, rows, rcond=None)[0] if held else np.linalg.solve(basis.T, rows)).T

@@ -22,13 +22,13 @@ from flysid.model.base import OperatingPoint, Rule, write_document
 from flysid.model.documents import head_of, points_as_json
 from flysid.model.noise import output_error_ahead
 from flysid.model.regressors import lagged_name
-from flysid.model.rules.free_run_error import widened
+from flysid.model.rules.free_run_error import widen
 from flysid.model.rules.kernel import Parameters, firing, free_run, predict
 from flysid.model.rules.likely_start import LikelyStart, RunStart
 from flysid.model.rules.memberships import Partition
 from flysid.model.rules.operating_words import sentences
 from flysid.model.rules.phrases import condition_in_words, equation, in_words, push_in_words
-from flysid.model.rules.recursion import Recursion, time_constant, unheld
+from flysid.model.rules.recursion import Recursion, drop_held, time_constant
 from flysid.model.rules.regressor_layout import Layout
 from flysid.model.start import FreeRuns, searched_start, start_window
 
@@ -90,7 +90,7 @@ class RuleModel(FreeRuns):
         The memberships may go on beyond before they stay as they are.
         """
         reach = self.layout.reach
-        return widened(np.stack([self.partition.low, self.partition.high]), -reach / (1.0 + 2.0 * reach))
+        return widen(np.stack([self.partition.low, self.partition.high]), -reach / (1.0 + 2.0 * reach))
 
     # -- runs ----------------------------------------------------------------------------------------------
 
@@ -154,7 +154,7 @@ class RuleModel(FreeRuns):
 
         Limits of hidden states hold: they may be ends of travel.
         """
-        return self.parameters if self.layout.hidden else unheld(self.layout.lags, self.parameters)
+        return self.parameters if self.layout.hidden else drop_held(self.layout.lags, self.parameters)
 
     def unlimited(self) -> Self:
         """The model without its output limits, if it needs none to be bounded: one rule, and stable."""

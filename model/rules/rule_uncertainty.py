@@ -112,19 +112,19 @@ class Uncertainty:
     def draws(self, count: int = 200, seed: int = 0) -> list[RuleModel]:
         """Models whose numbers are drawn from the distribution; the same ones for the same seed."""
         normal = np.random.default_rng(seed).standard_normal((count, len(self.covariance)))
-        return [self._moved(step) for step in normal @ root_of(self.covariance).T]
+        return [self._move(step) for step in normal @ root_of(self.covariance).T]
 
     def beside(self, step: FloatArray) -> Parameters:
         """The model's parameters with its numbers moved by a step (P,)."""
         return self.problem.parameters(self.body.moved(self.body.vector() + step))
 
-    def _moved(self, step: FloatArray) -> RuleModel:
+    def _move(self, step: FloatArray) -> RuleModel:
         return replace(self.model, parameters=self.beside(step))
 
     def _slopes(self, of: Callable[[RuleModel], FloatArray]) -> FloatArray:
         """(..., P) derivatives of a figure to all consequent coordinates, by central differences."""
         steps = _NUDGE * np.eye(self.body.a.size, self.body.size)  # no rule's own figures hang on memberships
-        slopes = [(of(self._moved(step)) - of(self._moved(-step))) / (2.0 * _NUDGE) for step in steps]
+        slopes = [(of(self._move(step)) - of(self._move(-step))) / (2.0 * _NUDGE) for step in steps]
         return np.stack(slopes, axis=-1)
 
     def _product(self, J: FloatArray, K: FloatArray) -> FloatArray:
@@ -156,7 +156,7 @@ def uncertainty(model: RuleModel, train: Dataset) -> Uncertainty:
         raise UsageError(
             f"the data hold {names}, the model has {own}", hint="give the data that the model was fitted to"
         )
-    runs = _shortened([model.seen(s.u, s.y) for s in train.segments if len(s) >= model.n_init + 2])
+    runs = _shorten([model.seen(s.u, s.y) for s in train.segments if len(s) >= model.n_init + 2])
     if sum(len(W) - layout.depth for W in runs) * layout.n_y <= model.n_parameters:
         raise DataError("fewer samples than parameters: the model's uncertainty cannot be estimated")
     problem, body = as_problem(layout, model.parameters, runs)
@@ -170,7 +170,7 @@ def uncertainty(model: RuleModel, train: Dataset) -> Uncertainty:
     return Uncertainty(model, body, problem, covariance)
 
 
-def _shortened(runs: Sequence[FloatArray]) -> tuple[FloatArray, ...]:
+def _shorten(runs: Sequence[FloatArray]) -> tuple[FloatArray, ...]:
     """As many whole runs as fit into the rows kept at a time, and the beginning of the next."""
     kept: list[FloatArray] = []
     left = CONFIDENCE_ROWS

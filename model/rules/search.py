@@ -17,7 +17,7 @@ import numpy as np
 
 from flysid.model.linear.data import SEARCH_ROWS
 from flysid.model.polynomials import VANISHING
-from flysid.model.rules.growth import Insertion, Training, one_rule_more, same_insertion, thinned
+from flysid.model.rules.growth import Insertion, Training, one_rule_more, same_insertion, thin
 from flysid.model.rules.judging import Family, tolerant
 from flysid.model.rules.search_context import SearchContext
 from flysid.model.rules.search_settings import QUARTERS
@@ -76,7 +76,7 @@ def _screen(context: SearchContext, starts: Sequence[Family]) -> list[Screened]:
     known = min(s.linear.mean for s in starts)
     tried = []
     for start in starts:
-        first = thinned(start.linear.stage, SEARCH_ROWS // QUARTERS)
+        first = thin(start.linear.stage, SEARCH_ROWS // QUARTERS)
         for name in coordinate_names(first):
             stage, words = in_coordinates(first, name)
             better = one_rule_more(stage, context.antecedents(stage.layout), _SCREEN)
@@ -104,7 +104,7 @@ def grown(context: SearchContext, start: Family, ridge: float, done: float = 0.0
     folds = tuple((f[0],) for f in start.folds)
     if start.system is not None:
         folds = tuple((context.judge(s, c),) for s, c in zip(stages, checks, strict=True))
-    stages = [thinned(s, SEARCH_ROWS) for s in stages]
+    stages = [thin(s, SEARCH_ROWS) for s in stages]
     family = replace(start, folds=folds, ridge=ridge)
     drifts = not all(f[0].stable for f in family.folds)  # the process integrates: linear models of it drift
     family = tolerant(family) if drifts else family

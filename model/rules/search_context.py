@@ -14,14 +14,14 @@ from flysid.model.arguments import is_count
 from flysid.model.freerun import far
 from flysid.model.polynomials import VANISHING
 from flysid.model.rules.boundedness import FAR, probe_run
-from flysid.model.rules.free_run_error import Problem, range_of, widened
+from flysid.model.rules.free_run_error import Problem, range_of, widen
 from flysid.model.rules.growth import (
     embedded_start,
     first_basis,
     linear_stage,
     looks_integrating,
-    rebased,
-    unrefined,
+    rebase,
+    skip_refining,
     with_integrator,
 )
 from flysid.model.rules.judging import Candidate, Family, judged
@@ -214,7 +214,7 @@ class SearchContext:
         problem = stage.problem
         n_y = stage.problem.layout.n_y
         seen = range_of([W[:, :n_y] for W in problem.runs])
-        limits = widened(seen, FAR if problem.integrates else 1.0)
+        limits = widen(seen, FAR if problem.integrates else 1.0)
         steps = min(_STRESS, max(200, sum(map(len, problem.runs)) // 2))
         stress = (
             probe_run(problem.runs, n_y, steps, seed=1)  # models are asked with others in the end
@@ -275,8 +275,8 @@ class SearchContext:
                     start += arx_start(problem, self.fit_part)
                 stage = linear_stage(problem, self.settings.iterations, start)
             else:
-                stage = unrefined(problem)
-            variants = self._settled(stage, loose)
+                stage = skip_refining(problem)
+            variants = self._settle(stage, loose)
             candidates += [self.judge(self.ready(s)) for s in variants]
             loose += variants
         return tuple(candidates)
@@ -328,10 +328,10 @@ class SearchContext:
         """
         if len(start.folds) == len(self.parts):
             return start
-        models = [start.linear, *(self._refitted(start.linear, *parts) for parts in self.folds)]
+        models = [start.linear, *(self._refit(start.linear, *parts) for parts in self.folds)]
         return replace(start, folds=tuple((model,) for model in models))
 
-    def _refitted(self, known: Candidate, fit_part: Dataset, check_part: Dataset) -> Candidate:
+    def _refit(self, known: Candidate, fit_part: Dataset, check_part: Dataset) -> Candidate:
         layout = known.stage.layout
         again = refit(known, fit_part, runs_of(layout, fit_part.segments, self.least), STEPS_ON_PARTS)
         runs = runs_of(layout, check_part.segments, self.least)
@@ -345,14 +345,14 @@ class SearchContext:
 
     def _both(self, model: LinearStart) -> list[Candidate]:
         plain = as_stage(model, self.problem(model.orders))
-        settled = self._settled(rebased(plain).refined(self.settings.iterations, 1e-6))
-        kept = [] if any(s.problem.integrates for s in settled) else [self.judge(self.ready(rebased(plain)))]
+        settled = self._settle(rebase(plain).refined(self.settings.iterations, 1e-6))
+        kept = [] if any(s.problem.integrates for s in settled) else [self.judge(self.ready(rebase(plain)))]
         return [
             *(replace(c, linear=model, moved=False) for c in kept if np.isfinite(c.stage.cost)),
             *(replace(self.judge(self.ready(s)), linear=model) for s in settled),
         ]
 
-    def _settled(self, stage: Stage, known: Sequence[Stage] = ()) -> tuple[Stage, ...]:
+    def _settle(self, stage: Stage, known: Sequence[Stage] = ()) -> tuple[Stage, ...]:
         """The linear stage, its integrator kept where it has one."""
         if not (self.settings.refine and looks_integrating(stage)):
             return (stage,)

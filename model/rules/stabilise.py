@@ -22,7 +22,7 @@ from flysid.model.rules.consequents import refuse_few, refuse_other_data
 from flysid.model.rules.fitted import FittedTS
 from flysid.model.rules.growth import best_started, holds_integrator, whitening
 from flysid.model.rules.lyapunov import certificate_of
-from flysid.model.rules.operating_points import described
+from flysid.model.rules.operating_points import describe
 from flysid.model.rules.phrases import from_to
 from flysid.model.rules.recursion import Recursion, companion, rule_radius
 from flysid.model.rules.refit import as_problem, at_stage, free_run_rmse
@@ -80,7 +80,7 @@ def with_stable_rules(
     stage = _refine(model, drawn, runs)
     found = at_stage(model, ordered(stage), train)
     told = replace(found, notes=(*model.notes, _told(model, found, train, certified=certified)))
-    return described(told, train)
+    return describe(told, train)
 
 
 def _told(model: FittedTS, found: FittedTS, train: Dataset, *, certified: bool) -> str:

@@ -68,7 +68,7 @@ class Cost:
 
     def at(self, p: FloatArray) -> float:
         """The cost at p."""
-        return self._summed(p, self.plain, None)
+        return self._sum_up(p, self.plain, None)
 
     def normal(self, p: FloatArray) -> tuple[float, Bordered, FloatArray]:
         """The cost at p, its Gauss-Newton matrix and half its gradient, over what moves."""
@@ -77,24 +77,24 @@ class Cost:
         free = self.chosen.size
         sums = np.zeros((free, free)), np.zeros((runs, free, q)), np.zeros((runs, q, q))
         normal = (*sums, np.zeros(free + runs * q))
-        cost = self._summed(p, self.work, normal)
+        cost = self._sum_up(p, self.work, normal)
         corner, border, blocks, slope = normal
         return cost, Bordered(_symmetric(corner), border, _symmetric(blocks)), slope
 
-    def _summed(self, p: FloatArray, work: Work, normal: Normal | None) -> float:
+    def _sum_up(self, p: FloatArray, work: Work, normal: Normal | None) -> float:
         problem = self.problem
         self._expand(p)
         starts = p[self.body.size :].reshape(self.known.shape)
-        cost = self._missed(starts, work, normal)
+        cost = self._miss(starts, work, normal)
         if problem.layout.hidden:
-            cost += self._drifted(starts, normal)
+            cost += self._drift(starts, normal)
         if problem.ridge > 0.0 and len(self.body.a) > 1:
             cost += self._departure(p, normal)
         if len(self.S):
-            cost += self._strayed(normal)
+            cost += self._stray(normal)
         return cost
 
-    def _missed(self, starts: FloatArray, work: Work, normal: Normal | None) -> float:
+    def _miss(self, starts: FloatArray, work: Work, normal: Normal | None) -> float:
         """Mean squares of simulated less measured outputs, of what every run starts from as well."""
         layout = self.problem.layout
         begun = slice(layout.uncompared, layout.depth)
@@ -148,7 +148,7 @@ class Cost:
             np.minimum(np.maximum(centre, low), high, out=par.centre)
             np.clip(np.exp(np.minimum(width, np.log(wide) + 1.0)), narrow, wide, out=par.width)
 
-    def _drifted(self, starts: FloatArray, normal: Normal | None) -> float:
+    def _drift(self, starts: FloatArray, normal: Normal | None) -> float:
         """What hidden states add that are far from zero where a run starts."""
         pull = starts * self.drift
         if normal is not None:
@@ -189,7 +189,7 @@ class Cost:
         whole[begin:, begin:] = np.diag(self._pulls * self._pulls)
         return np.asarray(whole[np.ix_(self.chosen, self.chosen)])
 
-    def _strayed(self, normal: Normal | None) -> float:
+    def _stray(self, normal: Normal | None) -> float:
         """Mean squares by which the outputs leave their range under stress; differentiated if they do."""
         nowhere = np.zeros((0, self.S.shape[1]))
         square = self._sweep(self.S, nowhere, 0, self.plain)
@@ -209,7 +209,7 @@ def _symmetric(lower: FloatArray) -> FloatArray:
     return np.asarray(np.tril(lower) + np.swapaxes(np.tril(lower, -1), -1, -2))
 
 
-def descended(cost: Cost, p: FloatArray, iterations: int, tolerance: float) -> tuple[float, FloatArray]:
+def descend(cost: Cost, p: FloatArray, iterations: int, tolerance: float) -> tuple[float, FloatArray]:
     """Levenberg-Marquardt from p: the cost, and the unknowns there; NaN, and p, where the start diverges.
 
     A trial point is simulated first, and differentiated only where its cost is lower.
@@ -303,7 +303,7 @@ class Stage:
 
         Itself, its cost infinite, where it diverges from the start. `chosen` as in `cost_of`.
         """
-        cost, p = descended(self.cost_of(chosen), self.unknowns, iterations, tolerance)
+        cost, p = descend(self.cost_of(chosen), self.unknowns, iterations, tolerance)
         return self.at(p, cost) if np.isfinite(cost) else replace(self, cost=np.inf)
 
 
@@ -343,7 +343,7 @@ def expected_cost(stage: Stage) -> float:
     return float("inf") if step is None else cost + float(step @ g)
 
 
-def inserted(stage: Stage, centre: FloatArray, width: FloatArray) -> Stage:
+def insert(stage: Stage, centre: FloatArray, width: FloatArray) -> Stage:
     """One rule more, whose consequents are what the others conclude together at its centre.
 
     The blend near the centre stays nearly what it was, so that nothing learned is lost, whereas replacing

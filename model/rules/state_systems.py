@@ -17,14 +17,14 @@ from flysid.model.linear.difference_equation import FittedLinear
 from flysid.model.oe import OE
 from flysid.model.polynomials import ROUNDING
 from flysid.model.refine import FIRST_DAMPING
-from flysid.model.rules.free_run_error import Body, Problem, range_of, widened
+from flysid.model.rules.free_run_error import Body, Problem, range_of, widen
 from flysid.model.rules.likely_start import Prior, initial_states
 from flysid.model.rules.linear_starts import (
     PLAIN,
     PLAIN_WORDS,
     StateRealisation,
     coordinates,
-    realised,
+    realise,
     uncorrelated,
 )
 from flysid.model.rules.recursion import Recursion
@@ -71,7 +71,7 @@ def linear_systems(
             fitted = _output_error(train, order, nk)
             if fitted:
                 late = ", ".join(map(str, sorted(set(nk))))
-                real = realised(fitted, *scaled)
+                real = realise(fitted, *scaled)
                 found.append(replace(real, title=f"{len(real)} states, delay {late}"))
     if not found:
         raise FitError("no stable linear model was found to start from", hint="check the data for gaps")
@@ -234,8 +234,8 @@ def linear_stage(
     n_y = layout.n_y
     d = layout.depth
     limits = np.full((2, n), np.inf) * np.array([[-1.0], [1.0]])
-    limits[:, :n_y] = widened(range_of([W[d - 1 :, :n_y] for W in runs]), 1.0)
-    problem = unmoved(layout, runs, np.zeros((2, 0)), limits)
+    limits[:, :n_y] = widen(range_of([W[d - 1 :, :n_y] for W in runs]), 1.0)
+    problem = hold_still(layout, runs, np.zeros((2, 0)), limits)
     nowhere = Prior(np.zeros(n), 1e3 * np.eye(n), 1.0)
     stage = _linear(problem, real, nowhere)
     states = np.vstack([r[d - 1 :, :n] for r in stage.simulated()])
@@ -271,7 +271,9 @@ def _linear(problem: Problem, real: StateRealisation, prior: Prior) -> Stage:
     return Stage(problem, body, initial, np.inf)
 
 
-def unmoved(layout: Layout, runs: tuple[FloatArray, ...], z_range: FloatArray, limits: FloatArray) -> Problem:
+def hold_still(
+    layout: Layout, runs: tuple[FloatArray, ...], z_range: FloatArray, limits: FloatArray
+) -> Problem:
     """A problem whose consequents stand as they are, without a ridge."""
     n_x = len(layout.regressors)
     return Problem(layout, runs, np.eye(n_x), np.zeros((layout.n, n_x)), z_range, limits)

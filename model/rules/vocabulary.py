@@ -103,11 +103,11 @@ def tongue_of(axis: Axis) -> Vocabulary | None:
     return None
 
 
-def unsigned(axis: Axis) -> Mapping[int, tuple[str, ...]]:
+def name_sizes(axis: Axis) -> Mapping[int, tuple[str, ...]]:
     return _SPEEDS if axis.unit in _SPEED_UNITS and axis.low >= 0.0 else _SCALES
 
 
-def signed(signs: Sequence[int], tongue: Vocabulary) -> list[Name] | None:
+def name_directions(signs: Sequence[int], tongue: Vocabulary) -> list[Name] | None:
     """Direction and size of every place in order; one alone on its side needs no size. None: too many."""
     below, above = (sum(s == side for s in signs) for side in (-1, 1))
     if below not in (0, *tongue.sizes) or above not in (0, *tongue.sizes):

@@ -129,7 +129,7 @@ class JointProblem:
         for _ in range(rounds):
             plain = self.unfolded(at) if self.hold != "none" else self
             at[free] = levenberg_marquardt(evaluate, at[free], max_iterations=iterations).theta
-        return plain._finished(at, free)
+        return plain._finish(at, free)
 
     def unfolded(self, theta: FloatArray) -> JointProblem:
         """The problem without what hold and folding add to the responses, by the system at theta.
@@ -190,7 +190,7 @@ class JointProblem:
                 jacobians.append(np.concatenate([slopes.real, slopes.imag]) * weight[:, None])
         return np.concatenate(residuals), np.concatenate(jacobians)
 
-    def _finished(self, theta: FloatArray, free: Sequence[int]) -> JointFit:
+    def _finish(self, theta: FloatArray, free: Sequence[int]) -> JointFit:
         residual, jacobian = self.residuals(theta)
         free = list(free)
         jacobian = jacobian[:, free]

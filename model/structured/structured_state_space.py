@@ -19,7 +19,7 @@ import numpy as np
 
 from flysid.dataset import Dataset, FloatArray, Segment
 from flysid.errors import DataError, UsageError
-from flysid.model.detrend import Trend, check_trend, detrended
+from flysid.model.detrend import Trend, check_trend, detrend
 from flysid.model.frequency.rational import Hold
 from flysid.model.frequency.response import measure_response, split_references
 from flysid.model.linear.data import Parts
@@ -90,7 +90,7 @@ class StructuredStateSpace:
         FitError : the starts lead nowhere.
         """
         self._check()
-        train = detrended(train, self.trend)
+        train = detrend(train, self.trend)
         plan = self.file if isinstance(self.file, Plan) else self.file and Plan.read(self.file)
         reference = tuple(self.reference) or (plan.reference if plan else ())
         plant, references = split_references(train, reference)
@@ -105,7 +105,7 @@ class StructuredStateSpace:
         if not kept:
             raise DataError("the structure lets no input reach an output", hint="check G, H and D")
         problem = JointProblem(layout, kept, train.dt_s, self.hold)
-        fit, dropped = self._fitted(problem)
+        fit, dropped = self._fit(problem)
         notes = _notes(layout, quiet, deaf)
         if dropped:
             notes = (*notes, f"Dropped: {'; '.join(f'{d.name} ({d.why})' for d in dropped)}.")
@@ -122,7 +122,7 @@ class StructuredStateSpace:
         if self.n_init is not None and self.n_init < 1:
             raise UsageError(f"n_init must be at least 1, not {self.n_init}")
 
-    def _fitted(self, problem: JointProblem) -> tuple[JointFit, tuple[Dropped, ...]]:
+    def _fit(self, problem: JointProblem) -> tuple[JointFit, tuple[Dropped, ...]]:
         terms = problem.layout.terms
         free = identifiable(problem)
         unseen = [t.name for k, t in enumerate(terms) if k not in free]

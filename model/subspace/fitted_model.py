@@ -24,8 +24,8 @@ from flysid.model.base import Rule, write_document
 from flysid.model.capabilities import FrequencyResponse
 from flysid.model.control_form import ControlForm, control_of_states, with_registers
 from flysid.model.documents import array_of, head_of, monic, signals_of
-from flysid.model.freerun import far, saturated
-from flysid.model.linear.laws import always, is_stable, predicted
+from flysid.model.freerun import far, saturate
+from flysid.model.linear.laws import always, is_stable, predict_ahead
 from flysid.model.linear.text import gains_text
 from flysid.model.linear.uncertainty import free_run_band
 from flysid.model.noise import output_error_ahead
@@ -120,7 +120,7 @@ class FittedStateSpace(FreeRuns):
         ------
         UsageError : shapes do not fit, or k < 1.
         """
-        return predicted(self, u, y, k, self._ahead)
+        return predict_ahead(self, u, y, k, self._ahead)
 
     def rules(self) -> tuple[Rule, ...]:
         """One rule that always holds."""
@@ -192,7 +192,7 @@ class FittedStateSpace(FreeRuns):
             raise UsageError(
                 "this model carries no covariance", hint="fit it in memory, with refine=True or stable=True"
             )
-        return free_run_band(self, self._moved, self.covariance, draws, seed, u=u, y0=y0)
+        return free_run_band(self, self._move, self.covariance, draws, seed, u=u, y0=y0)
 
     def to_control(self, form: ControlForm = "auto") -> Any:
         """The model as control.StateSpace, or for "tf" as control.TransferFunction; offsets are left out.
@@ -234,7 +234,7 @@ class FittedStateSpace(FreeRuns):
         states = filtered_states(system, du, y - self.y_origin, self.gains)[:-1]
         return ahead(system, states, du, k) + self.y_origin
 
-    def _moved(self, step: FloatArray) -> FittedStateSpace:
+    def _move(self, step: FloatArray) -> FittedStateSpace:
         """The model with a step added to the numbers that its covariance is of."""
         s = self.realisation
         at = 0
@@ -275,7 +275,7 @@ class FittedStateSpace(FreeRuns):
 
     def limited(self, y: FloatArray) -> FloatArray:
         """Outputs of deviations from the means, inside the output limits."""
-        return saturated(y + self.y_origin, self.output_limits)
+        return saturate(y + self.y_origin, self.output_limits)
 
     # -- storage -----------------------------------------------------------------------------------------
 

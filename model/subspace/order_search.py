@@ -106,7 +106,7 @@ def _pasts(settings: SubspaceSettings, data: Dataset) -> list[int]:
     return found or [default_past(order, n_y, n_u, lengths)]
 
 
-def searched(settings: SubspaceSettings, parts: Parts) -> tuple[Choice, str, float]:
+def search(settings: SubspaceSettings, parts: Parts) -> tuple[Choice, str, float]:
     """The best of methods, horizons and orders by the validation free run.
 
     Raises

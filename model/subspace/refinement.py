@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from flysid.dataset import FloatArray, Segment
-from flysid.filters import filtered
+from flysid.filters import apply_filter
 from flysid.model.covariance import CONFIDENCE_ROWS
 from flysid.model.noise import noise_model, noise_models
 from flysid.model.polynomials import NEARLY_ONE
@@ -148,7 +148,7 @@ class SystemFit:
             jacobian = whole[:, :, :p].reshape(-1, p)
             jacobian = (jacobian - basis @ (basis.T @ jacobian)).reshape(len(part), -1, p)
             for o, (d, variance) in enumerate(models):
-                backwards = filtered(np.ones(1), d, jacobian[::-1, o])
+                backwards = apply_filter(np.ones(1), d, jacobian[::-1, o])
                 plain += jacobian[:, o].T @ jacobian[:, o]
                 coloured += variance * backwards.T @ backwards
             rows += len(part)
@@ -180,7 +180,7 @@ class SystemFit:
         return [s for s in self.segments if len(s) > 2 * self.start.order + 1]
 
 
-def mirrored(system: Realisation) -> Realisation:
+def mirror(system: Realisation) -> Realisation:
     """The system with its poles outside the unit circle reflected into it; in the same coordinates.
 
     Where A has no full set of eigenvectors, all poles are drawn in alike.

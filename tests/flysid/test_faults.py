@@ -19,7 +19,7 @@ from flysid.model.arx import ARX
 from flysid.model.base import Fitted
 from flysid.validate import fitting
 from flysid.validate.diskparts import FilePart
-from flysid.validate.fitting import MemoryJob, _fitted, fit_run
+from flysid.validate.fitting import MemoryJob, _fit, fit_run
 from flysid.validate.judge import judge_run
 from flysid.validate.run import FitSettings
 from soak import Outcome
@@ -101,7 +101,7 @@ def test_a_fit_whose_process_dies_costs_that_channel_only() -> None:
         MemoryJob(replace(short, name=name), Path(), FitSettings(), doubts=cast("tuple[Any, ...]", more))
         for name, more in (("short", ()), ("deadly", (Deadly(),)))
     ]
-    reasons, _ = _fitted(jobs, 2)
+    reasons, _ = _fit(jobs, 2)
     assert "ended with code 9" in str(reasons["deadly"])
     assert "ended with" not in str(reasons["short"])
 

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from flysid.dataset import FloatArray
-from flysid.model.freerun import Difference, saturated
+from flysid.model.freerun import Difference, saturate
 
 
 def random_system(rng: np.random.Generator, n_y: int, n_u: int, *, diagonal: bool) -> Difference:
@@ -57,5 +57,5 @@ def test_overflow_ends_at_the_limit_last_touched() -> None:
     system = Difference(np.array([[[1.0]], [[-3.0]]]), np.ones((2, 1, 1)), np.zeros(1))
     run = system.run(-np.ones((2000, 1)), np.zeros((1, 1)))
     assert not np.isfinite(run).all()
-    kept = saturated(run, np.array([[-5.0], [5.0]]))
+    kept = saturate(run, np.array([[-5.0], [5.0]]))
     assert (kept[10:] == -5.0).all()

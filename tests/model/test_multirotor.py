@@ -13,7 +13,7 @@ from flysid.errors import DataError, UsageError
 from flysid.export.programs import program_of
 from flysid.ingest.align.recipe import load_recipe
 from flysid.model.multirotor import FittedMultirotor, Multirotor, from_dict
-from flysid.model.rotorcraft.battery import quietened
+from flysid.model.rotorcraft.battery import quieten
 from flysid.model.rotorcraft.rotor_axis import NAMES, free_run, predictions
 
 
@@ -88,11 +88,11 @@ def test_noise_of_the_voltage_is_taken_off_and_a_load_is_not() -> None:
     rng = np.random.default_rng(0)
     falling = np.linspace(0.05, -0.05, 4000)
     noise = 0.002 * rng.standard_normal(4000)
-    found = quietened(falling + noise)
+    found = quieten(falling + noise)
     assert found is not None
     assert (found - falling).std() < 0.2 * noise.std()
     loaded = falling - 0.03 * np.repeat(rng.integers(0, 2, 160), 25)
-    found = quietened(loaded + noise)
+    found = quieten(loaded + noise)
     assert found is not None
     assert (found - loaded).std() < 1.01 * noise.std()
 

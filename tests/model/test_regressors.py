@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from flysid.dataset import Dataset, Signal
 from flysid.errors import DataError, UsageError
-from flysid.model.regressors import LagTerms, chunks, regressors, stacked
+from flysid.model.regressors import LagTerms, chunks, regressors, stack
 
 lag_lists = st.lists(st.integers(1, 6), max_size=4).map(tuple)
 input_lags = st.lists(st.integers(0, 6), max_size=4).map(tuple)
@@ -37,7 +37,7 @@ def test_pieces_are_the_whole_and_segments_are_not_joined() -> None:
     y = [rng.standard_normal((n, 1)) for n in (50, 3, 71)]
     data = Dataset.from_arrays(u, y, 0.1)
     lags = LagTerms.arx((3,), (2, 1), (1, 4))
-    phi, target = stacked(data, lags)
+    phi, target = stack(data, lags)
     assert len(phi) == 50 - 4 + 71 - 4
     pieces = list(chunks(data, lags, rows=16))
     assert max(len(p) for p, _ in pieces) == 16
@@ -61,4 +61,4 @@ def test_lags_that_would_know_the_future() -> None:
 def test_segments_shorter_than_the_depth() -> None:
     data = Dataset.from_arrays([np.ones(4), np.ones(3)], [np.ones(4), np.ones(3)], 1.0)
     with pytest.raises(DataError, match="longest has 4"):
-        stacked(data, LagTerms.arx((4,), (1,), (1,)))
+        stack(data, LagTerms.arx((4,), (1,), (1,)))

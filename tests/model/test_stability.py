@@ -19,7 +19,7 @@ from flysid.model.linear.stability import made_stable
 from flysid.model.oe import OE
 from flysid.model.polynomials import NEARLY_ONE
 from flysid.model.statespace import StateSpace
-from flysid.model.subspace.refinement import mirrored
+from flysid.model.subspace.refinement import mirror
 from flysid.model.subspace.triangle import Realisation
 
 
@@ -76,7 +76,7 @@ def test_a_state_space_and_an_instrumental_estimate_are_made_stable_on_request()
         assert np.std(miss[held.n_init :]) < 0.6 * s.y.std()  # 1.004^200 is not 0.996^200
     two = np.diag([1.1, 0.5]) + np.eye(2, k=1)
     still = Realisation(*(np.zeros((2, 2)) for _ in range(9)))
-    assert np.abs(np.linalg.eigvals(mirrored(replace(still, a=two)).a)).max() == pytest.approx(1 / 1.1)
+    assert np.abs(np.linalg.eigvals(mirror(replace(still, a=two)).a)).max() == pytest.approx(1 / 1.1)
 
 
 def test_a_drift_of_every_segment_is_estimated_or_taken_out() -> None:

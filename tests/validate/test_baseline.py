@@ -10,7 +10,7 @@ import pytest
 from flysid.dataset import Dataset
 from flysid.errors import FitError
 from flysid.model.base import Fitted
-from flysid.model.linear_choice import choose_baseline, confirmed
+from flysid.model.linear_choice import choose_baseline, confirm
 from flysid.model.mean import Mean
 from flysid.model.one_rule import linear_rivals
 from flysid.model.persistence import Persistence
@@ -48,7 +48,7 @@ def test_the_best_by_validation_is_the_baseline() -> None:
     assert set(choice.rmse) == {"arx", "oe"}
     assert choice.rmse["oe"] < 0.7 * choice.rmse["arx"]
     assert "OE" in choice.words
-    assert confirmed(choice, {"arx": FirstOrder(a=0.9, b=0.08), "oe": TRUTH}, TRAIN) == choice
+    assert confirm(choice, {"arx": FirstOrder(a=0.9, b=0.08), "oe": TRUTH}, TRAIN) == choice
 
 
 def test_the_error_of_every_linear_model_is_told_before_the_next_one_is_fitted() -> None:
@@ -76,10 +76,10 @@ def test_arx_stays_where_nothing_is_clearly_better() -> None:
 def test_a_winner_by_luck_is_not_kept() -> None:
     choice = choose_baseline(TRAIN, {"arx": Gives(FirstOrder(a=0.9, b=0.08)), "oe": Gives(TRUTH)})
     refitted = {"arx": FirstOrder(a=0.9, b=0.08), "oe": FirstOrder(a=0.9, b=0.05)}
-    kept = confirmed(choice, refitted, TRAIN)
+    kept = confirm(choice, refitted, TRAIN)
     assert kept.label == "arx"
     assert "OE was not kept" in kept.words
-    assert confirmed(choice, {"arx": TRUTH}, TRAIN).label == "arx"  # its last fit failed
+    assert confirm(choice, {"arx": TRUTH}, TRAIN).label == "arx"  # its last fit failed
 
 
 def test_compare_holds_models_against_the_linear_one_that_follows_training_best() -> None:

@@ -23,7 +23,7 @@ from flysid.validate import crossrun
 from flysid.validate.crossrun import RunSource, expected_of_runs, judge_runs, unseen
 from flysid.validate.fitting import fit_run
 from flysid.validate.judge import judge_run
-from flysid.validate.report.narrative import called
+from flysid.validate.report.narrative import name_model
 from flysid.validate.run import ChannelRun, FitSettings, HeldOut, Run, held_out
 from tests.contest import linear_side
 from tests.fakes import fields_of
@@ -103,7 +103,7 @@ def test_two_runs_are_compared_like_with_like(runs: tuple[Run, Run]) -> None:
     assert judge_runs(a, a, label="arx").comparisons[CHANNEL].contender == "b:arx"
     with pytest.raises(UsageError, match="model 'bj'"):
         judge_runs(a, a, label="bj")
-    assert called("b:ts") == "fuzzy model of run B"
+    assert name_model("b:ts") == "fuzzy model of run B"
     expected = expected_of_runs(a.run, a.run)
     assert fields_of(expected["channels"]) == fields_of(judgement.document["channels"])
     with pytest.raises(UsageError, match="model 'bj'"):

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from flysid.dataset import FloatArray
-from flysid.validate.metrics import pooled, resolution_of, root_mean_square, scores
+from flysid.validate.metrics import pool, resolution_of, root_mean_square, scores
 
 
 def exact(y: FloatArray, yh: FloatArray) -> dict[str, float]:
@@ -62,7 +62,7 @@ def test_agrees_with_scikit_learn() -> None:
 def test_pooled_is_over_all_samples_and_fit_uses_their_common_mean() -> None:
     a = np.array([0.0, 0.0, 0.0])
     b = np.array([10.0, 10.0])
-    s = pooled([a, b], [a + 1.0, b])
+    s = pool([a, b], [a + 1.0, b])
     assert s.n == 5
     assert s.rmse == pytest.approx(math.sqrt(3 / 5))
     assert s.fit_pct == pytest.approx(100 * (1 - math.sqrt(3) / np.linalg.norm([-4, -4, -4, 6, 6])))

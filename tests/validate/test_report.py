@@ -23,7 +23,7 @@ from flysid.model.base import Rule
 from flysid.validate.bands import BandCurve
 from flysid.validate.compare_models import compare
 from flysid.validate.report import ReportContext, Sweep, render, write_report
-from flysid.validate.report.decimate import decimate, rounded
+from flysid.validate.report.decimate import decimate, round_for_json
 from flysid.validate.report.figures import bode, sweep_figure
 from flysid.validate.report.gainpanels import nyquist
 from flysid.validate.report.overlay import Role
@@ -364,7 +364,7 @@ def test_decimation_keeps_every_peak() -> None:
     same, all_of_it = decimate(t[:50], {"y": y[:50]}, 300)
     assert len(same) == 50
     assert all_of_it["y"] is not None
-    assert rounded(np.array([1.23456789, np.nan, -0.0])) == [1.2346, None, 0.0]
+    assert round_for_json(np.array([1.23456789, np.nan, -0.0])) == [1.2346, None, 0.0]
 
 
 def test_sweep_is_read_from_the_notes_of_a_model() -> None:

@@ -49,7 +49,7 @@ def check_rows(c: Comparison, d: Diagnosis, j: int) -> tuple[CheckRow, ...]:
             "a common quadratic Lyapunov function proves stability for any blend of rules",
             _each(names, _blend, d),
         ),
-        CheckRow("Free run, held out", "reached the output limits", _each(names, _diverged, c)),
+        CheckRow("Free run, held out", "reached the output limits", _each(names, _find_divergence, c)),
         CheckRow(
             "Long free run",
             "random steps within the training range of the inputs",
@@ -91,7 +91,7 @@ def _blend(name: str, d: Diagnosis) -> CheckFinding:
     return CheckFinding(one_line(checks.certificate), True if checks.proved else None)
 
 
-def _diverged(name: str, c: Comparison) -> CheckFinding:
+def _find_divergence(name: str, c: Comparison) -> CheckFinding:
     if FREE_RUN not in c.horizons:
         return CheckFinding("–")
     score = c.entry(horizon=FREE_RUN).models[name]
@@ -196,7 +196,7 @@ def coefficient_rows(c: Comparison, d: Diagnosis, j: int) -> tuple[tuple[str, st
         (name, checks.intervals) for name, checks in reversed(list(d.checks.items())) if checks.intervals
     ]
     return tuple(
-        (_whose(name, x), one_line(x.regressor), _signed(x.value), f"± {x.half_width:.2g}")
+        (_whose(name, x), one_line(x.regressor), _format_signed(x.value), f"± {x.half_width:.2g}")
         for name, sure in known
         for x in sure.coefficients
         if x.output == c.test.outputs[j].name
@@ -207,7 +207,7 @@ def _whose(name: str, x: Coefficient) -> str:
     return f"{one_line(name).upper()} {x.rule}".strip()
 
 
-def _signed(value: float) -> str:
+def _format_signed(value: float) -> str:
     return f"{value:.5g}".replace("-", "−")
 
 

@@ -42,7 +42,7 @@ def _extremes(values: FloatArray, starts: npt.NDArray[np.int_], size: int) -> Fl
     return out
 
 
-def rounded(values: FloatArray, digits: int = 4) -> list[float | None]:
+def round_for_json(values: FloatArray, digits: int = 4) -> list[float | None]:
     """Values for JSON: `digits` digits of the series' range, null where not finite."""
     finite = values[np.isfinite(values)]
     if not len(finite):

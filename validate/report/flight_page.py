@@ -60,11 +60,11 @@ def _trace(trace: Trace, size: int) -> dict[str, str]:
     return {
         "name": one_line(trace.name),
         "unit": one_line(trace.unit),
-        "t": _packed(trace.time_s[kept]),
-        "v": _packed(trace.values[kept]),
+        "t": _pack(trace.time_s[kept]),
+        "v": _pack(trace.values[kept]),
     }
 
 
-def _packed(values: FloatArray) -> str:
+def _pack(values: FloatArray) -> str:
     """Little-endian float64 in base64: four times smaller than digits, and exact."""
     return base64.b64encode(np.ascontiguousarray(values, dtype="<f8").tobytes()).decode()

@@ -20,7 +20,7 @@ from flysid.validate.residuals import Correlation
 Lines = Mapping[Role, FloatArray]
 
 
-def reached(
+def find_reach(
     values: Lines, *, measured: FloatArray | None = None, around: float | None = None
 ) -> tuple[float, float]:
     """Limits of the models that are shown and of what was measured; the others may go half as far beyond."""
@@ -39,7 +39,7 @@ def _each(axes: Axes, x: FloatArray, values: Lines) -> Iterator[Markup]:
 
 def step_figure(t: FloatArray, values: Lines, unit: str, label: str) -> Markup:
     """(N,) change of the output after a step of the input at t = 0, of every model."""
-    axes = Axes((float(t[0]), float(t[-1])), reached(values, around=0.0), width=HALF - 60, height=150)
+    axes = Axes((float(t[0]), float(t[-1])), find_reach(values, around=0.0), width=HALF - 60, height=150)
     zero = float(axes.py(0.0))
     parts = [frame(axes, unit, "time after the step, s"), segment(axes.left, zero, axes.right, zero, "axis")]
     return picture(HALF, 216, [*parts, *_each(axes, t, values)], label)
@@ -47,7 +47,7 @@ def step_figure(t: FloatArray, values: Lines, unit: str, label: str) -> Markup:
 
 def static_map(rests: FloatArray, levels: FloatArray, steady: Lines, words: tuple[str, str, str]) -> Markup:
     """Measured equilibria (M, 2) as dots, each model's steady output over `levels`; words: x, y, label."""
-    limits = reached(steady, measured=rests[:, 1])
+    limits = find_reach(steady, measured=rests[:, 1])
     axes = Axes(span(rests[:, 0], levels), limits, width=HALF - 60, height=170)
     parts = [frame(axes, words[1], words[0]), dots(axes, rests[:, 0], rests[:, 1], "dot")]
     return picture(HALF, 234, [*parts, *_each(axes, levels, steady)], words[2])
@@ -111,7 +111,7 @@ def histogram(residuals: Lines, words: tuple[str, str], *, bins: int = 41) -> Ma
     for role, r in residuals.items():
         count, _ = np.histogram(np.clip(r[np.isfinite(r)], edges[0], edges[-1]), edges)
         shares[role] = np.repeat(100.0 * count / max(1, count.sum()), 2)
-    low, high = reached(shares, around=0.0)
+    low, high = find_reach(shares, around=0.0)
     axes = Axes((edges[0], edges[-1]), (max(low, 0.0), high), width=HALF - 60, height=120)
     parts = [frame(axes, "share of samples, %", words[0])]
     return picture(HALF, 186, [*parts, *_each(axes, np.repeat(edges, 2)[1:-1], shares)], words[1])
@@ -120,7 +120,7 @@ def histogram(residuals: Lines, words: tuple[str, str], *, bins: int = 41) -> Ma
 def residual_spectrum(hz: FloatArray, densities: Lines, unit: str, label: str) -> Markup:
     """Power spectral density of the one-step residuals of every model, dB; flat where they are white."""
     db = {role: 10.0 * np.log10(np.maximum(d, 1e-300)) for role, d in densities.items()}
-    axes = Axes((float(hz[0]), float(hz[-1])), reached(db), width=HALF - 60, height=120, log_x=True)
+    axes = Axes((float(hz[0]), float(hz[-1])), find_reach(db), width=HALF - 60, height=120, log_x=True)
     parts = [frame(axes, unit, "frequency, Hz")]
     return picture(HALF, 186, [*parts, *_each(axes, hz, db)], label)
 

@@ -111,13 +111,13 @@ def worse_than_constant(comparisons: Mapping[str, Comparison]) -> list[str]:
             constant = CONSTANTS[c.models[constants[best]].structure]
             said.append(
                 f"On {_label(channel, output, c)} the {base_words([('', pair)])} is worse than the "
-                f"{constant}: against that, the RMSE of the {called(pair.model)} changes by {less}, "
+                f"{constant}: against that, the RMSE of the {name_model(pair.model)} changes by {less}, "
                 f"{number(best)} to {number(rmse[pair.model])}."
             )
     return said
 
 
-def called(model: str) -> str:
+def name_model(model: str) -> str:
     """ "fuzzy model" for "ts", "fuzzy model of run A" for "a:ts"; an unknown name stays as it is."""
     run, _, label = model.rpartition(":")
     if run in ("a", "b") and label in NAMES:
@@ -128,19 +128,19 @@ def called(model: str) -> str:
 def base_words(pairs: Heads) -> str:
     """What the baselines are called: "linear model" beside a fuzzy one, whatever structure each has."""
     pair = pairs[0][1]
-    return "linear model" if "fuzzy" in NAMES.get(pair.model, "") else called(pair.baseline)
+    return "linear model" if "fuzzy" in NAMES.get(pair.model, "") else name_model(pair.baseline)
 
 
 def contender_words(pairs: Heads) -> str:
     """What the models seen from the baselines are called; of those that are linear nothing of "fuzzy"."""
-    return "outcome of the search for rules" if _all_linear(pairs) else called(pairs[0][1].model)
+    return "outcome of the search for rules" if _all_linear(pairs) else name_model(pairs[0][1].model)
 
 
 def title(pairs: Heads, idle: Sequence[str] = ()) -> str:
     """The verdict in one sentence; `idle` is `as_good_as_constant`."""
     if not pairs:
         return "One model, nothing to compare it with."
-    model = called(pairs[0][1].model)
+    model = name_model(pairs[0][1].model)
     base = base_words(pairs)
     scope = narrow_scope(pairs)
     worth = [(n, p) for n, p in pairs if n not in idle]
@@ -202,26 +202,32 @@ def alone(comparisons: Mapping[str, Comparison]) -> str:
             error = f"{number(s.rmse)}{one_line(unit)} (fit {percentage(s.fit_pct)} %)"
             said.append(f"{_label(channel, output.name, c)} {error}")
     first = next(iter(comparisons.values()))
-    return f"RMSE in {horizon_words(first.head, first.dt_s)}: {_listed(said)}." if said else ""
+    return f"RMSE in {horizon_words(first.head, first.dt_s)}: {_join(said)}." if said else ""
 
 
 def subtitle(pairs: Heads, idle: Sequence[str] = ()) -> str:
     """What the title leaves open, and what to do; `idle` is `as_good_as_constant`."""
     if idle:
         rest = subtitle([(name, pair) for name, pair in pairs if name not in idle])
-        who = f"On {_listed(idle)} a" if len(idle) < len(pairs) else "A"
+        who = f"On {_join(idle)} a" if len(idle) < len(pairs) else "A"
         return f"{who} constant does as well in free run as either model: see the cautions. {rest}".rstrip()
     lost = [name for name, pair in pairs if _both_diverged((name, pair))]
     if lost:
         rest = subtitle([(name, pair) for name, pair in pairs if name not in lost])
-        return f"Both models diverged in free run on {_listed(lost)}: see the cautions. {rest}".rstrip()
+        return f"Both models diverged in free run on {_join(lost)}: see the cautions. {rest}".rstrip()
     if pairs and all(pair.verdict is Verdict.SAME for _, pair in pairs) and _all_linear(pairs):
         return " ".join(["A search for rules found none that lowers the error.", *_scopes(pairs)])
     if pairs and all(pair.verdict is Verdict.SAME for _, pair in pairs):
-        both = f"the {called(pairs[0][1].model)} and the {base_words(pairs)}"
+        both = f"the {name_model(pairs[0][1].model)} and the {base_words(pairs)}"
         said = f"In free run {both} are the same: keep the simpler one."
         return " ".join([said, *_scopes(pairs)])
-    sentences = [*_gains(pairs), *_diverged(pairs), *_contested(pairs), *_one_rule(pairs), *_scopes(pairs)]
+    sentences = [
+        *_gains(pairs),
+        *_say_divergence(pairs),
+        *_say_contested(pairs),
+        *_one_rule(pairs),
+        *_scopes(pairs),
+    ]
     base = base_words(pairs) if pairs else ""
     for verdict, text in (
         (Verdict.SAME, "both are the same in free run: keep the {base} there."),
@@ -230,7 +236,7 @@ def subtitle(pairs: Heads, idle: Sequence[str] = ()) -> str:
     ):
         names = [name for name, pair in pairs if pair.verdict is verdict]
         if names and len(names) < len(pairs):
-            sentences.append(f"On {_listed(names)} {text.format(base=base)}")
+            sentences.append(f"On {_join(names)} {text.format(base=base)}")
     return " ".join(sentences)
 
 
@@ -249,13 +255,13 @@ def _both_diverged(head: tuple[str, Pair]) -> bool:
     return head[1].evidence.diverged_baseline and head[1].evidence.diverged_model
 
 
-def _diverged(pairs: Heads) -> list[str]:
+def _say_divergence(pairs: Heads) -> list[str]:
     """Where a better verdict only says that the baseline diverged: no error to compare, so no number."""
     names = [n for n, p in pairs if p.evidence.diverged_baseline and not p.evidence.diverged_model]
     if not names:
         return []
     base = base_words(pairs)
-    return [f"On {_listed(names)} the {base} diverged in free run, so there is no error to compare with."]
+    return [f"On {_join(names)} the {base} diverged in free run, so there is no error to compare with."]
 
 
 def _gains(pairs: Heads) -> list[str]:
@@ -266,7 +272,7 @@ def _gains(pairs: Heads) -> list[str]:
         if p.earned and p.change_pct is not None and p.ci95 is not None
     ]
     typical = " on a typical flight" if narrow_scope(pairs) is Scope.ANOTHER else ""
-    return [f"In free run{typical} its error is {_listed(said)}."] if 0 < len(said) <= 4 else []
+    return [f"In free run{typical} its error is {_join(said)}."] if 0 < len(said) <= 4 else []
 
 
 def _scopes(pairs: Heads) -> list[str]:
@@ -277,10 +283,10 @@ def _scopes(pairs: Heads) -> list[str]:
             said.setdefault(words, []).append(name)
     if len(pairs) == 1:
         return [f"{words[0].upper()}{words[1:]}." for words in said]
-    return [f"On {_listed(names)}: {words}." for words, names in said.items()]
+    return [f"On {_join(names)}: {words}." for words, names in said.items()]
 
 
-def _contested(pairs: Heads) -> list[str]:
+def _say_contested(pairs: Heads) -> list[str]:
     """Where a better verdict is owed to the choice of the baseline."""
     return [
         f"On {name} {one_line(p.model).upper()} is better than {one_line(p.baseline).upper()}, which the "
@@ -296,12 +302,12 @@ def _one_rule(pairs: Heads) -> list[str]:
     if not names:
         return []
     return [
-        f"On {_listed(names)} {pairs[0][1].model.upper()} is better with one rule. That is a linear model: "
+        f"On {_join(names)} {pairs[0][1].model.upper()} is better with one rule. That is a linear model: "
         "the gain comes from its order or refinement, not from fuzziness."
     ]
 
 
-def _listed(names: Sequence[str]) -> str:
+def _join(names: Sequence[str]) -> str:
     if len(names) == 1:
         return names[0]
     return ", ".join(names[:-1]) + " and " + names[-1]
@@ -315,10 +321,10 @@ def basis(comparisons: Mapping[str, Comparison], train_s: float | None) -> str:
     seconds = max(sum(len(s) for s in c.test.segments) * c.dt_s for c in comparisons.values())
     rates = sorted({round(1.0 / c.dt_s, 3) for c in comparisons.values()})
     bases = dict.fromkeys(one_line(c.baseline).upper() for c in comparisons.values())
-    against = _introduced(base_words(pairs) if pairs else called(first.baseline), " or ".join(bases))
+    against = _introduce(base_words(pairs) if pairs else name_model(first.baseline), " or ".join(bases))
     if first.contender:
-        name = contender_words(pairs) if pairs else called(first.contender)
-        model = _introduced(name, one_line(first.contender).upper())
+        name = contender_words(pairs) if pairs else name_model(first.contender)
+        model = _introduce(name, one_line(first.contender).upper())
         against = f"{model} against {against}"
     held = f"{segments} held-out segment{'s' if segments != 1 else ''} ({duration(seconds)})"
     words = f"{against[0].upper()}{against[1:]} on {held}"
@@ -350,7 +356,7 @@ def _units(pairs: Heads) -> str:
     return " or ".join(said)
 
 
-def _introduced(name: str, label: str) -> str:
+def _introduce(name: str, label: str) -> str:
     """ "fuzzy model (TS)"; the label alone where it is all there is to say."""
     return label if name.upper() == label else f"{name} ({label})"
 

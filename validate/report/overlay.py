@@ -13,7 +13,7 @@ from flysid.dataset import FloatArray
 from flysid.validate.bands import free_run_band
 from flysid.validate.comparison import Comparison
 from flysid.validate.report.channel_data import Source
-from flysid.validate.report.decimate import decimate, rounded
+from flysid.validate.report.decimate import decimate, round_for_json
 from flysid.validate.report.rulefigures import firing_along, strongest_runs
 from flysid.validate.report.svg import Axes, area, box, frame, line, picture, span
 from flysid.validate.trials import FREE_RUN, StructureTrial
@@ -109,7 +109,7 @@ def _strip(source: Source, at: int, place: tuple[int, int], banded: bool) -> Str
 
 def _others(source: Source, trial: StructureTrial, output: int) -> list[FloatArray]:
     """(M,) of each of `extras` along a trial."""
-    runs = [trial.yh[name][:, output] for name in picked(source.comparison)]
+    runs = [trial.yh[name][:, output] for name in list_pickable(source.comparison)]
     k = steps_ahead(source)
     if k is None:
         return runs
@@ -153,7 +153,7 @@ def drawn(comparison: Comparison) -> list[tuple[str, str]]:
     return found
 
 
-def picked(comparison: Comparison) -> list[str]:
+def list_pickable(comparison: Comparison) -> list[str]:
     """The models that a reader may add to the pictures: all that are not drawn, references last."""
     shown = {name for name, _ in drawn(comparison)}
     others = [name for name in comparison.fitted if name not in shown]
@@ -172,7 +172,10 @@ class Role:
 def roles(comparison: Comparison) -> list[Role]:
     """Every model but the references, those of the headline first."""
     first = [Role(name, css, shown=True) for name, css in drawn(comparison)]
-    more = [Role(name, f"other {other_colour(i)}", shown=False) for i, name in enumerate(picked(comparison))]
+    more = [
+        Role(name, f"other {other_colour(i)}", shown=False)
+        for i, name in enumerate(list_pickable(comparison))
+    ]
     return [*first, *(role for role in more if not comparison.models[role.model].reference)]
 
 
@@ -193,7 +196,7 @@ def extras(source: Source) -> list[str]:
     names = [name.upper() for name, _ in drawn(source.comparison)] if k else []
     words = f"{k} step{'s' if k != '1' else ''} ahead"
     return [
-        *(one_line(m).upper() for m in picked(source.comparison)),
+        *(one_line(m).upper() for m in list_pickable(source.comparison)),
         *(f"{one_line(n)} {words}" for n in names),
     ]
 
@@ -268,17 +271,17 @@ def as_json(strip: Strip, label: str) -> dict[str, Any]:
     """What the script draws; numbers rounded to what a screen can show."""
     return {
         "label": one_line(label),
-        "t": rounded(strip.t),
-        "y": rounded(strip.y),
-        "u": rounded(strip.u),
-        "models": [rounded(values) for _, _, values in strip.models],
-        "errors": [rounded(error) for error in strip.errors],
+        "t": round_for_json(strip.t),
+        "y": round_for_json(strip.y),
+        "u": round_for_json(strip.u),
+        "models": [round_for_json(values) for _, _, values in strip.models],
+        "errors": [round_for_json(error) for error in strip.errors],
         "others": [
-            rounded(values if np.ptp(values) else values[:1]) for values in strip.others
+            round_for_json(values if np.ptp(values) else values[:1]) for values in strip.others
         ],  # one: equal
         "range": list(vertical(strip)),
         "error_range": list(error_range(strip)),
         "input_range": list(span(strip.u, pad=0.1)),
-        "bands": [[css, rounded(lower), rounded(upper)] for css, lower, upper in strip.bands],
+        "bands": [[css, round_for_json(lower), round_for_json(upper)] for css, lower, upper in strip.bands],
         "runs": [[round(a, 3), round(b, 3), r] for a, b, r in strip.runs],
     }

@@ -20,7 +20,7 @@ from flysid.validate.report.gainpanels import loop_panels
 from flysid.validate.report.html import environment, load_asset, script_json, security_policy, write_page
 from flysid.validate.report.masthead import masthead
 from flysid.validate.report.most_telling import answer, telling
-from flysid.validate.report.overlay import MOST_SEGMENTS, picked
+from flysid.validate.report.overlay import MOST_SEGMENTS, list_pickable
 from flysid.validate.report.sections import Section, sections
 from flysid.validate.terminal import standing
 from flysid.validate.words import (
@@ -91,7 +91,7 @@ def _sections(context: ReportContext, diagnoses: Mapping[str, Diagnosis]) -> lis
     drawn = sum(
         min(len(d.free_runs), MOST_SEGMENTS)
         * len(context.comparisons[n].test.outputs)
-        * (8 + len(picked(context.comparisons[n])))
+        * (8 + len(list_pickable(context.comparisons[n])))
         for n, d in diagnoses.items()
     )
     points = max(60, min(800, NUMBERS_ON_PAGE // max(1, drawn)))
@@ -124,7 +124,7 @@ def _drawn(comparisons: Mapping[str, Comparison]) -> list[tuple[str, str]]:
     """(CSS class, name) of the curves on the cards, one where the search for rules took the baseline."""
     first = next(iter(comparisons.values()))
     pairs = narrative.heads(comparisons)
-    words = [narrative.base_words(pairs) if pairs else narrative.called(first.baseline)]
+    words = [narrative.base_words(pairs) if pairs else narrative.name_model(first.baseline)]
     if not all(_is_same_model(pair) for _, pair in pairs):
         words.append(narrative.contender_words(pairs))
     return list(zip(("arx", "ts"), words, strict=False))
@@ -264,10 +264,10 @@ def _provenance(context: ReportContext) -> list[tuple[str, str, list[str]]]:
             known.setdefault(label, f"sha256 {c.test_hash}")
     versions = versions or {f"{VERSION}flysid": __version__}
     known["versions"] = ", ".join(f"{k.removeprefix(VERSION)} {v}" for k, v in versions.items())
-    return [(label, *_folded(value)) for label, value in known.items()]
+    return [(label, *_fold(value)) for label, value in known.items()]
 
 
-def _folded(value: str) -> tuple[str, list[str]]:
+def _fold(value: str) -> tuple[str, list[str]]:
     """The first sentence and the others of what is too long to be read in passing."""
     first, *rest = value.split("; ")
     return (first, rest) if len(value) > LONG and rest else (value, [])

@@ -119,7 +119,7 @@ def fulfilment(firing: FloatArray, t: FloatArray, label: str) -> Markup:
     """Normalised firing strengths (N, R) stacked over time."""
     rules = firing.shape[1]
     names = [f"r{i}" for i in range(rules)]
-    times, parts_of = _thinned(t, dict(zip(names, firing.T, strict=True)), 240)
+    times, parts_of = _thin(t, dict(zip(names, firing.T, strict=True)), 240)
     stack = np.cumsum(np.column_stack([np.zeros(len(times)), *(parts_of[n] for n in names)]), axis=1)
     stack = stack / np.maximum(stack[:, -1:], 1e-12)
     axes = Axes((float(t[0]), float(t[-1])), (0.0, 1.0), top=8, width=HALF - 60, height=110)
@@ -128,7 +128,7 @@ def fulfilment(firing: FloatArray, t: FloatArray, label: str) -> Markup:
     return picture(HALF, 154, parts, label)
 
 
-def _thinned(
+def _thin(
     t: FloatArray, series: dict[str, FloatArray], points: int
 ) -> tuple[FloatArray, dict[str, FloatArray]]:
     """Every n-th sample: stacked shares must be taken at the same instant, extremes would not add up to 1."""

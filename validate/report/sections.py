@@ -132,7 +132,7 @@ def _section(source: Source, j: int, anchor: str) -> Section:
             "banded": any(p.bands for p in pieces),
             "models": [f"{one_line(m).upper()} free run" for m, _ in overlay.drawn(c)],
             "others": overlay.extras(source),
-            "names": [one_line(m) for m in (*(m for m, _ in overlay.drawn(c)), *overlay.picked(c))],
+            "names": [one_line(m) for m in (*(m for m, _ in overlay.drawn(c)), *overlay.list_pickable(c))],
         },
     )
 

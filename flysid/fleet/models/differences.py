@@ -22,7 +22,7 @@ from flysid.errors import DataError
 from flysid.fleet.models.band import Band, band_of
 from flysid.fleet.models.common_grid import Sampling
 from flysid.fleet.models.groups import Response, fit_group, response_of
-from flysid.fleet.models.scatter import PER_NUMBER, Scatter, Tail, pooled, tail_of
+from flysid.fleet.models.scatter import PER_NUMBER, Scatter, Tail, pool, tail_of
 from flysid.fleet.models.triangles import Triangle
 
 Question = Literal["changed", "unlike"]
@@ -131,13 +131,13 @@ def judge_channel(
                 too_few[name] = f"{len(first)} early and {len(second)} late flights"
         except DataError as error:
             too_few[name] = error.message
-    scatter = pooled([r[name] for name in early for r in (early, late)], channel)
-    shifts = {name: wrapped(late[name].value - early[name].value) for name in early}
+    scatter = pool([r[name] for name in early for r in (early, late)], channel)
+    shifts = {name: wrap_phases(late[name].value - early[name].value) for name in early}
     size = 2 * len(band.frequencies)
     differences: dict[str, tuple[FloatArray, FloatArray, float]] = {}
     for name, shift in shifts.items():
         common, spread = _common([s for other, s in shifts.items() if other != name], size)
-        difference = wrapped(shift - common)
+        difference = wrap_phases(shift - common)
         covariance = scatter.covariance(early[name]) + scatter.covariance(late[name]) + spread
         differences[name] = (difference, covariance, hotelling(difference, covariance))
     usual = tail_of([], size, scatter.freedom)
@@ -190,8 +190,8 @@ def _unlike(judged: JudgedChannel, changed: set[str]) -> list[Test]:
     ordinary = np.mean([unsure[n] for n in reference], axis=0)
     tests = []
     for name, response in judged.present.items():
-        others = np.array([wrapped(v - middle) for n, v in reference.items() if n != name])
-        difference = wrapped(response.value - middle) - others.mean(axis=0)
+        others = np.array([wrap_phases(v - middle) for n, v in reference.items() if n != name])
+        difference = wrap_phases(response.value - middle) - others.mean(axis=0)
         covariance = np.cov(others.T) * (1.0 + 1.0 / len(others)) + _positive(unsure[name] - ordinary)
         left = len(others) - size
         covariance *= (len(others) - 1) / left
@@ -228,7 +228,9 @@ def _mix(
         other = _response([*first[1::2], *second[::2]], sampling, band)
     except DataError:
         return None
-    return hotelling(wrapped(one.value - other.value), scatter.covariance(one) + scatter.covariance(other))
+    return hotelling(
+        wrap_phases(one.value - other.value), scatter.covariance(one) + scatter.covariance(other)
+    )
 
 
 def _positive(matrix: FloatArray) -> FloatArray:
@@ -258,7 +260,7 @@ def since(judged: JudgedChannel, vehicle: str) -> str:
             second = _response(own[at:], judged.sampling, judged.band)
         except DataError:
             continue
-        shift = wrapped(second.value - first.value - common)
+        shift = wrap_phases(second.value - first.value - common)
         covariance = judged.scatter.covariance(first) + judged.scatter.covariance(second)
         statistic = hotelling(shift, covariance)
         if statistic > best[1]:
@@ -293,7 +295,7 @@ def hotelling(difference: FloatArray, covariance: FloatArray) -> float:
     return float(difference @ np.linalg.solve(covariance, difference))
 
 
-def wrapped(value: FloatArray) -> FloatArray:
+def wrap_phases(value: FloatArray) -> FloatArray:
     """(2 k,) with its phases between -pi and pi."""
     k = len(value) // 2
     phase = np.angle(np.exp(1j * value[k:]))

@@ -17,7 +17,7 @@ from flysid.fleet.models.triangles import Triangle, triangle_of
 from flysid.ingest.align.align import align, segments_of
 from flysid.ingest.align.recipe import Recipe
 from flysid.ingest.align.vehicle import vehicle_of
-from flysid.ingest.lake.lake import Lake, StoredLog, mirrored
+from flysid.ingest.lake.lake import Lake, StoredLog, mirror
 from flysid.ingest.lake.workers import Bounds, Lost, run_bounded
 from flysid.model.threads import on_one_thread
 from flysid.progress import tell
@@ -138,7 +138,7 @@ def _parts_of(batch: Batch) -> list[str]:
 
 def rows_elsewhere(batch: Batch) -> list[TriangleRow]:
     """The rows of a batch on a machine that has the lake's address alone."""
-    folder = mirrored(batch.address, [log.facts for log in batch.logs])
+    folder = mirror(batch.address, [log.facts for log in batch.logs])
     return rows_of(replace(batch, logs=tuple(replace(log, folder=folder) for log in batch.logs)))
 
 

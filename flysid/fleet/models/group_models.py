@@ -18,7 +18,7 @@ from flysid.fleet.models.common_grid import Sampling
 from flysid.fleet.models.differences import FlightPart
 from flysid.fleet.models.gather import Gathered
 from flysid.fleet.models.groups import GroupModel, Response, fit_group, response_of
-from flysid.fleet.models.scatter import Scatter, pooled
+from flysid.fleet.models.scatter import Scatter, pool
 from flysid.model.threads import on_one_thread
 
 FORMAT = "flysid-fleet-fit"
@@ -156,7 +156,7 @@ def fit_groups(gathered: Gathered, by: Sequence[str]) -> FleetFit:
         ]
         groups += found
         try:
-            scatter[channel] = pooled([g.response for g in found if g.response is not None], channel)
+            scatter[channel] = pool([g.response for g in found if g.response is not None], channel)
         except DataError:
             continue  # then no interval is given
     return FleetFit(tuple(by), gathered.samplings, tuple(groups), scatter, omegas, gathered.skipped)

@@ -74,7 +74,7 @@ def tail_of(statistics: Sequence[float], size: int, freedom: float) -> Tail:
     return Tail(*np.exp(found.x).tolist())
 
 
-def pooled(responses: Sequence[Response], channel: str) -> Scatter:
+def pool(responses: Sequence[Response], channel: str) -> Scatter:
     """K of groups in each of which the vehicle was the same.
 
     Raises

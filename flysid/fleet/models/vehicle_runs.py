@@ -18,7 +18,7 @@ from flysid.errors import FlysidError
 from flysid.files import replacing_folder
 from flysid.ingest.align.recipe import recipe_text
 from flysid.ingest.lake.chosen_flights import Selection, select
-from flysid.ingest.lake.lake import Lake, mirrored
+from flysid.ingest.lake.lake import Lake, mirror
 from flysid.progress import part, tell
 from flysid.validate.fitting import fit_run
 from flysid.validate.run import FitSettings, Run, open_run
@@ -116,7 +116,7 @@ def _parts_of(fit: VehicleFit) -> list[str]:
 
 def run_files(fit: VehicleFit) -> Mapping[str, bytes] | str:
     """The files of a vehicle's run, made where only the lake's address is known; or why there is none."""
-    lake = replace(fit.lake, folder=mirrored(fit.lake.address, fit.lake.facts))
+    lake = replace(fit.lake, folder=mirror(fit.lake.address, fit.lake.facts))
     with tempfile.TemporaryDirectory(prefix="flysid-run-") as scratch:
         run = Path(scratch) / "run"
         recipe = Path(scratch) / "recipe.toml"

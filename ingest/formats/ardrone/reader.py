@@ -154,13 +154,13 @@ class Decoder:
         if not self._source:
             self._source = "clock" if (raw >= 0).any() else "sequence" if received is None else "arrival"
         if self._source == "clock":
-            return self._unwrapped(raw)
+            return self._unwrap(raw)
         boot = np.zeros(len(at), dtype=np.int32)
         if received is not None:
             return received, boot
         return (head["sequence"].astype(np.int64) - self._first_sequence) * DEMO_PERIOD_NS, boot
 
-    def _unwrapped(self, raw: Index) -> tuple[Index, Boots]:
+    def _unwrap(self, raw: Index) -> tuple[Index, Boots]:
         """Seconds and microseconds as ns since the first wrap; packets without a time take the last one's."""
         clock = (raw >> 21) * 10**9 + (raw & 0x1FFFFF) * 1000
         time_ns = np.empty(len(raw), dtype=np.int64)

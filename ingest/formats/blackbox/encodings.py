@@ -49,7 +49,7 @@ def signed_vb(raw: ByteArray, at: int, stop: int) -> tuple[int, int]:
 
 
 @numba.njit(cache=True, nogil=True)
-def signed(value: int, bits: int) -> int:
+def sign_extend(value: int, bits: int) -> int:
     """The lowest bits as a two's complement number."""
     value &= (1 << bits) - 1
     return value - ((value >> (bits - 1)) << bits)
@@ -63,9 +63,9 @@ def tag2(raw: ByteArray, at: int, stop: int, values: IntArray, variable: bool) -
     first = byte(raw, at)
     selector = first >> 6
     if selector == 0:
-        values[0] = signed(first >> 4, 2)
-        values[1] = signed(first >> 2, 2)
-        values[2] = signed(first, 2)
+        values[0] = sign_extend(first >> 4, 2)
+        values[1] = sign_extend(first >> 2, 2)
+        values[2] = sign_extend(first, 2)
         return at + 1
     if selector == 3:
         at += 1
@@ -76,7 +76,7 @@ def tag2(raw: ByteArray, at: int, stop: int, values: IntArray, variable: bool) -
             value = 0
             for j in range(size):
                 value |= byte(raw, at + j) << (8 * j)
-            values[k] = signed(value, 8 * size)
+            values[k] = sign_extend(value, 8 * size)
             at += size
         return at
     if at + selector + 1 > stop:
@@ -84,22 +84,22 @@ def tag2(raw: ByteArray, at: int, stop: int, values: IntArray, variable: bool) -
     second = byte(raw, at + 1)
     if selector == 1:
         if variable:
-            values[0] = signed(first >> 1, 5)
-            values[1] = signed((first & 1) << 4 | second >> 4, 5)
+            values[0] = sign_extend(first >> 1, 5)
+            values[1] = sign_extend((first & 1) << 4 | second >> 4, 5)
         else:
-            values[0] = signed(first, 4)
-            values[1] = signed(second >> 4, 4)
-        values[2] = signed(second, 4)
+            values[0] = sign_extend(first, 4)
+            values[1] = sign_extend(second >> 4, 4)
+        values[2] = sign_extend(second, 4)
         return at + 2
     third = byte(raw, at + 2)
     if variable:
-        values[0] = signed((first & 0x3F) << 2 | second >> 6, 8)
-        values[1] = signed((second & 0x3F) << 1 | third >> 7, 7)
-        values[2] = signed(third, 7)
+        values[0] = sign_extend((first & 0x3F) << 2 | second >> 6, 8)
+        values[1] = sign_extend((second & 0x3F) << 1 | third >> 7, 7)
+        values[2] = sign_extend(third, 7)
     else:
-        values[0] = signed(first, 6)
-        values[1] = signed(second, 6)
-        values[2] = signed(third, 6)
+        values[0] = sign_extend(first, 6)
+        values[1] = sign_extend(second, 6)
+        values[2] = sign_extend(third, 6)
     return at + 3
 
 
@@ -131,7 +131,7 @@ def tag8_4s16(raw: ByteArray, at: int, stop: int, values: IntArray) -> int:
         if left:
             value = value << 4 | byte(raw, at) >> 4
             at += 1
-        values[k] = signed(value, 2 << kind)
+        values[k] = sign_extend(value, 2 << kind)
     return at
 
 
@@ -149,14 +149,14 @@ def old_tag8_4s16(raw: ByteArray, at: int, stop: int, values: IntArray) -> int:
         if at + (kind + 1) // 2 > stop:
             return PAST_END
         if kind == 1:
-            values[k] = signed(byte(raw, at), 4)
+            values[k] = sign_extend(byte(raw, at), 4)
             k += 1
             if k < 4:
-                values[k] = signed(byte(raw, at) >> 4, 4)
+                values[k] = sign_extend(byte(raw, at) >> 4, 4)
         elif kind == 2:
-            values[k] = signed(byte(raw, at), 8)
+            values[k] = sign_extend(byte(raw, at), 8)
         elif kind == 3:
-            values[k] = signed(byte(raw, at) | byte(raw, at + 1) << 8, 16)
+            values[k] = sign_extend(byte(raw, at) | byte(raw, at + 1) << 8, 16)
         at += (kind + 1) // 2
         k += 1
     return at

@@ -24,7 +24,7 @@ from flysid.ingest.formats.blackbox.encodings import (
     IntArray,
     byte,
     old_tag8_4s16,
-    signed,
+    sign_extend,
     signed_vb,
     tag2,
     tag8_4s16,
@@ -159,7 +159,7 @@ def read_fields(
             many[0] = 0
         elif encoding == Encoding.NEG_14BIT:
             many[0], at = unsigned_vb(raw, at, stop)
-            many[0] = -signed(many[0], 14)
+            many[0] = -sign_extend(many[0], 14)
         else:
             span = program.span[kind, k]
             if encoding == Encoding.TAG8_8SVB:
@@ -184,7 +184,7 @@ def read_fields(
                 if unsigned:
                     value += (total & 0xFFFFFFFF) >> 1
                 else:
-                    total = signed(total, 32)
+                    total = sign_extend(total, 32)
                     value += (total + (total < 0)) >> 1
             elif predictor == Predictor.STRAIGHT_LINE:
                 value += 2 * before[k] - earlier[k]
@@ -275,9 +275,9 @@ def may_end(raw: ByteArray, at: int, state: State) -> bool:
 
 
 @numba.njit(cache=True, nogil=True)
-def unwrapped(now: int, last_us: int) -> int:
+def unwrap(now: int, last_us: int) -> int:
     """A 32-bit time as one that goes on from the last: it wraps after 71.6 minutes."""
-    return last_us + signed(now - last_us, 32)
+    return last_us + sign_extend(now - last_us, 32)
 
 
 @numba.njit(cache=True, nogil=True)
@@ -369,7 +369,7 @@ def walk(
             us = values[state.time_at]
             iteration = values[state.iteration_at] if state.iteration_at >= 0 else 0
             if state.us >= 0:
-                us = unwrapped(us, state.us)
+                us = unwrap(us, state.us)
             step_us = us - state.us
             if kind == INTER:
                 if step_us < 0 or step_us > LONGEST_PAUSE_US:
@@ -403,7 +403,7 @@ def walk(
                 history[place, field] = values[field]
             us = state.us
             if state.gps_time_at >= 0 and us >= 0:
-                us = unwrapped(values[state.gps_time_at], us)
+                us = unwrap(values[state.gps_time_at], us)
             if state.has_home:
                 _keep(tables.gps, tables.gps_us, tables.gps_span, state.gps, values, us, at, end)
                 state.gps += 1

@@ -6,7 +6,7 @@ import numba
 import numpy as np
 
 from flysid.ingest.formats.blackbox.codes import EventKind
-from flysid.ingest.formats.blackbox.encodings import ByteArray, IntArray, signed
+from flysid.ingest.formats.blackbox.encodings import ByteArray, IntArray, sign_extend
 from flysid.ingest.formats.blackbox.kernel import (
     EVENT,
     INTER,
@@ -20,7 +20,7 @@ from flysid.ingest.formats.blackbox.kernel import (
     next_iteration,
     read_event,
     read_fields,
-    unwrapped,
+    unwrap,
 )
 
 LONGEST_JUMP = 5000  # loop iterations
@@ -64,7 +64,7 @@ def is_confirmed(
         if end < 0 or not may_end(raw, end, state):
             return 0
         if kind <= INTER:
-            now = unwrapped(scratch[free, state.time_at], us)
+            now = unwrap(scratch[free, state.time_at], us)
             stated = scratch[free, state.iteration_at] if state.iteration_at >= 0 else 0
             if now < us or now - us > LONGEST_PAUSE_US:
                 return 0
@@ -94,7 +94,7 @@ def find_intra(
             sure = is_confirmed(raw, at, program, state, scratch, found)
             if sure and state.us < 0:
                 return at
-            step_us = signed(found[1] - state.us, 32)
+            step_us = sign_extend(found[1] - state.us, 32)
             forward = step_us > 0 and (state.iteration_at < 0 or found[0] > state.iteration)
             near = step_us <= LONGEST_PAUSE_US and (
                 state.iteration_at < 0 or found[0] - state.iteration <= LONGEST_JUMP

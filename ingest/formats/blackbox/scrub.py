@@ -89,7 +89,7 @@ def _line(line: Line, scrubber: Scrubber) -> bytes:
         text = b"x" * len(text)
         scrubber.note(rules.IDENTITY, f"parameters: {line.name}", text != line.text.encode())
     elif line.name != _TIME and not numbers_of(line.text):
-        text = rules.redacted(text)
+        text = rules.redact(text)
         scrubber.note(rules.TEXT, f"parameters: {line.name}", text != line.text.encode())
     return b"H " + line.name.encode() + b":" + text + b"\n"
 
@@ -118,7 +118,7 @@ class _Again:
 
     def frames(self, block: Block) -> bytes:
         """The block's frames in their order."""
-        new = dict(self._placed(block)) | dict(self._events(block)) | dict(self._resumed(block))
+        new = dict(self._place(block)) | dict(self._events(block)) | dict(self._resume(block))
         main = block.rows.get("main")
         if main is not None:
             self._last_us = int(main.us[-1])
@@ -135,13 +135,13 @@ class _Again:
             for first, last in zip(begin[starts].tolist(), end[stops - 1].tolist(), strict=True)
         )
 
-    def _placed(self, block: Block) -> Iterator[tuple[int, bytes]]:
+    def _place(self, block: Block) -> Iterator[tuple[int, bytes]]:
         """(where it began, new frame) of every H and G frame: a G frame counts from the H frame before it."""
         found = []
         for kind in "HG":
             rows = block.rows.get(STREAMS[kind])
             if rows is not None:
-                values = self._scrubbed(kind, rows).tolist()
+                values = self._scrub(kind, rows).tolist()
                 found += [
                     (begin, kind, row) for begin, row in zip(rows.span[0].tolist(), values, strict=True)
                 ]
@@ -157,7 +157,7 @@ class _Again:
             self._writer.time_us = times[int(begins[k - 1])] if k else self._last_us
             yield begin, self._writer.frame(kind, row)
 
-    def _resumed(self, block: Block) -> Iterator[tuple[int, bytes]]:
+    def _resume(self, block: Block) -> Iterator[tuple[int, bytes]]:
         """(where it began, event and frame) of I frames that do not go on from the main frame before them."""
         rows = block.rows.get("event")
         if rows is not None:
@@ -178,7 +178,7 @@ class _Again:
             last = iteration
         self._last_main = last_begin, last
 
-    def _scrubbed(self, kind: str, rows: Rows) -> npt.NDArray[Any]:
+    def _scrub(self, kind: str, rows: Rows) -> npt.NDArray[Any]:
         """(n,) records of one kind of frame, as they shall be."""
         definition = self._definitions[kind]
         types = [
@@ -201,6 +201,6 @@ class _Again:
             begin = int(rows.span[0, k])
             text = bytes(self._view[int(at[k]) : int(at[k] + size[k])])
             is_data = number[k] == EventKind.CUSTOM_DATA
-            clean = bytes(len(text)) if is_data else rules.redacted(text)
+            clean = bytes(len(text)) if is_data else rules.redact(text)
             self._scrubber.note(rules.CONTENT if is_data else rules.TEXT, "events", clean != text)
             yield begin, bytes(self._view[begin : int(at[k])]) + clean

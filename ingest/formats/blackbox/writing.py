@@ -18,7 +18,7 @@ from flysid.ingest.formats.blackbox.header import START
 # ------------------------------------------------------------------------------------------ encodings
 
 
-def wrapped(value: int) -> int:
+def wrap(value: int) -> int:
     """As a signed number of 32 bits."""
     return (value + (1 << 31)) % (1 << 32) - (1 << 31)
 
@@ -40,7 +40,7 @@ def _fits(values: Sequence[int], bits: Sequence[int]) -> bool:
     return all(-(1 << b - 1) <= v < 1 << b - 1 for v, b in zip(values, bits, strict=True))
 
 
-def _packed(parts: Sequence[tuple[int, int]]) -> bytes:
+def _pack(parts: Sequence[tuple[int, int]]) -> bytes:
     """(value, bits) one after the other, the highest bit first, filled up to a byte."""
     number = 0
     size = 0
@@ -55,15 +55,15 @@ def tag2(values: Sequence[int], variable: bool) -> bytes:
     """TAG2_3S32, or TAG2_3SVARIABLE."""
     a, b, c = values
     if _fits(values, (2, 2, 2)):
-        return _packed([(0, 2), (a, 2), (b, 2), (c, 2)])
+        return _pack([(0, 2), (a, 2), (b, 2), (c, 2)])
     if variable and _fits(values, (5, 5, 4)):
-        return _packed([(1, 2), (a, 5), (b, 5), (c, 4)])
+        return _pack([(1, 2), (a, 5), (b, 5), (c, 4)])
     if variable and _fits(values, (8, 7, 7)):
-        return _packed([(2, 2), (a, 8), (b, 7), (c, 7)])
+        return _pack([(2, 2), (a, 8), (b, 7), (c, 7)])
     if not variable and _fits(values, (4, 4, 4)):
-        return _packed([(1, 2), (0, 2), (a, 4), (b, 4), (c, 4)])
+        return _pack([(1, 2), (0, 2), (a, 4), (b, 4), (c, 4)])
     if not variable and _fits(values, (6, 6, 6)):
-        return _packed([(2, 2), (a, 6), (0, 2), (b, 6), (0, 2), (c, 6)])
+        return _pack([(2, 2), (a, 6), (0, 2), (b, 6), (0, 2), (c, 6)])
     sizes = [next(n for n in (1, 2, 3, 4) if _fits([v], [8 * n])) for v in values]
     tag = 0xC0 | sum(n - 1 << 2 * k for k, n in enumerate(sizes))
     little = [(v & (1 << 8 * n) - 1).to_bytes(n, "little") for v, n in zip(values, sizes, strict=True)]
@@ -77,7 +77,7 @@ def tag8_4s16(values: Sequence[int], version: int) -> bytes:
         0 if v == 0 else next(k for k, b in ((1, 4), (2, 8), (3, 16)) if _fits([v], [b])) for v in values
     ]
     tag = sum(kind << 2 * k for k, kind in enumerate(kinds))
-    return bytes([tag]) + _packed([(v, 2 << k) for v, k in zip(values, kinds, strict=True) if k])
+    return bytes([tag]) + _pack([(v, 2 << k) for v, k in zip(values, kinds, strict=True) if k])
 
 
 def _old_tag8_4s16(values: Sequence[int]) -> bytes:
@@ -213,7 +213,7 @@ class Writer:
         if code == 3:
             total = last[k] + older[k]
             if fields.signed[k]:
-                return math.trunc(wrapped(total) / 2)
+                return math.trunc(wrap(total) / 2)
             return total % (1 << 32) // 2
         if code == 5:
             return values[fields.names.index("motor[0]")]
@@ -230,7 +230,7 @@ class Writer:
     def frame(self, kind: str, values: Sequence[int]) -> bytes:
         """A frame with these values (unsigned ones below 2^32); it becomes history."""
         fields = self.kinds[kind]
-        raw = [wrapped(v - self.prediction(kind, k, values)) for k, v in enumerate(values)]
+        raw = [wrap(v - self.prediction(kind, k, values)) for k, v in enumerate(values)]
         kept = [9 if p == 6 else e for p, e in zip(fields.predictor, fields.encoding, strict=True)]
         if kind in "IP" and "time" in fields.names:
             self.time_us = values[list(fields.names).index("time")]

@@ -110,9 +110,9 @@ def payloads(view: memoryview, tally: Tally) -> Iterator[Payload]:
     for packet in read(view, tally):
         found = _whole(packet, view, pending, tally)
         for carried in (found, *pending.given_up()):
-            yield from seen.first_sights(_carried(carried, tally), tally)
+            yield from seen.first_sights(_carry(carried, tally), tally)
     for cut in pending.given_up(0):
-        yield from seen.first_sights(_carried(cut, tally), tally)
+        yield from seen.first_sights(_carry(cut, tally), tally)
 
 
 @dataclass
@@ -186,7 +186,7 @@ def _whole(packet: Packet, view: memoryview, pending: Fragments, tally: Tally) -
         return None
 
 
-def _carried(found: tuple[IpPacket, int] | None, tally: Tally) -> Iterator[Payload]:
+def _carry(found: tuple[IpPacket, int] | None, tally: Tally) -> Iterator[Payload]:
     """The payload of a packet; none where it carries nothing."""
     if found is None:
         return

@@ -91,12 +91,12 @@ def unpacked_pieces(view: memoryview, max_ratio: float) -> Iterator[bytes]:
             return
         if at and not _begins_frame(view, at, is_gzip):
             raise ChunkError(f"{len(view) - at} bytes behind the {name} data at byte {at} are something else")
-        at = yield from (_inflated(view, at, _GZIP, growth) if is_gzip else _unzstd(view, at, growth))
+        at = yield from (_inflate(view, at, _GZIP, growth) if is_gzip else _unzstd(view, at, growth))
 
 
 def inflated_pieces(view: memoryview, max_ratio: float) -> Iterator[bytes]:
     """What deflate data without a header (a member of a zip archive) expand to; raises ChunkError."""
-    yield from _inflated(view, 0, _RAW_DEFLATE, _Growth(max_ratio))
+    yield from _inflate(view, 0, _RAW_DEFLATE, _Growth(max_ratio))
 
 
 def _is_padding(view: memoryview, at: int) -> bool:
@@ -112,7 +112,7 @@ def _begins_frame(view: memoryview, at: int, is_gzip: bool) -> bool:
     return skippable or view[at : at + 4] == ZSTD_MAGIC
 
 
-def _inflated(
+def _inflate(
     view: memoryview, at: int, wbits: int, growth: _Growth, *, step: int = 16384
 ) -> Generator[bytes, None, int]:
     """`step`: deflate expands up to 1,032 times: what one step gives stays below 17 MB."""
@@ -249,7 +249,7 @@ def first_bytes(pieces: Iterator[bytes], count: int) -> bytes:
 
 
 @contextmanager
-def expanded(pieces: Iterator[bytes]) -> Iterator[Expanded]:
+def expand(pieces: Iterator[bytes]) -> Iterator[Expanded]:
     """The pieces as one mapped file; as much of it as there is where the end or the middle is damaged."""
     with tempfile.TemporaryFile() as file:
         written = 0

@@ -302,15 +302,15 @@ def clear(rows: npt.NDArray[Any], key: str, what: tuple[str, str], scrubber: Scr
 # ----------------------------------------------------------------------------------------------- texts
 
 
-def redacted(text: bytes) -> bytes:
+def redact(text: bytes) -> bytes:
     """A text of the same length without what looks like an identifier, a coordinate, a path or an address."""
     return _TOKENS.sub(lambda match: b"x" * len(match[0]), text)
 
 
 def redacted_field(text: bytes) -> bytes:
-    """`redacted` for a field of fixed size: what stands behind the first NUL goes too."""
+    """`redact` for a field of fixed size: what stands behind the first NUL goes too."""
     head = text.split(b"\0", 1)[0]
-    return redacted(head).ljust(len(text), b"\0")
+    return redact(head).ljust(len(text), b"\0")
 
 
 def scrub_texts(rows: npt.NDArray[Any], key: str, what: tuple[str, str], scrubber: Scrubber) -> None:
@@ -319,7 +319,7 @@ def scrub_texts(rows: npt.NDArray[Any], key: str, what: tuple[str, str], scrubbe
     flat = np.ascontiguousarray(rows[key]).view(f"S{width}").reshape(-1)
     padded = [bytes(text).ljust(width, b"\0") for text in flat]
     clean = [redacted_field(text) for text in padded]
-    scrubber.note(*what, count=sum(redacted(t) != t for t in padded))
+    scrubber.note(*what, count=sum(redact(t) != t for t in padded))
     rows[key] = np.array(clean, dtype=f"S{width}").view(rows.dtype[key])
 
 
@@ -344,7 +344,7 @@ def scrub_tree(value: Any, where: str, scrubber: Scrubber) -> Any:
     if isinstance(value, list):
         return [scrub_tree(item, where, scrubber) for item in value]
     if isinstance(value, str):
-        clean = redacted(value.encode()).decode("utf-8", "replace")
+        clean = redact(value.encode()).decode("utf-8", "replace")
         scrubber.note(TEXT, where, clean != value)
         return clean
     return value

@@ -271,7 +271,7 @@ class VehicleTime:
             return streams
         bad = np.zeros(len(self._arrival), dtype=np.bool_)
         bad[rows[wrong]] = True
-        return [_picked(stream, ~bad[stream.rows]) for stream in streams]
+        return [_pick(stream, ~bad[stream.rows]) for stream in streams]
 
     def _leaps(
         self, system: int, state: _System, rows: IntArray, times: IntArray, splits: list[int]
@@ -334,10 +334,10 @@ def _clock_streams(system: int, component: int, clocked: list[Clocked]) -> list[
 
 def _without_outliers(stream: Clocked) -> Clocked:
     keep = ~is_outlier(stream.time_ns)
-    return stream if not keep.any() else _picked(stream, keep)
+    return stream if not keep.any() else _pick(stream, keep)
 
 
-def _picked(stream: Clocked, keep: BoolArray) -> Clocked:
+def _pick(stream: Clocked, keep: BoolArray) -> Clocked:
     """The rows of a stream to keep; the stream itself where that is all of them."""
     return stream if keep.all() else replace(stream, rows=stream.rows[keep], time_ns=stream.time_ns[keep])
 

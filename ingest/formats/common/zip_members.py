@@ -66,7 +66,7 @@ def read_archive(path: Path) -> Archive:
 def _read_archive(path: Path, size: int, modified_ns: int) -> Archive:  # noqa: ARG001
     try:
         with zipfile.ZipFile(path) as archive:
-            found = [_listed(info) for info in archive.infolist() if not info.is_dir()]
+            found = [_list_member(info) for info in archive.infolist() if not info.is_dir()]
         fault = ""
     except (zipfile.BadZipFile, ValueError, NotImplementedError, struct.error, EOFError):
         found = []
@@ -76,7 +76,7 @@ def _read_archive(path: Path, size: int, modified_ns: int) -> Archive:  # noqa: 
             fault = "the archive's list of members does not fit it: bytes are missing, or were added"
         if fault:
             found = list(_met(view)) or found
-    return Archive(_named(_bounded(found)), fault)
+    return Archive(_name(_bound(found)), fault)
 
 
 def _is_in_place(view: memoryview, member: Member) -> bool:
@@ -95,7 +95,7 @@ def member_pieces(view: memoryview, member: Member, max_ratio: float) -> Iterato
     packed = view[start : start + member.packed]
     total = 0
     crc = 0
-    for piece in _unpacked(packed, member.method, max_ratio):
+    for piece in _unpack(packed, member.method, max_ratio):
         total += len(piece)
         crc = zlib.crc32(piece, crc)
         yield piece
@@ -109,7 +109,7 @@ def member_pieces(view: memoryview, member: Member, max_ratio: float) -> Iterato
         raise ChunkError("its checksum is wrong: some of its bytes are damaged")
 
 
-def _unpacked(packed: memoryview, method: int, max_ratio: float, *, piece: int = 1 << 20) -> Iterator[bytes]:
+def _unpack(packed: memoryview, method: int, max_ratio: float, *, piece: int = 1 << 20) -> Iterator[bytes]:
     if method == ZIP_DEFLATED:
         return inflated_pieces(packed, max_ratio)
     if method == ZSTANDARD:
@@ -128,7 +128,7 @@ def _data_start(view: memoryview, member: Member) -> int:
 # ------------------------------------------------------------------------------------------ what there is
 
 
-def _listed(info: zipfile.ZipInfo) -> Member:
+def _list_member(info: zipfile.ZipInfo) -> Member:
     fault = _fault(info.compress_type, info.flag_bits)
     return Member(
         info.filename,
@@ -204,7 +204,7 @@ def _end_of_data(view: memoryview, start: int) -> int:
     return len(view)
 
 
-def _bounded(found: list[Member]) -> list[Member]:
+def _bound(found: list[Member]) -> list[Member]:
     """Mark as faulty what gives the same bytes twice: by that alone an archive can expand without bound."""
     bounded: list[Member] = []
     end = 0
@@ -219,11 +219,11 @@ def _faulty(member: Member, why: str) -> Member:
     return Member(member.name, member.header, member.packed, member.method, member.size, member.crc, why)
 
 
-def _named(found: list[Member]) -> dict[str, Member]:
+def _name(found: list[Member]) -> dict[str, Member]:
     """Members by cleaned names; the second of a name gets a number."""
     named: dict[str, Member] = {}
     for member in found:
-        name = label = _cleaned(member.name)
+        name = label = _clean(member.name)
         count = 1
         while label in named:
             count += 1
@@ -232,7 +232,7 @@ def _named(found: list[Member]) -> dict[str, Member]:
     return named
 
 
-def _cleaned(name: str) -> str:
+def _clean(name: str) -> str:
     """A relative path with forward slashes that stays inside its archive."""
     parts = _DRIVE.sub("", name.replace("\\", "/").replace("\0", "")).split("/")
     return "/".join(part for part in parts if part not in ("", ".", "..")) or "(no name)"

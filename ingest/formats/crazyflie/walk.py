@@ -73,7 +73,7 @@ class _Walk:
                 last = time_ns
                 at = end
             elif end and not is_timely and (end in self.ends or self.is_head(end, last)) and last is not None:
-                yield from _handed(found)
+                yield from _hand_on(found)
                 yield Lost(at, end, "an event out of time")
                 at = end
             else:
@@ -83,14 +83,14 @@ class _Walk:
                     found.append((at, kind, time_ns))
                     last = time_ns
                     at = end
-                yield from _handed(found)
+                yield from _hand_on(found)
                 if ahead > at:
                     yield Lost(at, ahead, "no event")
                 at = max(at, ahead)
             if at >= due:
-                yield from _handed(found)
+                yield from _hand_on(found)
                 due = at + batch
-        yield from _handed(found)
+        yield from _hand_on(found)
 
     def event(self, at: int) -> tuple[int, int, int]:
         """(kind, ns, end) of the event at a place; end 0 where there is none."""
@@ -149,7 +149,7 @@ def timely(time_ns: int, last: int | None) -> bool:
     return 0 < time_ns < LATEST_NS if last is None else -BACK_STEP_NS <= time_ns - last <= JUMP_NS
 
 
-def _handed(found: list[tuple[int, int, int]]) -> Iterator[Events]:
+def _hand_on(found: list[tuple[int, int, int]]) -> Iterator[Events]:
     """What was found so far, as arrays; the list is empty afterwards."""
     if found:
         at, kind, time_ns = (np.array(values, dtype=np.int64) for values in zip(*found, strict=True))

@@ -77,7 +77,7 @@ def stated_times(lines: Lines, rows: IntArray, layout: Layout) -> tuple[IntArray
     text = _text(lines, rows, layout, layout.time.index)
     if layout.time.unit_ns == 0:
         return stamps(text, layout.time.unit)
-    time_ns, known = counted(_floats(text, layout.decimal_comma)[0], layout.time.unit_ns)
+    time_ns, known = count_ns(_floats(text, layout.decimal_comma)[0], layout.time.unit_ns)
     if layout.time.nanoseconds >= 0:
         beside = _floats(_text(lines, rows, layout, layout.time.nanoseconds), layout.decimal_comma)[0]
         return with_fraction(time_ns, known, beside)
@@ -87,14 +87,14 @@ def stated_times(lines: Lines, rows: IntArray, layout: Layout) -> tuple[IntArray
     return time_ns, known
 
 
-def counted(values: pa.Array, unit_ns: int) -> tuple[IntArray, BoolArray]:
+def count_ns(values: pa.Array, unit_ns: int) -> tuple[IntArray, BoolArray]:
     """(n,) numbers of a unit as ns, and which of them are times."""
     return to_ns(np.asarray(values.to_numpy(zero_copy_only=False), dtype=np.float64), unit_ns)
 
 
 def with_fraction(time_ns: IntArray, known: BoolArray, beside: pa.Array) -> tuple[IntArray, BoolArray]:
     """(n,) whole seconds with the nanoseconds of a column of their own, and which of them are times."""
-    fraction, told = counted(beside, 1)
+    fraction, told = count_ns(beside, 1)
     return time_ns + fraction, known & told
 
 

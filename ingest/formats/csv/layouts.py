@@ -249,15 +249,15 @@ def _header(
         units = _units(rows[1]) if len(rows) > 2 else []
         count = 2 if units else 1
         start = table.places[count] if len(rows) > count else table.places[0]
-        return _named(first, units), rows[count:], start
+        return _name(first, units), rows[count:], start
     units = _units(comments[-1]) if comments else []
     names = comments[-2:-1] if units else comments[-1:]
     if names and len(names[0]) == len(first) and not all(map(_is_value, names[0])):
-        return _named(names[0], units), rows, table.places[0]
-    return _named([""] * len(first), units), rows, table.places[0]
+        return _name(names[0], units), rows, table.places[0]
+    return _name([""] * len(first), units), rows, table.places[0]
 
 
-def _named(header: Sequence[str], units: Sequence[str]) -> list[tuple[str, str]]:
+def _name(header: Sequence[str], units: Sequence[str]) -> list[tuple[str, str]]:
     """(name, unit) of every column; units of a line of their own come first."""
     named = [named_and_measured(cell.strip("'"), i) for i, cell in enumerate(header)]
     names = once_each([name for name, _ in named])

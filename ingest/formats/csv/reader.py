@@ -32,7 +32,7 @@ from flysid.ingest.formats.csv.cells import (
     Lines,
     as_int64,
     column_of,
-    counted,
+    count_ns,
     split_lines,
     stamps,
     stated_times,
@@ -127,7 +127,7 @@ def _kind(column: Column) -> pa.DataType:
     return pa.string() if column.is_text else pa.float64()
 
 
-def _trimmed(values: pa.Array) -> pa.Array:
+def _trim(values: pa.Array) -> pa.Array:
     if pa.types.is_string(values.type):
         return pc.utf8_trim_whitespace(values)
     return values if pa.types.is_floating(values.type) else values.cast(pa.float64(), safe=False)
@@ -150,7 +150,7 @@ def _preamble(reader: _Reader, before: bytes) -> None:
 def _part(reader: _Reader, data: bytes, base: int) -> pa.Table:
     """The rows of a batch of whole lines: parsed at once, or cell by cell where something is wrong."""
     sound = _sound(reader, data)
-    columns, time_ns = sound if sound is not None else _picked(reader, data, base)
+    columns, time_ns = sound if sound is not None else _pick(reader, data, base)
     heads = [numbers(time_ns), numbers(reader.clock.boots(time_ns))]
     return pa.Table.from_arrays([*heads, *columns], schema=reader.schema)
 
@@ -186,7 +186,7 @@ def _sound(reader: _Reader, data: bytes) -> tuple[list[pa.Array], IntArray] | No
     if time_ns is None or not all(_is_finite(c) for c in columns):
         return None
     reader.rows += len(time_ns)
-    return [_trimmed(c) for c in columns], time_ns
+    return [_trim(c) for c in columns], time_ns
 
 
 def _sound_times(reader: _Reader, columns: list[pa.Array]) -> IntArray | None:
@@ -199,7 +199,7 @@ def _sound_times(reader: _Reader, columns: list[pa.Array]) -> IntArray | None:
         time_ns = as_int64(values.fill_null(0))
         known = ~np.asarray(values.is_null())
     elif stated.unit_ns:
-        time_ns, known = counted(values, stated.unit_ns)
+        time_ns, known = count_ns(values, stated.unit_ns)
         if stated.nanoseconds >= 0:
             time_ns, known = with_fraction(time_ns, known, columns[stated.nanoseconds])
     else:
@@ -212,7 +212,7 @@ def _is_finite(column: pa.Array) -> bool:
     return pa.types.is_string(column.type) or bool(pc.all(pc.is_finite(column)).as_py() in (True, None))
 
 
-def _picked(reader: _Reader, data: bytes, base: int) -> tuple[list[pa.Array], IntArray]:
+def _pick(reader: _Reader, data: bytes, base: int) -> tuple[list[pa.Array], IntArray]:
     """Columns and times of the lines of a batch that are rows; everything else is counted."""
     lines = split_lines(data, reader.layout)
     rows = np.flatnonzero(lines.is_whole)

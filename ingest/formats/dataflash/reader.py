@@ -93,7 +93,7 @@ def _parts(reader: _Reader, messages: Messages) -> Iterator[StreamPart]:
             kept[code] = rows
             if items[code].name in TELLING:
                 _learn(reader, items[code], _matrix(messages, rows, items[code]))
-    clocked = {code: c for code, rows in kept.items() if (c := _clocked(reader, messages, code, rows))}
+    clocked = {code: c for code, rows in kept.items() if (c := _read_clock(reader, messages, code, rows))}
     order = np.arange(reader.row, reader.row + len(messages), dtype=np.int64)
     reader.time.begin(list(clocked.values()), order, utc=False)
     for code, rows in kept.items():
@@ -172,7 +172,7 @@ def _text(raw: bytes) -> str:
 # -------------------------------------------------------------------------------------------- time
 
 
-def _clocked(reader: _Reader, messages: Messages, code: int, rows: IntArray) -> Clocked | None:
+def _read_clock(reader: _Reader, messages: Messages, code: int, rows: IntArray) -> Clocked | None:
     """The times that the messages of a definition state."""
     definition = reader.walker.definitions.items[code]
     layout = _layout_of(definition)

@@ -33,13 +33,13 @@ def scrub(view: memoryview, scrubber: Scrubber, limits: Limits) -> Iterator[byte
         size = min(limits.batch_bytes + LOOK_AHEAD, len(view) - start)
         limit = size if start + size == len(view) else limits.batch_bytes
         messages, position = walker.walk(view[start : start + size], start, limit)
-        content = _scrubbed(messages, walker.definitions.items, scrubber)
+        content = _scrub(messages, walker.definitions.items, scrubber)
         kept += len(content)
         yield content
     scrubber.note(rules.UNREADABLE, "between messages", len(view) - kept - walker.padding)
 
 
-def _scrubbed(messages: Messages, items: list[Definition], scrubber: Scrubber) -> bytes:
+def _scrub(messages: Messages, items: list[Definition], scrubber: Scrubber) -> bytes:
     """The messages of a batch one after the other, without what lay between them."""
     if not len(messages):
         return b""

@@ -81,7 +81,7 @@ def _cells(name: str, labels: list[str], cells: list[str], scrubber: Scrubber) -
             scrubber.note(rules.IDENTITY, f"{name}.{label}", 1)
             clean[k] = "0"
     if name == "MSG":
-        clean[-1] = rules.redacted(cells[-1].encode()).decode("utf-8", "replace")
+        clean[-1] = rules.redact(cells[-1].encode()).decode("utf-8", "replace")
         scrubber.note(rules.TEXT, name, clean != cells)
     if name == "PARM" and {"Name", "Value"} <= set(labels):
         parameter = cells[labels.index("Name")]

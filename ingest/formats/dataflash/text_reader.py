@@ -309,7 +309,7 @@ def _table(
     definition = reader.definitions.items[code]
     arrays = [strings(c) if isinstance(c, list) else numbers(c) for c in columns]
     if definition.stream not in reader.schemas:
-        layout, instance = _described(reader, definition)
+        layout, instance = _describe(reader, definition)
         metadata = {
             "time_source": reader.time.source_of((SYSTEM, 1, code)).replace("arrival-mapped", "order-mapped"),
             "message": definition.name,
@@ -323,7 +323,7 @@ def _table(
     )
 
 
-def _described(reader: _TextReader, definition: Definition) -> tuple[Layout, str]:
+def _describe(reader: _TextReader, definition: Definition) -> tuple[Layout, str]:
     """Fields with units; factors only where the text still holds raw numbers."""
     if definition.layout is None:
         from flysid.ingest.formats.common.columns import Field

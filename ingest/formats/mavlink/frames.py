@@ -111,8 +111,8 @@ def plain_chain(crc_extra: npt.NDArray[np.int16]) -> Chain:
         found: list[IntArray] = []
         size = FIRST_STRETCH  # after damage the chain is often entered only to stop again
         while position < limit:
-            starts, ends = _linked(raw, position, min(position + size, limit), stamp)
-            good = _checked(raw, starts, ends, crc_extra)
+            starts, ends = _link(raw, position, min(position + size, limit), stamp)
+            good = _check(raw, starts, ends, crc_extra)
             found.append(starts[:good])
             if not good:
                 break
@@ -125,7 +125,7 @@ def plain_chain(crc_extra: npt.NDArray[np.int16]) -> Chain:
     return chain
 
 
-def _linked(raw: ByteArray, position: int, limit: int, stamp: int) -> tuple[IntArray, IntArray]:
+def _link(raw: ByteArray, position: int, limit: int, stamp: int) -> tuple[IntArray, IntArray]:
     """Frames that follow each other by their lengths alone from `position` on, where they start and end."""
     first = position + stamp
     size = len(raw)
@@ -149,7 +149,7 @@ def _linked(raw: ByteArray, position: int, limit: int, stamp: int) -> tuple[IntA
     return at[chain], ends[chain]
 
 
-def _checked(raw: ByteArray, starts: IntArray, ends: IntArray, crc_extra: npt.NDArray[np.int16]) -> int:
+def _check(raw: ByteArray, starts: IntArray, ends: IntArray, crc_extra: npt.NDArray[np.int16]) -> int:
     """How many of these frames, from the first on, are of known ids and have the right CRC."""
     import fastcrc
 

@@ -161,7 +161,7 @@ def _parts(reader: _Reader, frames: Frames) -> Iterator[StreamPart]:
     if not len(frames):
         return
     arrival, placing, has_utc = _arrival(reader, frames)
-    groups = _admitted(reader, dict(_streams(frames)))
+    groups = _admit(reader, dict(_streams(frames)))
     _count_gaps(reader, frames)
     clocked: dict[Source, Clocked] = {}
     for source, rows in groups.items():
@@ -171,7 +171,7 @@ def _parts(reader: _Reader, frames: Frames) -> Iterator[StreamPart]:
         elif source[2] == MessageId.AUTOPILOT_VERSION:
             _note_firmware(reader, _matrix(frames, rows, layout), layout)
         if (name := _time_field(layout)) is not None:
-            clocked[source] = reader.time.unwrapped(_clocked(source, name, rows, frames, layout))
+            clocked[source] = reader.time.unwrapped(_read_clock(source, name, rows, frames, layout))
     reader.time.begin(list(clocked.values()), placing, utc=has_utc)
     for source, rows in groups.items():
         time_ns, boots = reader.time.times(source, rows, clocked.get(source))
@@ -180,7 +180,7 @@ def _parts(reader: _Reader, frames: Frames) -> Iterator[StreamPart]:
     reader.row += len(frames)
 
 
-def _admitted(reader: _Reader, groups: dict[Source, IntArray]) -> dict[Source, IntArray]:
+def _admit(reader: _Reader, groups: dict[Source, IntArray]) -> dict[Source, IntArray]:
     """Streams within the bound on their number; messages of others are counted, not decoded.
 
     Real traffic has some hundred streams. A forged log can name 65,536 senders, each with its own tables.
@@ -283,7 +283,7 @@ def _time_field(layout: Layout) -> str | None:
     return next((f for f in TIME_FIELDS if f in names), None)
 
 
-def _clocked(source: Source, name: str, rows: IntArray, frames: Frames, layout: Layout) -> Clocked:
+def _read_clock(source: Source, name: str, rows: IntArray, frames: Frames, layout: Layout) -> Clocked:
     """The times that a stream states; only the bytes of that field are gathered."""
     kind, at = layout.dtype.fields[name][:2]  # type: ignore[index]
     width = kind.itemsize

@@ -153,7 +153,7 @@ def _parts(reader: _Reader, messages: list[_Message]) -> Iterator[StreamPart]:
     arrival = np.array([message.stamp_ns for message in messages], dtype=np.int64)
     clocked = {}
     for source, rows in groups.items():
-        found = _clocked(source, rows, messages)
+        found = _read_clock(source, rows, messages)
         if found is not None:
             clocked[source] = reader.time.unwrapped(found)
     if len(messages):
@@ -175,7 +175,7 @@ def _stream(reader: _Reader, source: Source) -> str:
     return f"{source[0]}.{source[1]}/{kind}" if source[0] or source[1] else kind
 
 
-def _clocked(source: Source, rows: list[int], messages: list[_Message]) -> Clocked | None:
+def _read_clock(source: Source, rows: list[int], messages: list[_Message]) -> Clocked | None:
     """The times that a stream states, where all its rows do."""
     name = next((name for name in TIME_FIELDS if name in messages[rows[0]].data), None)
     if name is None:
@@ -243,7 +243,7 @@ def _schema(reader: _Reader, source: Source, first: _Message) -> pa.Schema:
     """time_ns, boot, recv_ns, then the message's fields."""
     own = list(load_dialect().layout(source[2]).columns) if source[2] < FIRST_OTHER else []
     if not own:
-        kinds = reader.formats.get(first.kind) or {name: _guessed(v) for name, v in first.data.items()}
+        kinds = reader.formats.get(first.kind) or {name: _guess(v) for name, v in first.data.items()}
         own = [schema_field(Field(name), kind) for name, kind in kinds.items()]
     heads = [pa.field(TIME, pa.int64()), pa.field(BOOT, pa.int32()), pa.field(RECEIVED, pa.int64())]
     fields = [item.with_name(item.name + "_") if item.name in HEADS else item for item in own]
@@ -253,7 +253,7 @@ def _schema(reader: _Reader, source: Source, first: _Message) -> pa.Schema:
     return pa.schema(heads + fields, metadata=metadata)
 
 
-def _guessed(value: object) -> pa.DataType:
+def _guess(value: object) -> pa.DataType:
     """The type of a column of which one value is known."""
     if isinstance(value, list):
         return pa.list_(pa.float64())

@@ -92,9 +92,9 @@ class McapReader:
             op = self.view[at]
             self._last = -1 if op in (Opcode.CHUNK, Opcode.MESSAGE) else at
             if op == Opcode.CHUNK:
-                at = yield from self._counted(self._chunk(at, end))
+                at = yield from self._count(self._chunk(at, end))
             elif op == Opcode.MESSAGE:
-                at = yield from self._counted(self._plain(at))
+                at = yield from self._count(self._plain(at))
             else:
                 self._other(op, at + HEAD_BYTES, end)
                 at = end
@@ -136,7 +136,7 @@ class McapReader:
         is_footer = at >= len(MAGIC) and self.view[at] == Opcode.FOOTER
         return at if is_footer and record_end(self.view, at, self._limit) == self._limit - len(MAGIC) else -1
 
-    def _counted(self, steps: Steps) -> Steps:
+    def _count(self, steps: Steps) -> Steps:
         while True:
             try:
                 block = next(steps)

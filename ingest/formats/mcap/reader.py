@@ -41,7 +41,7 @@ class _Batch:
         """Channel number and its messages, in file order, over all blocks."""
         if not self.blocks:
             return
-        data, bases = _joined([b.data for b in self.blocks])
+        data, bases = _join([b.data for b in self.blocks])
         at = np.concatenate([b.at + base for b, base in zip(self.blocks, bases, strict=True)])
         size = np.concatenate([b.size for b in self.blocks])
         log_ns = np.concatenate([b.log_ns for b in self.blocks])
@@ -52,7 +52,7 @@ class _Batch:
             yield int(channel[which[0]]), Messages(data, at[which], size[which], log_ns[which])
 
 
-def _joined(parts: list[Bytes]) -> tuple[Bytes, list[int]]:
+def _join(parts: list[Bytes]) -> tuple[Bytes, list[int]]:
     """Buffers as one, with a page of zeros behind them, and where each begins in it."""
     bases = np.concatenate([[0], np.cumsum([len(p) for p in parts])[:-1]]).tolist()
     return np.concatenate([*parts, np.zeros(ZERO_PAGE, dtype=np.uint8)]), bases

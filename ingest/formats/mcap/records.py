@@ -78,14 +78,14 @@ class Registry:
         """Take in the body of a schema or channel record. Raises ValueError where it is malformed."""
         (number,) = _unpack(U16, body, 0)
         if op == Opcode.SCHEMA:
-            name, at = _prefixed(body, 2)
-            encoding, at = _prefixed(body, at)
-            data, _ = _prefixed(body, at)
+            name, at = _prefix(body, 2)
+            encoding, at = _prefix(body, at)
+            data, _ = _prefix(body, at)
             self._schemas[number] = Schema(_text(name), _text(encoding), data)
             return
         (schema,) = _unpack(U16, body, 2)
-        topic, at = _prefixed(body, 4)
-        encoding, at = _prefixed(body, at)
+        topic, at = _prefix(body, 4)
+        encoding, at = _prefix(body, at)
         self._bind(number, Channel(_text(topic), _text(encoding), self._schemas.get(schema)))
 
     def _bind(self, number: int, channel: Channel) -> None:
@@ -101,7 +101,7 @@ def strings(body: bytes, count: int) -> list[str]:
     found: list[str] = []
     at = 0
     for _ in range(count):
-        raw, at = _prefixed(body, at)
+        raw, at = _prefix(body, at)
         found.append(_text(raw))
     return found
 
@@ -110,12 +110,12 @@ def string_pairs(body: bytes) -> dict[str, str]:
     """The pairs of a metadata record's map, with its name in front of each key; what is malformed ends it."""
     pairs: dict[str, str] = {}
     try:
-        name, at = _prefixed(body, 0)
-        content, _ = _prefixed(body, at)
+        name, at = _prefix(body, 0)
+        content, _ = _prefix(body, at)
         at = 0
         while at < len(content):
-            key, at = _prefixed(content, at)
-            value, at = _prefixed(content, at)
+            key, at = _prefix(content, at)
+            value, at = _prefix(content, at)
             pairs[f"{_text(name)}.{_text(key)}" if name else _text(key)] = _text(value)
     except ValueError:
         pass
@@ -255,7 +255,7 @@ def _plausible_head(view: memoryview, at: int, limit: int) -> bool:
     return bool(op) and at + HEAD_BYTES + length <= limit
 
 
-def _prefixed(body: bytes, at: int) -> tuple[bytes, int]:
+def _prefix(body: bytes, at: int) -> tuple[bytes, int]:
     (size,) = _unpack(U32, body, at)
     if at + 4 + size > len(body):
         raise ValueError("a string runs past the end of its record")

@@ -142,12 +142,12 @@ def _scrub_fields(message: Any, where: str, scrubber: Scrubber) -> None:
             clean = (
                 ""
                 if rules.is_identity(field.name)
-                else rules.redacted(value.encode()).decode("utf-8", "replace")
+                else rules.redact(value.encode()).decode("utf-8", "replace")
             )
             scrubber.note(rules.TEXT, path, clean != value)
             setattr(message, field.name, clean)
         elif hasattr(value, "append") and value and isinstance(value[0], str):
-            value[:] = [rules.redacted(text.encode()).decode("utf-8", "replace") for text in value]
+            value[:] = [rules.redact(text.encode()).decode("utf-8", "replace") for text in value]
         elif rules.is_identity(field.name):
             message.ClearField(field.name)
             scrubber.note(rules.IDENTITY, path, 1)

@@ -191,9 +191,9 @@ class _Resolver:
             return Record(name, _SECONDS[name])
         if name == "wstring":
             raise DefinitionError("wstring has no agreed layout")
-        return self.record(self._qualified(name, owner), above)
+        return self.record(self._qualify(name, owner), above)
 
-    def _qualified(self, name: str, owner: str) -> str:
+    def _qualify(self, name: str, owner: str) -> str:
         """A type name as written in `owner`, with its package."""
         if "/" in name:
             return _short(name)

@@ -204,13 +204,13 @@ def _array(values: list[Any], declared: pa.DataType | None) -> pa.Array:
     """Values under the declared type, else under one that fits them all, else as JSON text."""
     for kind in (declared, None):
         try:
-            return pa.array(values, kind) if kind is not None else _inferred(values)
+            return pa.array(values, kind) if kind is not None else _infer(values)
         except (pa.ArrowInvalid, pa.ArrowTypeError, OverflowError, pa.ArrowNotImplementedError):
             continue
     return pa.array([None if v is None else json.dumps(v) for v in values], pa.string())
 
 
-def _inferred(values: list[Any]) -> pa.Array:
+def _infer(values: list[Any]) -> pa.Array:
     kinds = {type(v) for v in values if v is not None}
     if kinds == {int, float}:
         return pa.array([None if v is None else float(v) for v in values], pa.float64())

@@ -77,7 +77,7 @@ def scrub_message(kind: Record, data: bytes, wire: Wire, where: str, scrubber: S
                 scrubber.note(rules.IDENTITY, f"{where}.{spot.path}", 1)
         elif name not in FRAME_NAMES:
             text = data[spot.at : spot.at + spot.size]
-            clean = b"x" * len(text) if rules.is_identity(name) else rules.redacted(text)
+            clean = b"x" * len(text) if rules.is_identity(name) else rules.redact(text)
             out[spot.at : spot.at + spot.size] = clean
             scrubber.note(rules.TEXT, f"{where}.{name}", clean != text)
     out[walk.end() :] = bytes(len(out) - walk.end())

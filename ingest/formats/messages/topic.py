@@ -117,7 +117,7 @@ def _ros1_decoder(name: str, text: str) -> Decoder:
     zeros = largest_run(steps)
 
     def decode_batch(messages: Messages) -> Decoded:
-        data = _padded(messages.data, zeros)
+        data = _pad(messages.data, zeros)
         columns, kept, longer = decode(data, messages.at, messages.size, steps, ROS1_WIRE)
         return Decoded(_taken(columns, kept), kept, notes, longer)
 
@@ -131,7 +131,7 @@ def _cdr_decoder(name: str, text: str) -> Decoder:
     zeros = largest_run(steps)
 
     def decode_batch(messages: Messages) -> Decoded:
-        data = _padded(messages.data, zeros)
+        data = _pad(messages.data, zeros)
         groups = []
         longer = 0
         kinds = np.where(messages.size >= 4, data[messages.at + 1], 255)
@@ -144,7 +144,7 @@ def _cdr_decoder(name: str, text: str) -> Decoder:
                 columns, kept, surplus = decode(data, at, size, steps, wire)
                 groups.append((_taken(columns, kept), which[kept]))
                 longer += surplus
-        return replace(_merged(groups), notes=notes, longer=longer)
+        return replace(_merge(groups), notes=notes, longer=longer)
 
     return decode_batch
 
@@ -167,7 +167,7 @@ CDR_WIRES: Mapping[int, Wire] = {
 }
 
 
-def _padded(data: Bytes, zeros: int) -> Bytes:
+def _pad(data: Bytes, zeros: int) -> Bytes:
     """`data`, which ends with ZERO_PAGE zeros, with at least `zeros` of them."""
     return data if zeros <= ZERO_PAGE else np.concatenate([data, np.zeros(zeros, dtype=np.uint8)])
 
@@ -180,7 +180,7 @@ def _taken(columns: Columns, kept: Index) -> Columns:
     return [(name, array.take(which)) for name, array in columns]
 
 
-def _merged(groups: list[tuple[Columns, Index]]) -> Decoded:
+def _merge(groups: list[tuple[Columns, Index]]) -> Decoded:
     """Groups of rows as one, in the order of the messages."""
     if len(groups) <= 1:
         columns, kept = groups[0] if groups else ([], np.empty(0, dtype=np.int64))

@@ -1,7 +1,7 @@
 """The topics of a log whose messages carry definitions: MCAP, ROS 1 bags and ROS 2 bags read alike.
 
 A container's reader says which messages lie where; `Topics` keeps one decoder per topic and turns batches of
-messages into parts of streams. Where a container gives messages one by one, `queued` gathers them to batches.
+messages into parts of streams. Where a container gives messages one by one, `gather` gathers them to batches.
 """
 
 from __future__ import annotations
@@ -90,7 +90,7 @@ class _Queue:
         return Messages(data, np.cumsum(size) - size, size, log_ns)
 
 
-def queued(
+def gather(
     messages: Iterable[Message], topics: Topics, batch_bytes: int, view: memoryview, place: Callable[[], int]
 ) -> Iterator[StreamPart]:
     """Parts of messages that come one by one, topic by topic, in batches of at most `batch_bytes`.
@@ -111,17 +111,17 @@ def queued(
         queue.times.append(message.log_ns)
         waiting += len(message.payload) + _HELD_BYTES
         if waiting >= min(batch_bytes, BATCH_BYTES):
-            yield from _decoded(queues, topics)
+            yield from _decode(queues, topics)
             release(view, released, place())
             released = place()
             waiting = 0
-    yield from _decoded(queues, topics)
+    yield from _decode(queues, topics)
 
 
 _HELD_BYTES = 100  # what Python keeps for a payload and a time besides their bytes
 
 
-def _decoded(queues: dict[Channel, _Queue], topics: Topics) -> Iterator[StreamPart]:
+def _decode(queues: dict[Channel, _Queue], topics: Topics) -> Iterator[StreamPart]:
     for channel, queue in queues.items():
         if queue.payloads:
             yield from topics.decode(channel, channel, queue.take())

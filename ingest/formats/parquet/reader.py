@@ -84,7 +84,7 @@ class _Group:
 
 def read(view: memoryview, name: str, limits: Limits) -> Parts:
     """Parts of a table; see `Format.read`."""
-    file = _opened(view, name)
+    file = _open(view, name)
     schema = _schema_of(file, name)
     if DATASET.encode() in (schema.metadata or {}).get(META, b""):
         raise FormatError(
@@ -116,7 +116,7 @@ def read(view: memoryview, name: str, limits: Limits) -> Parts:
     return Summary(reader.tally.freeze(), reader.clock.clocks(), {"time": source})
 
 
-def _opened(view: memoryview, name: str) -> pq.ParquetFile:
+def _open(view: memoryview, name: str) -> pq.ParquetFile:
     try:
         return pq.ParquetFile(pa.BufferReader(pa.py_buffer(view)), page_checksum_verification=True)
     except DAMAGE as error:
@@ -146,7 +146,7 @@ def _groups(file: pq.ParquetFile, size: int, limits: Limits) -> Iterator[_Group]
         elif not _is_sound(file, number):
             yield _Group(number, group.num_rows, 0, 0)
         else:
-            yield _placed(file, number, size, limits)
+            yield _place(file, number, size, limits)
 
 
 def _is_sound(file: pq.ParquetFile, number: int) -> bool:
@@ -158,7 +158,7 @@ def _is_sound(file: pq.ParquetFile, number: int) -> bool:
         return False
 
 
-def _placed(file: pq.ParquetFile, number: int, size: int, limits: Limits) -> _Group:
+def _place(file: pq.ParquetFile, number: int, size: int, limits: Limits) -> _Group:
     """A row group with its place in the file."""
     group = file.metadata.row_group(number)
     chunks = [group.column(k) for k in range(group.num_columns)]

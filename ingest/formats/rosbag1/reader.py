@@ -14,7 +14,7 @@ from flysid.errors import FormatError
 from flysid.ingest.formats.base import Limits, Parts, Summary, sniff_magic
 from flysid.ingest.formats.common.tally import Tally
 from flysid.ingest.formats.messages.channel import Channel, Schema
-from flysid.ingest.formats.messages.topics import Message, Topics, queued
+from flysid.ingest.formats.messages.topics import Message, Topics, gather
 from flysid.ingest.formats.rosbag1.records import (
     MAGIC,
     BagReader,
@@ -68,7 +68,7 @@ def read(view: memoryview, name: str, limits: Limits) -> Parts:
     tally = Tally()
     reader = BagReader(view, limits, tally)
     topics = Topics(tally)
-    yield from queued(_messages(view, reader, tally), topics, limits.batch_bytes, view, lambda: reader.place)
+    yield from gather(_messages(view, reader, tally), topics, limits.batch_bytes, view, lambda: reader.place)
     if not reader.seen:
         raise FormatError(
             "no record in this bag can be read", path=name, byte=0, hint="is the copy complete?"

@@ -186,7 +186,7 @@ class BagReader:
             return self._lost(record.start, record.start, "the file ends inside this record")
         self._count(record)
         if record.op == Op.CHUNK:
-            yield from self._expanded(record)
+            yield from self._expand(record)
         else:
             yield self._view, record
         return record.end
@@ -198,7 +198,7 @@ class BagReader:
         self._tally.skip(start, resume, reason)
         return resume
 
-    def _expanded(self, chunk: BagRecord) -> Iterator[Found]:
+    def _expand(self, chunk: BagRecord) -> Iterator[Found]:
         """The records of a compressed chunk; one that fails is skipped alone."""
         try:
             data = expand(self._view, chunk, self._limits)

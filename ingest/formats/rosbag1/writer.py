@@ -81,7 +81,7 @@ class BagWriter:
     def _close_chunk(self) -> None:
         at = len(MAGIC) + HEADER_BYTES + self._body.tell()
         about = {b"compression": self._compression, b"size": struct.pack("<I", len(self._chunk))}
-        self._body.write(record(Op.CHUNK, about, _packed(self._compression, bytes(self._chunk))))
+        self._body.write(record(Op.CHUNK, about, _pack(self._compression, bytes(self._chunk))))
         counts = b""
         for number, places in self._index.items():
             about = {b"conn": struct.pack("<I", number), b"count": struct.pack("<I", len(places))}
@@ -102,7 +102,7 @@ class BagWriter:
         self._index = {}
 
 
-def _packed(kind: bytes, data: bytes) -> bytes:
+def _pack(kind: bytes, data: bytes) -> bytes:
     if kind == b"bz2":
         return bz2.compress(data)
     if kind == b"lz4":

@@ -17,7 +17,7 @@ from flysid.ingest.formats.base import Limits, Parts, Summary
 from flysid.ingest.formats.common.compression import ZSTD_MAGIC, ChunkError, unpack_message
 from flysid.ingest.formats.common.tally import Tally
 from flysid.ingest.formats.messages.channel import Channel, Schema
-from flysid.ingest.formats.messages.topics import Message, Topics, queued
+from flysid.ingest.formats.messages.topics import Message, Topics, gather
 from flysid.ingest.formats.rosbag2.ros_types import find_definition
 from flysid.ingest.formats.rosbag2.sqlite_pages import MAGIC
 from flysid.ingest.formats.rosbag2.sqlite_tables import Row, Tables
@@ -42,7 +42,7 @@ def read(view: memoryview, name: str, limits: Limits) -> Parts:
     tally = Tally()
     topics = Topics(tally)
     bag = Bag(view, limits, tally)
-    yield from queued(bag.messages(), topics, limits.batch_bytes, view, lambda: bag.tables.place)
+    yield from gather(bag.messages(), topics, limits.batch_bytes, view, lambda: bag.tables.place)
     bag.tables.settle(tally)
     if not bag.rows and "messages" not in bag.tables:
         raise FormatError(

@@ -167,10 +167,10 @@ class Database:
         if end > len(page):
             raise PageError("a row runs past the end of its page")
         if local == size:
-            return Cell(_keyed(columns(bytes(page[at:end])), number)), end
+            return Cell(_key(columns(bytes(page[at:end])), number)), end
         parts, pages = self._overflow(_u32(page, at + local), size - local)
         row = columns(b"".join([page[at : at + local], *parts]))
-        return Cell(_keyed(row, number), pages), end
+        return Cell(_key(row, number), pages), end
 
     def _overflow(self, number: int, size: int) -> tuple[list[memoryview], tuple[int, ...]]:
         """`size` bytes of payload from a chain of overflow pages, and these pages. Raises PageError."""
@@ -265,7 +265,7 @@ def _value(payload: bytes, kind: int, at: int) -> tuple[Value, int]:
     raise PageError(f"column type {kind} is reserved")
 
 
-def _keyed(row: list[Value], number: int) -> list[Value]:
+def _key(row: list[Value], number: int) -> list[Value]:
     """The row with its row id in place of a first column of null."""
     return [number, *row[1:]] if row and row[0] is None else row
 

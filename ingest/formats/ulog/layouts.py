@@ -126,11 +126,11 @@ def flatten(name: str, formats: Mapping[str, str]) -> UlogLayout:
     """
     if name in formats and (known := _plain(formats[name])) is not None:
         return known
-    return _shared(_flattened(name, formats))
+    return _share(_flatten(name, formats))
 
 
 @lru_cache(maxsize=1024)
-def _shared(layout: UlogLayout) -> UlogLayout:
+def _share(layout: UlogLayout) -> UlogLayout:
     """The first layout that is equal: what it has made of itself is not made again."""
     return layout
 
@@ -141,12 +141,12 @@ def _plain(text: str) -> UlogLayout | None:
     if len(text) > MAX_SHARED_CHARS:
         return None
     try:
-        return _flattened("", {"": text})
+        return _flatten("", {"": text})
     except LayoutError:
         return None
 
 
-def _flattened(name: str, formats: Mapping[str, str]) -> UlogLayout:
+def _flatten(name: str, formats: Mapping[str, str]) -> UlogLayout:
     fields: list[UlogField] = []
     end = _flatten_into(name, "", 0, (formats, fields, ()))
     while fields and fields[-1].name.startswith("_padding"):

@@ -95,7 +95,7 @@ class UlogReader:
             head = framer.head(at)
             run = framer.data_run(at) if head[0] == DATA else None
             if run is None:
-                at = self._keyed(at) or self._other(at, head)
+                at = self._key(at) or self._other(at, head)
                 continue
             batch.runs.append(run)
             at = self._end_of(run)
@@ -124,7 +124,7 @@ class UlogReader:
         if self._time_us < time_us < MAX_TIME_US and (near or not self._time_us):
             self._time_us = time_us
 
-    def _keyed(self, at: int) -> int:
+    def _key(self, at: int) -> int:
         """Take in a run of information and parameters; returns where to go on, 0 without any."""
         end = 0
         origin = self._origin

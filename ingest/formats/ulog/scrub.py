@@ -124,7 +124,7 @@ class _Pass:
             body = self._parameter(body, skip=1 if letter == "Q" else 0)
         elif letter in "LC":
             head = 9 if letter == "L" else 11
-            clean = body[:head] + rules.redacted(body[head:])
+            clean = body[:head] + rules.redact(body[head:])
             self._scrubber.note(rules.TEXT, "messages", clean != body)
             body = clean
         return HEAD.pack(len(body), kind) + body
@@ -159,7 +159,7 @@ class _Pass:
             self._scrubber.note(rules.IDENTITY, f"information {name}", clean != value)
         else:
             clean = (
-                rules.redacted(value) if key.startswith("char[") and not name.startswith(KEPT_INFO) else value
+                rules.redact(value) if key.startswith("char[") and not name.startswith(KEPT_INFO) else value
             )
             self._scrubber.note(rules.TEXT, f"information {name}", clean != value)
         return body[:at] + clean

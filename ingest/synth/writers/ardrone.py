@@ -63,10 +63,10 @@ def pcap_bytes(recording: Recording) -> bytes:
     due, source, row = in_sending_order(recording.command.time_ns, recording.state.time_ns)
     arrival = arrival_utc_ns(recording, due)
     parts = [struct.pack("<IHHiIII", 0xA1B2C3D4, 2, 4, 0, 0, 65535, 1)]
-    parts += [_captured(int(arrival[0]), text, AT_PORT) for text in _configuration()]
+    parts += [_capture(int(arrival[0]), text, AT_PORT) for text in _configuration()]
     for i in np.flatnonzero(heard(recording, due)).tolist():
         payload, port = (packets[row[i]], NAVDATA_PORT) if source[i] else (commands[row[i]], AT_PORT)
-        parts.append(_captured(int(arrival[i]), payload, port))
+        parts.append(_capture(int(arrival[i]), payload, port))
     return b"".join(parts)
 
 
@@ -144,7 +144,7 @@ def _commands(recording: Recording) -> Iterator[bytes]:
         yield f"AT*PCMD={number},1,{roll},{pitch},{climb},0\r".encode()
 
 
-def _captured(time_ns: int, payload: bytes, port: int) -> bytes:
+def _capture(time_ns: int, payload: bytes, port: int) -> bytes:
     """One captured frame: the drone answers on 5554, the ground station commands on 5556."""
     source, target = (DRONE, GROUND) if port == NAVDATA_PORT else (GROUND, DRONE)
     udp = struct.pack(">HHHH", port, port, 8 + len(payload), 0) + payload

@@ -152,7 +152,7 @@ def _rows(n: int, fields: Sequence[Field], ros: Dialect) -> npt.NDArray[np.void]
     return rows
 
 
-def _stamped(recording: Recording, frame: str, fields: Sequence[Field], ros: Dialect) -> npt.NDArray[np.void]:
+def _stamp(recording: Recording, frame: str, fields: Sequence[Field], ros: Dialect) -> npt.NDArray[np.void]:
     """Rows of the state's messages with their header filled in."""
     text = frame.encode() + (b"\0" if ros.aligned else b"")
     head: list[Field] = [] if ros.aligned else [("seq", "<u4")]
@@ -185,7 +185,7 @@ def _navdata(recording: Recording, ros: Dialect) -> npt.NDArray[np.void]:
     fields = [
         (name, "<u4" if kind.endswith("[]") else NUMPY[kind]) for kind, name in pairs
     ]  # empty: length 0
-    rows = _stamped(recording, "ardrone_base_link", fields, ros)
+    rows = _stamp(recording, "ardrone_base_link", fields, ros)
     state = recording.state
     rows["batteryPercent"] = 90.0
     rows["state"] = FLYING
@@ -199,7 +199,7 @@ def _navdata(recording: Recording, ros: Dialect) -> npt.NDArray[np.void]:
 
 def _pose(recording: Recording, ros: Dialect) -> npt.NDArray[np.void]:
     names = ("px", "py", "pz", "qx", "qy", "qz", "qw")
-    rows = _stamped(recording, "world", [(n, "<f8") for n in names], ros)
+    rows = _stamp(recording, "world", [(n, "<f8") for n in names], ros)
     state = recording.state
     rows["px"], rows["py"], rows["pz"] = state["x"], -state["y"], state["z"] + recording.start_height_m
     for name, value in zip(names[3:], _orientation(state["phi"], state["theta"], -state["psi"]), strict=True):

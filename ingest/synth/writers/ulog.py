@@ -114,7 +114,7 @@ def _preamble(recording: Recording, names: Sequence[str]) -> bytes:
     layouts = TOPICS | ROTORS
     for name in names:
         fields = layouts[name]
-        parts.append(_record("F", f"{name}:{''.join(_declared(f) for f in fields)}".encode()))
+        parts.append(_record("F", f"{name}:{''.join(_declare(f) for f in fields)}".encode()))
     said = [(f"char[{len(value)}] {name}", value.encode()) for name, value in facts(recording).items()]
     release = ("uint32_t ver_sw_release", struct.pack("<I", RELEASE))
     for key, value in (*said, release, ("uint64_t time_ref_utc_us", utc_s)):
@@ -124,7 +124,7 @@ def _preamble(recording: Recording, names: Sequence[str]) -> bytes:
     return b"".join(parts)
 
 
-def _declared(field: tuple[str, str]) -> str:
+def _declare(field: tuple[str, str]) -> str:
     name, code = field
     count = f"[{code[0]}]" if code[0].isdigit() else ""
     return f"{TYPES[code.lstrip('0123456789')]}{count} {name};"
@@ -157,11 +157,11 @@ def _climb(command: Series) -> npt.NDArray[np.void]:
 def _attitude(state: Series) -> npt.NDArray[np.void]:
     rows = _table(state, ATTITUDE)
     tilt = quaternion(np.radians(state["phi"]), -np.radians(state["theta"]))
-    rows["q"] = _turned(tilt, np.radians(state["psi"]))
+    rows["q"] = _turn(tilt, np.radians(state["psi"]))
     return rows
 
 
-def _turned(q: FloatArray, yaw_rad: FloatArray) -> FloatArray:
+def _turn(q: FloatArray, yaw_rad: FloatArray) -> FloatArray:
     """(N, 4) yaw applied before (to the left of) the tilt q."""
     c = np.cos(yaw_rad / 2)[:, None]
     s = np.sin(yaw_rad / 2)[:, None]

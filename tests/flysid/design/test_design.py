@@ -14,11 +14,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from flysid.design.designed import Design, DesignMeaning, open_design
-from flysid.design.designing import Wish, _designed, _new, ready_channel, with_feedforward
+from flysid.design.designing import Wish, _design, _new, ready_channel, with_feedforward
 from flysid.design.drawn_plants import PlantSet, Spread, grid, plants_of
 from flysid.design.firmware import SAFETY, SCHEMES, Firmware, firmware_for, read_parameters
 from flysid.design.gain_search import Bounds, Box, search
-from flysid.design.identified import identified
+from flysid.design.identified import identify
 from flysid.design.law import Gains, LoopParts
 from flysid.design.loopfigures import Laws, figures
 from flysid.errors import DataError, StoreError, UsageError
@@ -197,7 +197,7 @@ def test_parameter_files_of_both_ground_stations(tmp_path: Path) -> None:
 
 
 def test_plants_hold_models_intervals_and_the_truth() -> None:
-    found = identified(good(), LIMIT)
+    found = identify(good(), LIMIT)
     plants = plants_of(found.models, found.train, found.band)
     assert plants.labels[0] == "arx"
     assert len(plants.labels) == 3
@@ -268,13 +268,13 @@ REFUSED: dict[str, tuple[Callable[[], HeldOut], str]] = {
 def test_flights_that_do_not_identify_are_refused_with_what_to_fly(case: str) -> None:
     made, words = REFUSED[case]
     with pytest.raises(DataError, match=words) as refused:
-        identified(made(), LIMIT)
+        identify(made(), LIMIT)
     assert refused.value.hint
 
 
 def test_remarks_do_not_refuse() -> None:
     item = _flown(8.0, doubts=(Doubt("band", "v_x follows theta_in from 0.05 to 1.2 Hz", ""),))()
-    assert identified(item, LIMIT).band[1] > 3.0
+    assert identify(item, LIMIT).band[1] > 3.0
 
 
 def test_a_model_without_an_interval_alone_is_refused() -> None:
@@ -282,20 +282,20 @@ def test_a_model_without_an_interval_alone_is_refused() -> None:
     arx = item.models["arx"]
     blind = replace(arx, covariance=np.full_like(arx.covariance, np.nan))  # type: ignore[type-var, attr-defined]
     with pytest.raises(DataError, match="no model states an interval"):
-        identified(replace(item, models={**item.models, "arx": blind}), LIMIT)
+        identify(replace(item, models={**item.models, "arx": blind}), LIMIT)
 
 
 def test_a_present_loop_faster_than_the_flights_is_refused() -> None:
     wish = Wish(old={"position": 30.0, "velocity": 400.0}, limit=LIMIT)
     with pytest.raises(DataError, match="have no information above") as refused:
-        _designed([ready_channel(good(), wish)], wish)
+        _design([ready_channel(good(), wish)], wish)
     assert "sweep" in str(refused.value.hint)
 
 
 def test_a_design_stands_beside_the_present_gains_and_is_stored_without_loss(tmp_path: Path) -> None:
     wish = Wish(old=PUBLISHED, limit=LIMIT)
     ready = ready_channel(good(), wish)
-    axes = _designed([ready], wish)
+    axes = _design([ready], wish)
     design = Design("run", ("pid", "words"), tuple(axes), {}, PUBLISHED, _new([ready], axes, wish))
     axis = axes[0]
     assert list(axis.laws) == ["present", "present_x2", "next", "goal"]
@@ -320,7 +320,7 @@ def test_a_design_stands_beside_the_present_gains_and_is_stored_without_loss(tmp
 def test_without_present_gains_no_parameters_are_written() -> None:
     wish = Wish(limit=LIMIT)
     ready = ready_channel(good(), wish)
-    axes = _designed([ready], wish)
+    axes = _design([ready], wish)
     files = Design("run", ("pid", "words"), tuple(axes)).files()
     assert list(files) == ["design.json"]
     assert list(axes[0].laws) == ["goal"]
@@ -331,7 +331,7 @@ def test_a_plant_that_falls_as_the_input_rises_is_turned_round() -> None:
     up = ready_channel(good(), wish)
     down = ready_channel(good(gain=-1.0), wish)
     assert (up.sign, down.sign) == (1.0, -1.0)
-    assert _designed([down], wish)[0].laws["goal"].velocity > 0.0
+    assert _design([down], wish)[0].laws["goal"].velocity > 0.0
 
 
 def test_feedforward_follows_a_slow_reference_better() -> None:

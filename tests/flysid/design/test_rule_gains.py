@@ -13,7 +13,7 @@ from flysid.design import rule_design
 from flysid.design.certificate import proves
 from flysid.design.rule_design import RuleAxis, RuleDesign
 from flysid.design.rule_gains import certified_gains
-from flysid.design.rule_plants import RuleLaw, RulePlant, blended, packed_rules
+from flysid.design.rule_plants import RuleLaw, RulePlant, blend, packed_rules
 from flysid.validate import run
 from tests.command import call
 
@@ -111,7 +111,7 @@ def test_compiled_blend_is_the_law(law: RuleLaw) -> None:
         z = np.clip(p.scheduling @ x, p.low, p.high)
         w = np.exp(-0.5 * (((z - p.centre) / p.width) ** 2).sum(axis=1))
         expected = -float(w @ law.gains @ x) / w.sum()
-        assert blended(x, numbers[1], sets[1]) == pytest.approx(expected, rel=1e-12)
+        assert blend(x, numbers[1], sets[1]) == pytest.approx(expected, rel=1e-12)
 
 
 def test_the_printed_numbers_alone_hold_the_proof(

@@ -16,7 +16,7 @@ import pytest
 import flysid
 from flysid.errors import PlaceError, UsageError
 from flysid.fleet import cluster as clusters
-from flysid.fleet.cluster import Cluster, connected
+from flysid.fleet.cluster import Cluster, connect
 from flysid.fleet.ingest_many import find, ingest
 from flysid.fleet.lakes import create_lake
 from flysid.fleet.models import vehicle_runs
@@ -44,7 +44,7 @@ def two_workers(s3_server: S3Server) -> Iterator[Cluster]:
     with pytest.MonkeyPatch.context() as patch:
         for name, value in s3_server.environment.items():
             patch.setenv(name, value)
-        with connected(workers=2) as cluster:
+        with connect(workers=2) as cluster:
             yield cluster
 
 

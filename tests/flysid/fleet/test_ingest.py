@@ -23,7 +23,7 @@ from flysid.fleet.reading import Log, Settings
 from flysid.fleet.upkeep import check
 from flysid.ingest.lake.batch import ingest_logs
 from flysid.ingest.lake.finding import find_logs
-from flysid.ingest.lake.flighttable import facts_in, opened, rows_of, select
+from flysid.ingest.lake.flighttable import facts_in, open_table, rows_of, select
 from flysid.ingest.lake.workers import Bounds
 from flysid.place import Place
 from tests.azureserver import KEY
@@ -149,7 +149,7 @@ def test_two_ingests_at_once_commit_each_flight_once(store: str) -> None:
     state = check(open_lake(f"{store}/lake"))
     assert state.is_whole
     assert len(state.flights) == 6
-    assert opened(Place(f"{store}/lake")).to_pyarrow_table().num_rows == 6
+    assert open_table(Place(f"{store}/lake")).to_pyarrow_table().num_rows == 6
 
 
 def test_a_catalogue_is_made_again_from_the_manifests(bucket: str) -> None:
@@ -186,7 +186,7 @@ def test_duckdb_polars_and_pandas_read_the_same_rows(bucket: str) -> None:
     polars = pytest.importorskip("polars")
     fill(f"{bucket}/in", 3)
     ingested(f"{bucket}/in", f"{bucket}/lake")
-    table = opened(Place(f"{bucket}/lake"))
+    table = open_table(Place(f"{bucket}/lake"))
     expected = sorted(facts.id for facts in flysid.open(f"{bucket}/lake").facts)
     assert sorted(table.to_pandas()["flight"]) == expected
     assert sorted(polars.scan_delta(table).select("flight").collect()["flight"]) == expected

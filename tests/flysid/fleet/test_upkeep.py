@@ -12,7 +12,7 @@ import pytest
 import flysid
 from flysid.errors import StoreError, UsageError
 from flysid.fleet import compaction
-from flysid.fleet.compaction import compact, files_of, unreferenced
+from flysid.fleet.compaction import compact, files_of, find_unreferenced
 from flysid.fleet.ingest_many import Threads, find, ingest
 from flysid.fleet.lakes import create_lake
 from flysid.fleet.reading import Settings
@@ -82,9 +82,9 @@ def test_a_late_flight_is_read_at_once_and_compacted_later(bucket: str) -> None:
     assert rows_in(place, [files_of(place, "table")[1]]).num_rows == 60
     compact(place)
     assert [rows_in(place, [a]).num_rows for a in files_of(place, "table")] == [180]
-    assert len(unreferenced(place)) == 1
+    assert len(find_unreferenced(place)) == 1
     run("fleet", "check", str(place), "--repair", "--older", "0s", "-q")
-    assert unreferenced(place) == []
+    assert find_unreferenced(place) == []
 
 
 def test_where_parts_hold_every_flight_no_row_of_the_catalogue_is_read(

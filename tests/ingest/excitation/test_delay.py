@@ -9,7 +9,7 @@ from flysid.ingest.excitation.delay import cross_correlation, estimate_delay, im
 from flysid.ingest.excitation.delay_fits import (
     ARX_ORDERS,
     Piece,
-    _refined,
+    _refine,
     predictors,
     searched_free_runs,
 )
@@ -88,7 +88,7 @@ def test_few_free_runs_find_what_all_dead_times_would_give(
     good = [nk for nk in fits if fits[nk].error <= fits[best].error * (1.0 + slack)]
     assert min(good) - 1 <= late <= max(good)
     assert len(fits) < 40
-    from_far = {nk: _refined(pieces, nk, fits[best].poles, 127, slack) for nk in range(0, 126, 9)}
+    from_far = {nk: _refine(pieces, nk, fits[best].poles, 127, slack) for nk in range(0, 126, 9)}
     assert min(fit.error for fit in from_far.values()) >= fits[best].error * (1.0 - 0.1 * slack)
     as_good = [nk for nk, fit in from_far.items() if fit.error <= fits[best].error * (1.0 + 0.9 * slack)]
     assert all(min(good) <= nk <= max(good) for nk in as_good)

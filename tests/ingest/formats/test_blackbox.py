@@ -26,7 +26,7 @@ from flysid.ingest.formats.blackbox.writing import (
     groups,
     signed_vb,
     unsigned_vb,
-    wrapped,
+    wrap,
 )
 from flysid.ingest.formats.common.units import factor
 from flysid.ingest.formats.registry import FORMATS
@@ -170,7 +170,7 @@ def test_what_was_written_is_read(case: tuple[dict[str, Fields], list[list[int]]
         codes = [code for _, span, code in groups(fields.encoding) for _ in range(span)]
         for n, raw in enumerate(differences, start=2):
             value = writer.prediction(kind, n, values) + in_range(raw, codes[n])
-            values.append(wrapped(value) if fields.signed[n] else value % (1 << 32))
+            values.append(wrap(value) if fields.signed[n] else value % (1 << 32))
         out.append(writer.frame(kind, values))
         rows.append(values)
         iteration = writer.due(iteration)

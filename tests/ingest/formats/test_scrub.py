@@ -33,7 +33,7 @@ from flysid.ingest.formats.common.scrub_rules import (
     Scrubber,
     is_private_parameter,
     places,
-    redacted,
+    redact,
 )
 from flysid.ingest.formats.rosbag1.writer import BagWriter
 from flysid.ingest.formats.scrubbing import Scrubbed, scrub_log, scrubbers
@@ -383,7 +383,7 @@ def test_what_cannot_be_scrubbed_is_refused(tmp_path: Path) -> None:
     ],
 )
 def test_texts_lose_identifiers_only(text: str, clean: str) -> None:
-    assert redacted(text.encode()).decode() == clean
+    assert redact(text.encode()).decode() == clean
 
 
 @pytest.mark.parametrize("gps", ["shift", "remove"])

@@ -8,7 +8,7 @@ import pytest
 from click.testing import CliRunner
 
 from flysid.cli import root
-from flysid.cli.pooled_suggestions import pooled, pooled_advice
+from flysid.cli.pooled_suggestions import pool, pooled_advice
 from flysid.cli.suggestions import advice, next_command, short_names
 from flysid.flight import ClockMap, Damage, Flight, Source
 from flysid.ingest.align.recipe import load_recipe, parse_recipe, shipped_recipes
@@ -231,7 +231,7 @@ def test_several_flights_are_a_row_a_channel() -> None:
     found[2] = replace(
         found[2], channel="pitch", input="motor2", advice=found[2].advice.replace("motor1", "motor2")
     )
-    assert pooled(found) == [
+    assert pool(found) == [
         ("roll", "+motor1", "2", "120 s", "250 Hz", "0.09 to 0.23", "0.5 to 120", "20 (10-26)"),
         ("pitch", "+motor2", "1", "60 s", "250 Hz", "0.14", "0.5 to 120", "20 (10-16)"),
     ]

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.signal import lfilter, welch, windows
 
 from flysid.dataset import FloatArray
-from flysid.filters import filtered, power_density, tukey
+from flysid.filters import apply_filter, power_density, tukey
 from flysid.model.compiled_filters import differences, free_responses, is_stable
 
 
@@ -23,10 +23,10 @@ def signal(seed: int, rows: int = 200) -> FloatArray:
 def test_filters_are_scipys(b: list[float], a: list[float]) -> None:
     x = signal(0)
     x.flags.writeable = False  # as a dataset's arrays are
-    assert np.allclose(filtered(np.array(b), np.array(a), x), lfilter(b, a, x), rtol=1e-13, atol=1e-15)
+    assert np.allclose(apply_filter(np.array(b), np.array(a), x), lfilter(b, a, x), rtol=1e-13, atol=1e-15)
     both = np.stack([x, 2.0 * x], axis=1)
     expected = lfilter(b, a, both, axis=0)
-    assert np.allclose(filtered(np.array(b), np.array(a), both), expected, rtol=1e-13, atol=1e-15)
+    assert np.allclose(apply_filter(np.array(b), np.array(a), both), expected, rtol=1e-13, atol=1e-15)
 
 
 def test_differences_are_those_of_the_formula() -> None:

@@ -10,7 +10,7 @@ from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, UsageError
 from flysid.model.frequency.rational import Form, Rational, forms
 from flysid.model.frequency.response import measure_response
-from flysid.model.frequency.sampling import sampled
+from flysid.model.frequency.sampling import sample
 from flysid.model.frequency.simulation_fit import ACCEPTABLE, best_fit, fit_response
 from tests.model.linear.test_frequency_response import DT_S, PLANT, experiment, steps
 
@@ -56,7 +56,7 @@ def test_two_inputs_share_the_poles() -> None:
     rng = np.random.default_rng(2)
     u = np.column_stack([steps(8000, rng), steps(8000, rng)])
     truth = Rational(np.array([1.0, 2.0, 9.0]), (np.array([3.0]), np.array([1.0, 4.0])), np.zeros(2))
-    a, b = sampled(truth, DT_S, "zero")
+    a, b = sample(truth, DT_S, "zero")
     y = sum(lfilter(taps, a, u[:, j]) for j, taps in enumerate(b)) + 1e-3 * rng.standard_normal(8000)
     measured = measure_response(Dataset.from_arrays(u, np.asarray(y), DT_S))
     fit = fit_response(measured, Form(2, (0, 1), (0.0, 0.0)))
@@ -120,15 +120,15 @@ def test_bad_requests_are_named() -> None:
 def test_sampling_agrees_with_the_library_and_delays_by_fractions() -> None:
     rational = Rational(np.array([1.0, 4.0, 7.0]), (np.array([1.0, 0.8]),), np.zeros(1))
     for hold, name in (("zero", "zoh"), ("first", "foh")):
-        a, b = sampled(rational, DT_S, hold)  # type: ignore[arg-type]
+        a, b = sample(rational, DT_S, hold)  # type: ignore[arg-type]
         expected_b, expected_a, _ = cont2discrete(([1.0, 0.8], [1.0, 4.0, 7.0]), DT_S, name)
         assert a == pytest.approx(expected_a)
         assert b[0][:3] == pytest.approx(expected_b.ravel(), abs=1e-12)
     late = Rational(rational.denominator, rational.numerators, np.array([0.033]))
     fine = Rational(rational.denominator, rational.numerators, np.zeros(1))
     u = np.random.default_rng(0).standard_normal(100)
-    a, b = sampled(late, DT_S, "zero")
+    a, b = sample(late, DT_S, "zero")
     coarse = lfilter(b[0], a, u)
-    a, b = sampled(fine, DT_S / 20, "zero")
+    a, b = sample(fine, DT_S / 20, "zero")
     shifted: FloatArray = np.concatenate([np.zeros(33), np.repeat(u, 20)])[:2000]
     assert coarse == pytest.approx(lfilter(b[0], a, shifted)[::20], abs=1e-9)

@@ -15,7 +15,7 @@ from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, FitError
 from flysid.model.arx import ARX
 from flysid.model.linear.difference_equation import FittedLinear
-from flysid.model.linear.output_error import raised
+from flysid.model.linear.output_error import raise_order
 from flysid.model.noise import burg, noise_model
 from flysid.model.oe import OE
 from flysid.model.polynomials import polynomial_text
@@ -127,7 +127,7 @@ def test_a_higher_order_starts_from_the_lower_one() -> None:
     p, theta = problem(1, 2)
     transfer = replace(to_transfer(theta, p.orders), c=0.0)
     orders = OutputOrders(5, (4, 4), p.orders.nk)
-    again = to_transfer(raised(transfer, orders), orders)
+    again = to_transfer(raise_order(transfer, orders), orders)
     u = np.random.default_rng(0).standard_normal((80, 2))
     assert again.forced(u) == pytest.approx(transfer.forced(u), abs=1e-9)
 

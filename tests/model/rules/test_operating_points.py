@@ -15,7 +15,7 @@ from bench.ts_intervals import experiment, known_model
 from flysid.dataset import Dataset, FloatArray, Signal
 from flysid.model.rules.fitted import FittedTS
 from flysid.model.rules.local_models import SteadyMap
-from flysid.model.rules.operating_points import described, operating_points
+from flysid.model.rules.operating_points import describe, operating_points
 from flysid.model.rules.rule_uncertainty import uncertainty
 from flysid.model.ts import TS
 
@@ -71,7 +71,7 @@ def test_rules_that_differ_by_a_push_only_say_so() -> None:
     truth_of = known_model()
     theta = np.array([[[0.8, 0.1, -0.1]], [[0.8, 0.1, 0.1]]])
     wide = replace(truth_of, parameters=truth_of.parameters._replace(theta=theta))
-    model = described(wide, experiment(wide, 1))
+    model = describe(wide, experiment(wide, 1))
     told = str(model)
     assert re.search(r"at rest near y = -?\d\S*: as R1", told)
     less, more = (float(v) for v in re.findall(r"its constant acts like (\S+) (?:less|more) u", told))

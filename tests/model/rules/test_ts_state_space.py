@@ -22,7 +22,7 @@ from flysid.model.rules.fitted import FittedTS, from_dict, next_step, to_nonline
 from flysid.model.rules.free_run_error import Body
 from flysid.model.rules.growth import Training, one_rule_more
 from flysid.model.rules.learning import Search
-from flysid.model.rules.linear_starts import coordinates, realised
+from flysid.model.rules.linear_starts import coordinates, realise
 from flysid.model.rules.local_models import SteadyMap
 from flysid.model.rules.regressor_layout import scaling
 from flysid.model.rules.rule_uncertainty import Uncertainty, uncertainty
@@ -83,7 +83,7 @@ def test_every_coordinate_is_the_same_linear_model() -> None:
     dataset = data(2, 2, noise=0.0)
     fitted = OE(na=2, nb=2, nk=1).fit(dataset)
     (shift, scale) = scaling(dataset)
-    choices = list(coordinates(realised(fitted, shift, scale), 2).values())
+    choices = list(coordinates(realise(fitted, shift, scale), 2).values())
     u = dataset.segments[0].u
     expected = fitted.simulate(u) - fitted.simulate(np.zeros_like(u))
     assert len({c.words for c in choices}) > 1

@@ -10,10 +10,10 @@ import pytest
 from bench.ts_intervals import known_model
 from flysid.model.rules.edits import merge_and_split
 from flysid.model.rules.fitted import FittedTS
-from flysid.model.rules.growth import unrefined
+from flysid.model.rules.growth import skip_refining
 from flysid.model.rules.judging import Candidate, Family, fewest_rules, sweep_in_words
 from flysid.model.rules.search_context import SearchContext
-from flysid.model.rules.stages import Stage, inserted
+from flysid.model.rules.stages import Stage, insert
 from tests.known_rules import context_of, stage_of
 
 
@@ -29,8 +29,8 @@ def context(truth: FittedTS) -> SearchContext:
 
 def one_more_than(stage: Stage) -> Stage:
     """The stage with a third rule beside its first, which says what the others say there."""
-    grown = inserted(stage, 0.8 * stage.body.centre[0] + 0.2 * stage.body.centre[1], stage.body.width[0])
-    return unrefined(grown.problem, grown.body)
+    grown = insert(stage, 0.8 * stage.body.centre[0] + 0.2 * stage.body.centre[1], stage.body.width[0])
+    return skip_refining(grown.problem, grown.body)
 
 
 def test_a_poor_model_becomes_a_good_one_with_as_many_rules(truth: FittedTS, context: SearchContext) -> None:

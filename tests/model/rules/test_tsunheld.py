@@ -11,7 +11,7 @@ from scipy.signal import lfilter
 from flysid.dataset import Dataset, FloatArray
 from flysid.model.arx import ARX
 from flysid.model.rules.fitted import FittedTS
-from flysid.model.rules.recursion import pole_radius, unheld
+from flysid.model.rules.recursion import drop_held, pole_radius
 from flysid.model.start import estimate_start
 from flysid.model.ts import TS
 
@@ -71,16 +71,16 @@ def test_a_start_is_found_where_the_first_guess_leaves_the_limits(
 def test_rules_and_what_does_not_come_back_are_held(fitted: FittedTS) -> None:
     lags = fitted.layout.lags
     par = fitted.parameters
-    assert np.ptp(unheld(lags, par).limits) > 50 * np.ptp(par.limits)
+    assert np.ptp(drop_held(lags, par).limits) > 50 * np.ptp(par.limits)
     two = par._replace(
         theta=np.repeat(par.theta, 2, axis=0),
         centre=np.repeat(par.centre, 2, axis=0),
         width=np.repeat(par.width, 2, axis=0),
     )
-    assert unheld(lags, two) is two
+    assert drop_held(lags, two) is two
     grows = par.theta.copy()
     grows[0, 0, 0] += 0.1
-    assert unheld(lags, par._replace(theta=grows)).limits is par.limits
+    assert drop_held(lags, par._replace(theta=grows)).limits is par.limits
     still_held = replace(fitted, parameters=par._replace(theta=grows))
     assert np.isfinite(still_held.simulate(np.ones((3000, 1)))).all()
 
