@@ -38,8 +38,8 @@ def is_bounded(stage: Stage) -> bool:
     half the range beyond what was simulated: ends at which a plant itself saturates are no limits in this
     sense. The model must also forget how it was started (`is_contracting`). Of a model that holds an
     integrator the changes of the output are asked instead (the range widened tenfold), as its output may go
-    anywhere. Lags are held at the limits here, those of a single rule too (`drop_held`): one that stays there is
-    too near to instability.
+    anywhere. Lags are held at the limits here, those of a single rule too (`drop_held`): one that stays there
+    is too near to instability.
     """
     problem = stage.problem
     layout = stage.layout
