@@ -172,7 +172,7 @@ class _Scales:
 
 
 LAGS = (1, 4)
-LINEAR_COLUMNS = len(LAGS) + 2
+LINEAR_COLUMNS = 2 + len(LAGS)
 """Per input."""
 
 

@@ -143,8 +143,12 @@ def _pooled_words(pair: Pair) -> list[str]:
 
 def named(models: Sequence[str]) -> str:
     """ "ARX", "ARX and OE", "ARX, OE and LINE"."""
-    names = [one_line(m).upper() for m in models]
-    return " and ".join([", ".join(names[:-1]), names[-1]]) if len(names) > 1 else "".join(names)
+    return list_words([one_line(m).upper() for m in models])
+
+
+def list_words(parts: Sequence[str]) -> str:
+    """ "a", "a and b", "a, b and c"; "" of none."""
+    return " and ".join([", ".join(parts[:-1]), parts[-1]]) if len(parts) > 1 else "".join(parts)
 
 
 def interval_words(pair: Pair) -> str:

@@ -127,11 +127,13 @@ def mode_times(log: StoredLog) -> list[str]:
 
 def _print_fields(log: StoredLog) -> None:
     """Every field below its stream, but for the columns that the reader adds to all of them."""
+    from flysid.ingest.lake.ranges import column_ranges
+
     rows: list[Sequence[str]] = [("  FIELD", "UNIT", *STATISTICS)]
     counts = []
     for entry in log.manifest.streams:
-        ranges = stream_ranges(log, entry)
         fields = [c for c in entry.columns if c.name not in (TIME, BOOT, RECEIVED)]
+        ranges = column_ranges(log.table(entry.stream, [c.name for c in fields]))
         counts.append(len(fields))
         rows += [(f"  {c.name}", c.unit, *statistics(ranges[c.name])) for c in fields]
     heading, *lines = align_columns(rows)
@@ -262,13 +264,6 @@ def dates(clocks: Sequence[ClockMap]) -> list[str]:
     ]
 
 
-def stream_ranges(log: StoredLog, entry: StreamEntry) -> dict[str, Range]:
-    """The range of every column."""
-    from flysid.ingest.lake.ranges import column_ranges
-
-    return column_ranges(log.table(entry.stream, [c.name for c in entry.columns]))
-
-
 def statistics(found: Range) -> list[str]:
     """The cells of `STATISTICS`; empty where there is no number, or nothing is missing."""
     numbers = ["" if x is None else f"{x + 0.0:.6g}" for x in (found.low, found.mean, found.high)]
@@ -277,7 +272,10 @@ def statistics(found: Range) -> list[str]:
 
 def stream_text(log: StoredLog, entry: StreamEntry, count: int) -> str:
     """Columns of a stream with units and ranges, and its first rows."""
-    ranges = stream_ranges(log, entry)
+    from flysid.ingest.lake.ranges import column_ranges
+
+    table = log.table(entry.stream, [c.name for c in entry.columns])
+    ranges = column_ranges(table)
     columns: list[tuple[str, ...]] = [HEADINGS]
     for c in entry.columns:
         names = ", ".join([*(f"{k}={v}" for k, v in list(c.enum.items())[:3]), *["..."][: len(c.enum) > 3]])
@@ -285,8 +283,7 @@ def stream_text(log: StoredLog, entry: StreamEntry, count: int) -> str:
         kind = re.sub(r"fixed_size_list<item: (\w+)>", r"\1", c.type)
         columns.append((c.name, kind, c.unit, scale, *statistics(ranges[c.name]), names))
     first = [tuple(c.name for c in entry.columns)]
-    table = log.table(entry.stream, [c.name for c in entry.columns]).slice(0, count)
-    first += [tuple(cell(value) for value in row.values()) for row in table.to_pylist()]
+    first += [tuple(cell(value) for value in row.values()) for row in table.slice(0, count).to_pylist()]
     return "\n".join([stream_title(entry), "", *align_columns(columns), "", *align_columns(first)])
 
 

@@ -101,10 +101,8 @@ def next_command(found: Sequence[Suggestion], data: str, vehicles: Mapping[str, 
     if not found:
         listed = f"'flysid show {data} --fields' lists them"
         return f"next: flysid fit {data} --from FIELD --to FIELD -o run; {listed}"
-    verb, best = next(
-        ((verb, best) for best, verb in NEXT.items() if any(s.verdict == best for s in found)), ("", "")
-    )
-    if not verb:
+    best = next((verdict for verdict in NEXT if any(s.verdict == verdict for s in found)), "")
+    if not best:
         return f"next: fly or log what is asked for above; to look at this flight: flysid plot {data}"
     chosen = [s for s in found if s.verdict == best]
     vehicle = Counter(vehicles.get(s.flight, "") for s in chosen).most_common(1)[0][0]
@@ -114,6 +112,7 @@ def next_command(found: Sequence[Suggestion], data: str, vehicles: Mapping[str, 
     rest = {s.channel for s in own if s.recipe == recipe} - channels.keys()
     words = "".join(f" -c {channel}" for channel in channels) if rest else ""
     words += f" --vehicle {shlex.quote(vehicle)}" if vehicle else ""
+    verb = NEXT[best]
     return f"next: flysid {verb} {data} --recipe {recipe}{words}" + (" -o run" if verb == "fit" else "")
 
 

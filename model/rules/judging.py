@@ -34,7 +34,7 @@ INTEGRATES = (
 """What users are told of a model that does not come back."""
 _LONGER = 3  # times what starts it, that a window of a judging part is at least long,
 _SCORED = 5  # with so many rows at least to score
-AWAY = float(VANISHING**-1.0)
+AWAY = 1.0 / VANISHING
 """Mean square of what ran away, or may not be offered."""
 _CLEAR = 1.5  # standard errors over windows of several folds; those of one fold share a model
 

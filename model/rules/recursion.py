@@ -19,7 +19,7 @@ from flysid.model.rules.kernel import Lags, Parameters
 
 ComplexArray = npt.NDArray[np.complex128]
 
-REACHED = float(-np.expm1(-1.0))
+REACHED = 1.0 - np.exp(-1.0)
 """Of a change, when its time is told: what one slow mode has reached after its time constant."""
 _SETTLED = 0.002  # of a change that the slowest mode may still lack at the end of an answer
 _LONGEST = 20_000  # samples of an answer

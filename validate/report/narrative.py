@@ -12,6 +12,7 @@ from flysid.validate.intervals import Scope
 from flysid.validate.verdict import Verdict
 from flysid.validate.words import (
     horizon_words,
+    list_words,
     named,
     number,
     one_line,
@@ -202,19 +203,19 @@ def alone(comparisons: Mapping[str, Comparison]) -> str:
             error = f"{number(s.rmse)}{one_line(unit)} (fit {percentage(s.fit_pct)} %)"
             said.append(f"{_label(channel, output.name, c)} {error}")
     first = next(iter(comparisons.values()))
-    return f"RMSE in {horizon_words(first.head, first.dt_s)}: {_join(said)}." if said else ""
+    return f"RMSE in {horizon_words(first.head, first.dt_s)}: {list_words(said)}." if said else ""
 
 
 def subtitle(pairs: Heads, idle: Sequence[str] = ()) -> str:
     """What the title leaves open, and what to do; `idle` is `as_good_as_constant`."""
     if idle:
         rest = subtitle([(name, pair) for name, pair in pairs if name not in idle])
-        who = f"On {_join(idle)} a" if len(idle) < len(pairs) else "A"
+        who = f"On {list_words(idle)} a" if len(idle) < len(pairs) else "A"
         return f"{who} constant does as well in free run as either model: see the cautions. {rest}".rstrip()
     lost = [name for name, pair in pairs if _both_diverged((name, pair))]
     if lost:
         rest = subtitle([(name, pair) for name, pair in pairs if name not in lost])
-        return f"Both models diverged in free run on {_join(lost)}: see the cautions. {rest}".rstrip()
+        return f"Both models diverged in free run on {list_words(lost)}: see the cautions. {rest}".rstrip()
     if pairs and all(pair.verdict is Verdict.SAME for _, pair in pairs) and _all_linear(pairs):
         return " ".join(["A search for rules found none that lowers the error.", *_scopes(pairs)])
     if pairs and all(pair.verdict is Verdict.SAME for _, pair in pairs):
@@ -236,7 +237,7 @@ def subtitle(pairs: Heads, idle: Sequence[str] = ()) -> str:
     ):
         names = [name for name, pair in pairs if pair.verdict is verdict]
         if names and len(names) < len(pairs):
-            sentences.append(f"On {_join(names)} {text.format(base=base)}")
+            sentences.append(f"On {list_words(names)} {text.format(base=base)}")
     return " ".join(sentences)
 
 
@@ -261,7 +262,7 @@ def _say_divergence(pairs: Heads) -> list[str]:
     if not names:
         return []
     base = base_words(pairs)
-    return [f"On {_join(names)} the {base} diverged in free run, so there is no error to compare with."]
+    return [f"On {list_words(names)} the {base} diverged in free run, so there is no error to compare with."]
 
 
 def _gains(pairs: Heads) -> list[str]:
@@ -272,7 +273,7 @@ def _gains(pairs: Heads) -> list[str]:
         if p.earned and p.change_pct is not None and p.ci95 is not None
     ]
     typical = " on a typical flight" if narrow_scope(pairs) is Scope.ANOTHER else ""
-    return [f"In free run{typical} its error is {_join(said)}."] if 0 < len(said) <= 4 else []
+    return [f"In free run{typical} its error is {list_words(said)}."] if 0 < len(said) <= 4 else []
 
 
 def _scopes(pairs: Heads) -> list[str]:
@@ -283,7 +284,7 @@ def _scopes(pairs: Heads) -> list[str]:
             said.setdefault(words, []).append(name)
     if len(pairs) == 1:
         return [f"{words[0].upper()}{words[1:]}." for words in said]
-    return [f"On {_join(names)}: {words}." for words, names in said.items()]
+    return [f"On {list_words(names)}: {words}." for words, names in said.items()]
 
 
 def _say_contested(pairs: Heads) -> list[str]:
@@ -302,15 +303,9 @@ def _one_rule(pairs: Heads) -> list[str]:
     if not names:
         return []
     return [
-        f"On {_join(names)} {pairs[0][1].model.upper()} is better with one rule. That is a linear model: "
-        "the gain comes from its order or refinement, not from fuzziness."
+        f"On {list_words(names)} {pairs[0][1].model.upper()} is better with one rule. That is a linear "
+        "model: the gain comes from its order or refinement, not from fuzziness."
     ]
-
-
-def _join(names: Sequence[str]) -> str:
-    if len(names) == 1:
-        return names[0]
-    return ", ".join(names[:-1]) + " and " + names[-1]
 
 
 def basis(comparisons: Mapping[str, Comparison], train_s: float | None) -> str:
