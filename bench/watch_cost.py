@@ -22,7 +22,7 @@ import numpy as np
 
 from flysid.ingest.formats.mavlink.frames import read_header
 from flysid.ingest.synth.synth import Order, fly_one
-from flysid.ingest.synth.telemetry import Series
+from flysid.ingest.synth.telemetry import Telemetry
 from flysid.ingest.synth.writers.mavlink import tlog_bytes
 from tests.link_trials import ROOT, Recorder, free_port
 
@@ -61,7 +61,7 @@ def flight(seconds: float) -> list[tuple[int, bytes]]:
     recording = fly_one(Order(plan="mixed", duration_s=seconds, seed=6), 0)
     at_s = (recording.state.time_ns - recording.state.time_ns[0]) * 1e-9
     values = {**recording.state.values, "vx": recording.state["vx"] + 0.4 * (at_s % 20.0 > 15.0)}
-    content = tlog_bytes(replace(recording, state=Series(recording.state.time_ns, values)))
+    content = tlog_bytes(replace(recording, state=Telemetry(recording.state.time_ns, values)))
     found = []
     at = 0
     while at < len(content):

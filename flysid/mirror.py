@@ -23,7 +23,7 @@ from pathlib import Path
 
 from flysid.errors import StoreError
 from flysid.files import slug, write_atomically, writing_to
-from flysid.place import Found, Place
+from flysid.place import Place, StoredObject
 
 MARKER = ".mirror"
 GENERATION = "generation"
@@ -42,7 +42,7 @@ def _cache() -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "flysid"
 
 
-def copy_of(place: Place, found: Found) -> Path:
+def copy_of(place: Place, found: StoredObject) -> Path:
     """An object as a file of the cache; fetched where this content of it is not there yet."""
     address = place.at(found.key)
     digest = hashlib.sha256(f"{address}\0{found.etag}\0{found.size}".encode()).hexdigest()[:16]

@@ -41,7 +41,7 @@ def is_address(text: str | Path) -> bool:
 
 
 @dataclass(frozen=True)
-class Found:
+class StoredObject:
     """An object: its key below the place, its size, the store's tag of its content, when it arrived."""
 
     key: str
@@ -162,7 +162,7 @@ class Place:
                 for chunk in answer.stream(min_chunk_size=4 << 20):
                     file.write(chunk)
 
-    def head(self, key: str) -> Found | None:
+    def head(self, key: str) -> StoredObject | None:
         """What is known of one object; None where there is none."""
         import obstore
 
@@ -172,7 +172,7 @@ class Place:
         except FileNotFoundError:
             return None
 
-    def list(self, below: str = "", after: str = "") -> Iterator[Found]:
+    def list(self, below: str = "", after: str = "") -> Iterator[StoredObject]:
         """Objects below a folder, by key; a thousand a request.
 
         Parameters
@@ -323,11 +323,11 @@ def _no_bucket(where: str) -> UsageError:
     return UsageError("no such bucket", path=where, hint="make it first, or check the name and the endpoint")
 
 
-def _found(meta: Any) -> Found:
+def _found(meta: Any) -> StoredObject:
     etag = str(meta["e_tag"] or "")
     if etag and not etag.endswith('"'):
         etag = f'"{etag}"'  # Azure leaves the marks out where it lists, not where it is asked for one object
-    return Found(str(meta["path"]), int(meta["size"]), etag, meta["last_modified"])
+    return StoredObject(str(meta["path"]), int(meta["size"]), etag, meta["last_modified"])
 
 
 def _at_once(do: Callable[[Any], Any], tasks: Iterable[Any], *, most: int = 16) -> Iterator[Any]:

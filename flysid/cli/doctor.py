@@ -87,7 +87,7 @@ def command(
     from flysid.ingest.formats.opening import short_name
     from flysid.ingest.lake.finding import find_logs
     from flysid.ingest.lake.survey import survey_or_reason
-    from flysid.ingest.lake.workers import Bounds, Lost, run_bounded
+    from flysid.ingest.lake.workers import Bounds, LostWorker, run_bounded
     from flysid.place import is_address
 
     if (correct or output) and not kinematics:
@@ -103,7 +103,7 @@ def command(
     with display.shown():
         _begin(found.paths, 0)
         for done, (path, outcome) in enumerate(run_bounded(look, found.paths, 1, bounds), 1):
-            if isinstance(outcome, (str, Lost)):
+            if isinstance(outcome, (str, LostWorker)):
                 say(f"skipped: {path}: {outcome if isinstance(outcome, str) else outcome.reason}")
                 unreadable += 1
             else:

@@ -28,7 +28,7 @@ class Wanted:
 
 
 @dataclass(frozen=True)
-class Found:
+class ChosenModel:
     """The model that is meant: its name for code, and the run that it comes from."""
 
     name: str
@@ -53,7 +53,7 @@ class Found:
         return held_out(replace(self.run, channels=(self.channel,)), data)[0].train
 
 
-def find_model(wanted: Wanted) -> Found:
+def find_model(wanted: Wanted) -> ChosenModel:
     """The model of a run, or of a file.
 
     Raises
@@ -69,7 +69,7 @@ def find_model(wanted: Wanted) -> Found:
     if not wanted.source.is_dir():
         if not wanted.source.exists():
             raise UsageError("no such run or model file", path=wanted.source)
-        return Found(identifier(wanted.channel or wanted.source.stem), load(wanted.source))
+        return ChosenModel(identifier(wanted.channel or wanted.source.stem), load(wanted.source))
     run = open_run(wanted.source)
     names = [c.name for c in run.channels]
     if wanted.channel not in names and (wanted.channel or len(names) > 1):
@@ -85,7 +85,7 @@ def find_model(wanted: Wanted) -> Found:
     if not wanted.label:
         others = ", ".join(sorted({*models} - {label}))
         say(f"{channel.name}: the model {label!r}; others with --model: {others}")
-    return Found(identifier(channel.name), models[label], run, channel)
+    return ChosenModel(identifier(channel.name), models[label], run, channel)
 
 
 def write_c(wanted: Wanted, folder: Path, *, single: bool, force: bool) -> None:

@@ -66,11 +66,11 @@ def apart(work: Callable[[Path], Scrubbed], log: Path) -> Scrubbed:
     ------
     FormatError : the process ended. Besides, what `work` raises.
     """
-    from flysid.ingest.lake.workers import Bounds, Lost, run_bounded
+    from flysid.ingest.lake.workers import Bounds, LostWorker, run_bounded
 
     bounds = Bounds(memory_bytes=None, seconds=None)
     ((_, outcome),) = run_bounded(work, [log], 1, bounds)
-    if isinstance(outcome, Lost):
+    if isinstance(outcome, LostWorker):
         raise FormatError(outcome.reason, path=log, hint="once it is no longer written, try again")
     return outcome
 

@@ -26,7 +26,7 @@ from flysid.ingest.align.vehicle import vehicle_of
 from flysid.ingest.lake.flighttable import Commit, facts_in, last_commit, rows_of, select
 from flysid.manifest import MANIFEST_FILE, Manifest, parse_manifest
 from flysid.mirror import GENERATION, home_of
-from flysid.place import Found, Place
+from flysid.place import Place, StoredObject
 from flysid.progress import tell
 
 PARTS = "catalog/parts.json"
@@ -115,7 +115,7 @@ def files_of(place: Place, message: str, where: str = "") -> list[str]:
     return addresses + tables
 
 
-def find_unreferenced(place: Place) -> list[Found]:
+def find_unreferenced(place: Place) -> list[StoredObject]:
     """Parts that the list of parts does not name."""
     named = {part.key for part in _parts(place).parts}
     return [found for found in place.list(FOLDER) if found.key not in named]

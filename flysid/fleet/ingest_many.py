@@ -27,7 +27,7 @@ from flysid.ingest.formats.registry import known_suffixes
 from flysid.ingest.lake.finding import GLOB_MARKS, find_logs
 from flysid.ingest.lake.flighttable import merge, select
 from flysid.manifest import DATA_FILE
-from flysid.place import Found, Place, is_address
+from flysid.place import Place, StoredObject, is_address
 from flysid.progress import tell
 from flysid.version import __version__
 
@@ -128,7 +128,7 @@ def _list_logs(address: str, since: datetime | None) -> Iterator[Log]:
             yield Log(f"{scheme}://{bucket}/{found.key}", found.size, found.etag)
 
 
-def _is_meant(found: Found, pattern: str, since: datetime | None) -> bool:
+def _is_meant(found: StoredObject, pattern: str, since: datetime | None) -> bool:
     is_hidden = found.key.rpartition("/")[2].startswith(".")
     fits = not pattern or fnmatch.fnmatchcase(found.key, pattern)
     return fits and not is_hidden and found.size > 0 and (since is None or found.modified >= since)

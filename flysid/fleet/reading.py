@@ -30,7 +30,7 @@ from flysid.ingest.formats.base import Limits
 from flysid.ingest.lake.batch import Job, Result, Task, work_on
 from flysid.ingest.lake.events import mode_changes
 from flysid.ingest.lake.lake import StoredLog
-from flysid.ingest.lake.workers import Bounds, Lost, run_bounded
+from flysid.ingest.lake.workers import Bounds, LostWorker, run_bounded
 from flysid.manifest import FLIGHTS
 from flysid.place import Place, is_address
 from flysid.store import create_data_folder
@@ -224,7 +224,7 @@ class _Reader:
         for _ in range(TRIES):
             self._tasks.append(task)
             _, outcome = next(self._outcomes)
-            if not isinstance(outcome, Lost):
+            if not isinstance(outcome, LostWorker):
                 return outcome
             reason = outcome.reason
             shutil.rmtree(self.data / FLIGHTS, ignore_errors=True)

@@ -17,7 +17,7 @@ from flysid.fleet.compaction import find_unreferenced
 from flysid.ingest.lake.flighttable import facts_in, rebuild, select
 from flysid.manifest import MANIFEST_FILE, Manifest, content_stamp, parse_manifest
 from flysid.mirror import GENERATION
-from flysid.place import Found, Place
+from flysid.place import Place, StoredObject
 from flysid.progress import tell
 
 
@@ -41,14 +41,14 @@ class LakeState:
     twice: tuple[str, ...]
     unlisted: tuple[str, ...]
     stale: tuple[str, ...]
-    orphans: tuple[Found, ...]
+    orphans: tuple[StoredObject, ...]
 
     @property
     def is_whole(self) -> bool:
         """Every flight has its tables and its row, and there is nothing else."""
         return not (self.damaged or self.missing or self.twice or self.unlisted or self.stale or self.orphans)
 
-    def orphans_older(self, age: timedelta) -> tuple[Found, ...]:
+    def orphans_older(self, age: timedelta) -> tuple[StoredObject, ...]:
         """Those that nobody can be at any more."""
         now = datetime.now(UTC)
         return tuple(found for found in self.orphans if now - found.modified >= age)

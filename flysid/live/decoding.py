@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 
-from flysid.ingest.formats.common.columns import Layout, message_schema
+from flysid.ingest.formats.common.columns import RecordLayout, message_schema
 from flysid.ingest.formats.common.vehicle_time import AGREES_NS, AUTOPILOT_COMPONENT
 from flysid.ingest.formats.mavlink.dialect import Dialect, load_dialect
 from flysid.ingest.formats.mavlink.frames import SIGNED, STAMP_BYTES, V2, MessageId
@@ -72,7 +72,7 @@ class _MessageStream:
     def __init__(self, key: tuple[int, int, int], dialect: Dialect) -> None:
         self.system, component, message = key
         self.name = f"{self.system}.{component}/{dialect.message_name(message)}"
-        self.layout: Layout = dialect.layout(message)
+        self.layout: RecordLayout = dialect.layout(message)
         self.rows = 0
         self.is_asked = False
         self.is_heartbeat = message == MessageId.HEARTBEAT

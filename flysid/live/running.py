@@ -39,9 +39,9 @@ class LatestSamples:
         return len(self.t_ns)
 
     @property
-    def series(self) -> resample.Series:
+    def series(self) -> resample.RecordedSignal:
         """As the batch has it."""
-        return resample.Series(self.t_ns, self.x)
+        return resample.RecordedSignal(self.t_ns, self.x)
 
     def add(self, t_ns: IntArray, x: npt.NDArray[np.generic]) -> None:
         """Append samples later than all before."""

@@ -12,7 +12,7 @@ from typing import Any
 
 from flysid.errors import FlysidError
 from flysid.ingest.lake.survey import survey
-from flysid.ingest.lake.workers import Bounds, Lost, run_bounded
+from flysid.ingest.lake.workers import Bounds, LostWorker, run_bounded
 
 for _usual in ("mavlink", "dataflash", "ulog"):
     importlib.import_module(f"flysid.ingest.formats.{_usual}.reader")
@@ -33,7 +33,7 @@ def _begun(_: int) -> None:
 def quick_look(path: Path) -> dict[str, Any]:
     """Streams, rates and fields as the beginning of a log shows them, at once; read in a bounded worker."""
     for _, outcome in run_bounded(_look, [path], 1, Bounds(memory_bytes=10**9, seconds=20.0)):
-        return {"reason": outcome.reason} if isinstance(outcome, Lost) else outcome
+        return {"reason": outcome.reason} if isinstance(outcome, LostWorker) else outcome
     return {"reason": "not read"}
 
 

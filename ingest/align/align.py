@@ -25,7 +25,7 @@ from flysid.ingest.align.doubts import doubts
 from flysid.ingest.align.labels import Labels, labels_of
 from flysid.ingest.align.recipe import Recipe, SignalSpec, load_recipe
 from flysid.ingest.align.report import AlignReport, FlightReport, SignalReport
-from flysid.ingest.align.resample import Series, Span
+from flysid.ingest.align.resample import RecordedSignal, Span
 from flysid.ingest.align.signals import FlightLog, Loaded, Log, find_source, load_signal, missing
 from flysid.ingest.align.vehicle import vehicle_of
 from flysid.stretch import FloatArray
@@ -242,12 +242,12 @@ class _Job:
                 report = report.plus(counts)
         return report, tuple(segments), {n: f.resolution for n, f in loaded.items()}
 
-    def _tidy(self, name: str, found: Loaded) -> dict[int, Series]:
+    def _tidy(self, name: str, found: Loaded) -> dict[int, RecordedSignal]:
         """The boots of a signal, fit for resampling."""
         rate = self.specs[name].max_rate
         return {boot: resample.tidy(s.t_ns, s.x, rate) for boot, s in found.boots.items()}
 
-    def _describe(self, name: str, found: Loaded, boots: Mapping[int, Series]) -> SignalReport:
+    def _describe(self, name: str, found: Loaded, boots: Mapping[int, RecordedSignal]) -> SignalReport:
         series = boots.values()
         return SignalReport(
             name=name,
@@ -285,7 +285,7 @@ class _Boot:
 
     job: _Job
     name: str
-    series: Mapping[str, Series]
+    series: Mapping[str, RecordedSignal]
     dt_ns: int
     labels: Labels
     vehicle: str = ""
@@ -320,7 +320,7 @@ class _Boot:
             spans = own if spans is None else resample.intersect(spans, own)
         return spans or []
 
-    def _spans_of(self, name: str, series: Series) -> list[Span]:
+    def _spans_of(self, name: str, series: RecordedSignal) -> list[Span]:
         gap, after = pauses(self.job.specs[name], series.period_ns, self.dt_ns)
         return resample.spans_between_gaps(series.t_ns, gap, after)
 
@@ -380,7 +380,7 @@ def pauses(spec: SignalSpec, period_ns: float, dt_ns: int) -> tuple[float, float
     return gap, 1.0 if spec.hold == "linear" else min(period_ns, gap)
 
 
-def ratio_of(recipe: Recipe, series: Mapping[str, Series], dt_ns: int, *, most: int = 64) -> int:
+def ratio_of(recipe: Recipe, series: Mapping[str, RecordedSignal], dt_ns: int, *, most: int = 64) -> int:
     """How many times faster than the grid the fastest state is sampled; 1: no filter is needed.
 
     `most`: of the fastest source's rate to the grid's.

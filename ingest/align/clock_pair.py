@@ -20,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from flysid.errors import DataError
-from flysid.ingest.align.resample import Series, period_ns, smooth
+from flysid.ingest.align.resample import RecordedSignal, period_ns, smooth
 from flysid.stretch import FloatArray
 
 IntArray = npt.NDArray[np.int64]
@@ -68,8 +68,8 @@ class ClockFit:
 
 
 def fit_clock(
-    reference: Series,
-    other: Series,
+    reference: RecordedSignal,
+    other: RecordedSignal,
     max_offset_s: float = 10.0,
     drift: bool = True,
     *,
@@ -107,13 +107,13 @@ def fit_clock(
     return found
 
 
-def band_passed(series: Series, narrow_s: float, wide_s: float = WIDE_S) -> Series:
+def band_passed(series: RecordedSignal, narrow_s: float, wide_s: float = WIDE_S) -> RecordedSignal:
     """The series on an even grid of its own rate, less its slow and its fast parts, no phase added."""
     dt = period_ns(series.t_ns)
     grid = np.arange(0.0, float(series.t_ns[-1] - series.t_ns[0]), dt)
     x = np.interp(grid, (series.t_ns - series.t_ns[0]).astype(float), series.x)
     slow_removed = smooth(x, narrow_s * 1e9 / dt) - smooth(x, wide_s * 1e9 / dt)
-    return Series(series.t_ns[0] + np.round(grid).astype(np.int64), slow_removed)
+    return RecordedSignal(series.t_ns[0] + np.round(grid).astype(np.int64), slow_removed)
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,7 +125,7 @@ class _Curve:
     slope: FloatArray
 
     @classmethod
-    def of(cls, series: Series, at_ns: int) -> _Curve:
+    def of(cls, series: RecordedSignal, at_ns: int) -> _Curve:
         t = np.asarray((series.t_ns - at_ns) * 1e-9, dtype=np.float64)
         return cls(t, series.x, np.gradient(series.x, t))
 
@@ -153,7 +153,7 @@ def _refine(pair: _Pair, start: float, drift: bool, at_ns: int, *, iterations: i
 
 
 def _first_offset(
-    reference: Series, other: Series, max_offset_s: float, *, least_correlation: float = 0.5
+    reference: RecordedSignal, other: RecordedSignal, max_offset_s: float, *, least_correlation: float = 0.5
 ) -> float:
     """Offset, s, where the correlation of both signals, on a grid of the slower rate, is largest."""
     dt = max(period_ns(reference.t_ns), period_ns(other.t_ns)) * 1e-9
@@ -177,7 +177,7 @@ def _first_offset(
     return float(lags[best] * dt)
 
 
-def _on_grid(series: Series, zero: int, dt: float) -> tuple[FloatArray, FloatArray]:
+def _on_grid(series: RecordedSignal, zero: int, dt: float) -> tuple[FloatArray, FloatArray]:
     """Values without their mean on a grid from `zero`, and a mask of where the series is."""
     t = (series.t_ns - zero) * 1e-9
     grid = np.arange(0.0, t[-1] + dt, dt)
@@ -190,7 +190,7 @@ def _correlate(a: FloatArray, b: FloatArray, size: int) -> FloatArray:
     return np.asarray(np.fft.irfft(np.fft.rfft(a, size) * np.conj(np.fft.rfft(b, size)), size))
 
 
-def _inside(reference: Series, other: Series, offset_s: float) -> npt.NDArray[np.bool_]:
+def _inside(reference: RecordedSignal, other: RecordedSignal, offset_s: float) -> npt.NDArray[np.bool_]:
     """Samples of `other` inside the reference; of long ones without the ends, which the filter bends."""
     span = min(reference.t_ns[-1] - reference.t_ns[0], other.t_ns[-1] - other.t_ns[0]) * 1e-9
     margin = round(1e9 * (WIDE_S if span > 10 * WIDE_S else 0.02 * span))

@@ -29,7 +29,7 @@ SHOWN = 12
 
 
 @dataclass(frozen=True)
-class Place:
+class StreamField:
     """A field of a stream, and what its values are in."""
 
     stream: str
@@ -145,7 +145,7 @@ def driven_by(recipe: Recipe, reference: Sequence[str], logs: Sequence[Log]) -> 
     return replace(recipe, signals=signals, channels=channels)
 
 
-def find_field(logs: Sequence[Log], word: str) -> Place:
+def find_field(logs: Sequence[Log], word: str) -> StreamField:
     """The field that a word names; raises RecipeError with what is near."""
     for log in logs:
         found = [place for stream in log.rows if (place := _place(log, stream, word)) is not None]
@@ -160,7 +160,7 @@ def find_field(logs: Sequence[Log], word: str) -> Place:
     raise RecipeError(f"no log has a field {word!r}", hint=hint)
 
 
-def _place(log: Log, stream: str, word: str) -> Place | None:
+def _place(log: Log, stream: str, word: str) -> StreamField | None:
     """Where `word` stands in a stream: as a field, or behind the stream's key or message name and a dot."""
     columns = [c for c in log.columns(stream) if c not in _OWN]
     for field in _readings(stream, word):
@@ -168,7 +168,7 @@ def _place(log: Log, stream: str, word: str) -> Place | None:
         column = field if field in columns else match[1] if match else ""
         if column in columns:
             unit = field_unit(log.table(stream, [column]).schema.field(column))
-            return Place(stream, field, unit if is_known(unit) else "")
+            return StreamField(stream, field, unit if is_known(unit) else "")
     return None
 
 
@@ -183,9 +183,9 @@ def _fields(logs: Sequence[Log]) -> list[str]:
     return [f"{s}.{c}" for log in logs[:1] for s in log.rows for c in log.columns(s) if c not in _OWN]
 
 
-def _distinct(places: Sequence[Place]) -> dict[Place, str]:
+def _distinct(places: Sequence[StreamField]) -> dict[StreamField, str]:
     """A name for every place; where two share one, the stream's goes before it."""
-    names: dict[Place, str] = {}
+    names: dict[StreamField, str] = {}
     for place in dict.fromkeys(places):
         name = place.name
         if name in names.values():
@@ -194,7 +194,7 @@ def _distinct(places: Sequence[Place]) -> dict[Place, str]:
     return names
 
 
-def _signal(place: Place, hold: str, row_period_s: float | None) -> dict[str, Any]:
+def _signal(place: StreamField, hold: str, row_period_s: float | None) -> dict[str, Any]:
     source: dict[str, Any] = {"stream": place.stream, "field": place.field}
     if row_period_s is not None:
         source["row_period_s"] = row_period_s

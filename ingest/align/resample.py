@@ -28,7 +28,7 @@ SPIKE_SAMPLES = 9
 
 
 @dataclass(frozen=True, eq=False)
-class Series:
+class RecordedSignal:
     """A signal as recorded, made fit for resampling: (N,) strictly increasing times, (N,) finite values.
 
     `non_finite`, `duplicates` and `spikes` count the samples that were left out.
@@ -46,7 +46,7 @@ class Series:
         return period_ns(self.t_ns)
 
 
-def tidy(t_ns: IntArray, x: FloatArray, max_rate: float | None = None) -> Series:
+def tidy(t_ns: IntArray, x: FloatArray, max_rate: float | None = None) -> RecordedSignal:
     """Samples in time order; values that are not finite dropped; of equal times the last one kept.
 
     With `max_rate`, per second, samples that jump away from their neighbours faster are dropped too.
@@ -62,7 +62,7 @@ def tidy(t_ns: IntArray, x: FloatArray, max_rate: float | None = None) -> Series
     values = values[last]
     jumps = spikes(times, values, max_rate) if max_rate is not None else np.zeros(len(times), dtype=bool)
     lost = (int((~finite).sum()), int((~last).sum()), int(jumps.sum()))
-    return Series(times[~jumps], values[~jumps], *lost)
+    return RecordedSignal(times[~jumps], values[~jumps], *lost)
 
 
 def spikes(t_ns: IntArray, x: FloatArray, max_rate: float) -> npt.NDArray[np.bool_]:
@@ -165,7 +165,7 @@ def grid_in(span: Span, dt_ns: int, phase: int) -> IntArray:
     return np.arange(first, span[1], dt_ns, dtype=np.int64)
 
 
-def linear(series: Series, grid_ns: IntArray) -> FloatArray:
+def linear(series: RecordedSignal, grid_ns: IntArray) -> FloatArray:
     """(N,) values at grid times, linear between samples, exact on them; the grid must lie inside."""
     if len(grid_ns) == 0:
         return np.empty(0)
@@ -173,14 +173,14 @@ def linear(series: Series, grid_ns: IntArray) -> FloatArray:
     return np.asarray(np.interp((grid_ns - zero).astype(float), (series.t_ns - zero).astype(float), series.x))
 
 
-def hold(series: Series, grid_ns: IntArray, tolerance_ns: int = 0) -> FloatArray:
+def hold(series: RecordedSignal, grid_ns: IntArray, tolerance_ns: int = 0) -> FloatArray:
     """(N,) the last value at or before each grid time (+ tolerance); NaN before the first."""
     index = np.searchsorted(series.t_ns, grid_ns + tolerance_ns, side="right") - 1
     values = series.x[np.maximum(index, 0)] if len(series.x) else np.full(len(index), np.nan)
     return np.where(index >= 0, values, np.nan)
 
 
-def hold_tolerance_ns(series: Series, grid_ns: IntArray) -> int:
+def hold_tolerance_ns(series: RecordedSignal, grid_ns: IntArray) -> int:
     """How much later than its grid point a command may be stamped and still belong to it.
 
     Commands that come once a period, stamped together with the output, would otherwise fall now before,

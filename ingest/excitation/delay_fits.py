@@ -54,7 +54,7 @@ def searched_free_runs(pieces: Sequence[Piece], last: int, slack: float) -> dict
     -------
     The best dead time and its neighbours, and the ends of what is as good, are among those tried.
     """
-    search = _Search(pieces, last, slack)
+    search = _DelaySearch(pieces, last, slack)
     search.look(_pole_pairs(last))
     seen = -1
     while search.best != seen:
@@ -70,7 +70,7 @@ def searched_free_runs(pieces: Sequence[Piece], last: int, slack: float) -> dict
     return search.fits
 
 
-class _Search:
+class _DelaySearch:
     """What is known of the dead times: what poles that were looked at explain, and fits of some."""
 
     def __init__(self, pieces: Sequence[Piece], last: int, slack: float) -> None:

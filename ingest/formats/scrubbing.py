@@ -20,11 +20,11 @@ from flysid.flight import field_scale
 from flysid.ingest.formats.base import Format, Limits
 from flysid.ingest.formats.common.scrub_rules import (
     UNREADABLE,
-    Column,
     Fix,
     Gps,
-    Place,
+    Position,
     Scrubber,
+    ScrubColumn,
     has_fix,
     places,
 )
@@ -148,18 +148,18 @@ def _is_number(kind: pa.DataType) -> bool:
     return bool(pa.types.is_integer(kind) or pa.types.is_floating(kind))
 
 
-def _column(field: pa.Field) -> Column:
-    return Column(field.name, field.name, field_scale(field))
+def _column(field: pa.Field) -> ScrubColumn:
+    return ScrubColumn(field.name, field.name, field_scale(field))
 
 
-def _fixes(table: pa.Table, place: Place) -> FloatArray:
+def _fixes(table: pa.Table, place: Position) -> FloatArray:
     """(n, 3) latitude, longitude, altitude (or NaN) of the rows with a fix."""
     lat, lon = (_values(table, c, 1e-7) for c in (place.lat, place.lon))
     alt = _values(table, place.altitudes[0], 1e-3) if place.altitudes else np.full(len(lat), np.nan)
     return np.column_stack([lat, lon, alt])[has_fix(lat, lon)]
 
 
-def _values(table: pa.Table, column: Column, integers: float) -> FloatArray:
+def _values(table: pa.Table, column: ScrubColumn, integers: float) -> FloatArray:
     raw = table[column.key]
     values: FloatArray = raw.to_numpy(zero_copy_only=False).astype(np.float64)
     if column.scale not in (None, 1.0):

@@ -35,7 +35,7 @@ ROUNDS = 8
 
 
 @dataclass(frozen=True, eq=False)
-class Record:
+class MotionRecord:
     """One motion without a pause, at equal steps.
 
     Attributes
@@ -87,7 +87,7 @@ class Agreement:
 
 
 @dataclass(frozen=True, eq=False)
-class _Lines:
+class _SpectralLines:
     """Spectra at (K,) frequencies of all records: y, x (K, n), z (K, n, m), of a constant (K,).
 
     `share` (K, n) is the motion's share of x's power, the weight with which noise on both sides costs least,
@@ -107,7 +107,7 @@ class _Lines:
     brought: FloatArray
 
 
-def agreement(records: Sequence[Record], highest_hz: float, *, shifts: int = 3) -> Agreement:
+def agreement(records: Sequence[MotionRecord], highest_hz: float, *, shifts: int = 3) -> Agreement:
     """Fit one instrument to what the others imply.
 
     Parameters
@@ -157,10 +157,10 @@ def agreement(records: Sequence[Record], highest_hz: float, *, shifts: int = 3) 
     )
 
 
-def _lines(records: Sequence[Record], highest_hz: float, lag_s: float) -> _Lines:
+def _lines(records: Sequence[MotionRecord], highest_hz: float, lag_s: float) -> _SpectralLines:
     parts = [_of_record(r, highest_hz, lag_s) for r in records]
-    names = _Lines.__annotations__
-    return _Lines(**{name: np.concatenate([getattr(p, name) for p in parts]) for name in names})
+    names = _SpectralLines.__annotations__
+    return _SpectralLines(**{name: np.concatenate([getattr(p, name) for p in parts]) for name in names})
 
 
 def late(values: FloatArray, steps: float) -> FloatArray:
@@ -178,7 +178,9 @@ def late(values: FloatArray, steps: float) -> FloatArray:
     )
 
 
-def _of_record(record: Record, highest_hz: float, lag_s: float, *, tapered: float = 0.2) -> _Lines:
+def _of_record(
+    record: MotionRecord, highest_hz: float, lag_s: float, *, tapered: float = 0.2
+) -> _SpectralLines:
     """`tapered`: share of a record over which it fades in and out, or its ends leak over all frequencies."""
     from flysid.filters import tukey
 
@@ -197,7 +199,7 @@ def _of_record(record: Record, highest_hz: float, lag_s: float, *, tapered: floa
     brought = (omega[low, None] ** 2 * record.noise + record.flat) / record.dt_s
     power = _smooth(np.abs(implied) ** 2)
     motion = np.clip(1.0 - brought / np.maximum(power, 1e-300), 0.0, 1.0) * _coherence(measured, implied)
-    return _Lines(
+    return _SpectralLines(
         omega[low],
         measured,
         implied,
@@ -225,7 +227,7 @@ def _coherence(y: ComplexArray, x: ComplexArray) -> FloatArray:
     return np.asarray(np.clip((NEIGHBOURS * seen - 1.0) / (NEIGHBOURS - 1.0), 0.0, 1.0))
 
 
-def _start(lines: _Lines) -> FloatArray:
+def _start(lines: _SpectralLines) -> FloatArray:
     """Least squares at the best of many lags, lever arm at 0."""
     best = np.inf
     found = np.empty(0)
@@ -248,24 +250,24 @@ def _start(lines: _Lines) -> FloatArray:
     return found
 
 
-def _move(lines: _Lines, theta: FloatArray) -> ComplexArray:
+def _move(lines: _SpectralLines, theta: FloatArray) -> ComplexArray:
     """(K, n) what is implied, lever arm and lag included."""
     axes = lines.y.shape[1]
     turn = np.exp(-1j * lines.omega * theta[2 * axes])
     return np.asarray(turn[:, None] * (lines.x + lines.z @ theta[2 * axes + 1 :]))
 
 
-def _residual(lines: _Lines, theta: FloatArray, axis: int, moved: ComplexArray) -> ComplexArray:
+def _residual(lines: _SpectralLines, theta: FloatArray, axis: int, moved: ComplexArray) -> ComplexArray:
     axes = lines.y.shape[1]
     return np.asarray(lines.y[:, axis] - theta[axis] * moved[:, axis] - theta[axes + axis] * lines.one)
 
 
-def _noises(lines: _Lines, theta: FloatArray, taken: FloatArray) -> list[FloatArray]:
+def _noises(lines: _SpectralLines, theta: FloatArray, taken: FloatArray) -> list[FloatArray]:
     """Of every axis."""
     return [_noise(lines, theta, i, taken[:, i]) for i in range(taken.shape[1])]
 
 
-def _noise(lines: _Lines, theta: FloatArray, axis: int, taken: FloatArray) -> FloatArray:
+def _noise(lines: _SpectralLines, theta: FloatArray, axis: int, taken: FloatArray) -> FloatArray:
     """(K,) power of an axis's noise: of its residual, and what the fit took of it.
 
     A sum of powers of frequency with weights that are not negative, by iterated least squares on the
@@ -299,7 +301,12 @@ class _Normal:
 
     @classmethod
     def of(
-        cls, lines: _Lines, theta: FloatArray, noise: Sequence[FloatArray], *, most_relief: float = 0.95
+        cls,
+        lines: _SpectralLines,
+        theta: FloatArray,
+        noise: Sequence[FloatArray],
+        *,
+        most_relief: float = 0.95,
     ) -> _Normal:
         """`most_relief`: of what is known of a parameter; where noise is more of `implied`, nothing is."""
         axes = lines.y.shape[1]

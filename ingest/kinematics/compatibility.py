@@ -18,10 +18,10 @@ from flysid.ingest.align import resample
 from flysid.ingest.align.clocks import align_clocks
 from flysid.ingest.align.conditions import condition_spans
 from flysid.ingest.align.recipe import Recipe, parse_recipe
-from flysid.ingest.align.resample import Series
+from flysid.ingest.align.resample import RecordedSignal
 from flysid.ingest.align.signals import Loaded, Log, find_source, load_signal
 from flysid.ingest.excitation.excitation import QUIET
-from flysid.ingest.kinematics.agreement import Agreement, Record, agreement
+from flysid.ingest.kinematics.agreement import Agreement, MotionRecord, agreement
 from flysid.ingest.kinematics.motion import (
     INSTRUMENTS,
     MIN_SECONDS,
@@ -179,7 +179,7 @@ class Correction:
     bias: float = 0.0
     lag_s: float = 0.0
 
-    def apply(self, series: Series) -> Series:
+    def apply(self, series: RecordedSignal) -> RecordedSignal:
         """The signal as it should have been logged."""
         late = round(self.lag_s * 1e9)
         return replace(series, t_ns=series.t_ns - late, x=(series.x - self.bias) / self.scale)
@@ -216,7 +216,7 @@ def _compare(instrument: str, log: Log, corrections: Mapping[str, Correction]) -
     except FlysidError as error:
         return Comparison(instrument, reason=error.message)
     sources = {n: (found.stream, found.field) for n, found in loaded.items()}
-    records: list[Record] = []
+    records: list[MotionRecord] = []
     highest = np.inf
     slowest = 0.0
     whole = 0.0
@@ -258,7 +258,7 @@ def _compare(instrument: str, log: Log, corrections: Mapping[str, Correction]) -
     )
 
 
-def _of_axes(record: Record, kept: npt.NDArray[np.bool_]) -> Record:
+def _of_axes(record: MotionRecord, kept: npt.NDArray[np.bool_]) -> MotionRecord:
     """Some of a record's axes."""
     names = ("measured", "implied", "arm")
     columns = {name: getattr(record, name)[:, kept] for name in names}
@@ -274,7 +274,7 @@ def _is_still(found: Agreement, axis: int, unit: str, *, fewest_lines: float = 5
     return bool(quiet or 2.0 * found.scale_sd[axis] > UNKNOWN_SCALE)
 
 
-def _tidy(name: str, found: Loaded, boot: int) -> Series:
+def _tidy(name: str, found: Loaded, boot: int) -> RecordedSignal:
     samples = found.boots[boot]
     return resample.tidy(samples.t_ns, samples.x, quantities().signals[name].max_rate)
 

@@ -16,8 +16,8 @@ from scipy.special import ndtri
 
 from flysid.dataset import FloatArray
 from flysid.ingest.align import resample
-from flysid.ingest.align.resample import Series, Span
-from flysid.ingest.kinematics.agreement import Record
+from flysid.ingest.align.resample import RecordedSignal, Span
+from flysid.ingest.kinematics.agreement import MotionRecord
 
 if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
@@ -46,7 +46,7 @@ class Grid:
         return np.column_stack([self.columns[name] for name in names])
 
 
-def gridded(series: Mapping[str, Series], allowed: Sequence[Span] | None) -> list[Grid]:
+def gridded(series: Mapping[str, RecordedSignal], allowed: Sequence[Span] | None) -> list[Grid]:
     """All signals at the rate of the fastest, wherever none pauses and conditions hold."""
     series = {n: replace(s, x=np.unwrap(s.x)) if n in ANGLES else s for n, s in series.items()}
     periods = {name: resample.period_ns(s.t_ns) for name, s in series.items()}
@@ -60,7 +60,7 @@ def gridded(series: Mapping[str, Series], allowed: Sequence[Span] | None) -> lis
     return [Grid(dt_ns * 1e-9, _sample(series, span, dt_ns), noise) for span in long_enough]
 
 
-def white_noise(series: Series) -> float:
+def white_noise(series: RecordedSignal) -> float:
     """Spectral density of a signal's white noise, per Hz on both sides: what its fastest tenth holds."""
     from flysid.filters import power_density
 
@@ -71,7 +71,7 @@ def white_noise(series: Series) -> float:
     return float(np.median(0.5 * power[fast] / (2.0 - 2.0 * np.cos(omega[fast]))))
 
 
-def _sample(series: Mapping[str, Series], span: Span, dt_ns: float) -> Columns:
+def _sample(series: Mapping[str, RecordedSignal], span: Span, dt_ns: float) -> Columns:
     from scipy.interpolate import CubicSpline
 
     steps = np.arange(0.0, float(span[1] - span[0] - 1), dt_ns)
@@ -85,7 +85,7 @@ def _sample(series: Mapping[str, Series], span: Span, dt_ns: float) -> Columns:
     return columns
 
 
-def without_jumps(record: Record, source_s: float, *, rare: float = 1e-3) -> list[Record]:
+def without_jumps(record: MotionRecord, source_s: float, *, rare: float = 1e-3) -> list[MotionRecord]:
     """The stretches between the jumps of an estimator that was reset.
 
     A jump stands for one or two periods of the slowest source, `source_s`. It is what noise does in one of
@@ -110,7 +110,7 @@ def without_jumps(record: Record, source_s: float, *, rare: float = 1e-3) -> lis
     ]
 
 
-def highest_hz(series: Mapping[str, Series], *, good_to: float = 0.2) -> float:
+def highest_hz(series: Mapping[str, RecordedSignal], *, good_to: float = 0.2) -> float:
     """Up to where splines through all of the signals are good.
 
     `good_to`: of a source's rate: a cubic spline through samples loses less than 1 % of what is slower.
@@ -137,15 +137,15 @@ def turning(rotations: Rotation, dt_s: float) -> FloatArray:
     return np.vstack([steps[:1], 0.5 * (steps[:-1] + steps[1:]), steps[-1:]])
 
 
-def gyro(grid: Grid) -> Record:
+def gyro(grid: Grid) -> MotionRecord:
     """A gyro against the attitude."""
     measured = grid.stack("p", "q", "r")
     noise = grid.densities("roll", "pitch", "yaw")
     implied = turning(attitude(grid), grid.dt_s)
-    return Record(grid.dt_s, measured, implied, _no_arm(measured), noise, np.zeros(3))
+    return MotionRecord(grid.dt_s, measured, implied, _no_arm(measured), noise, np.zeros(3))
 
 
-def accelerometer(grid: Grid) -> Record:
+def accelerometer(grid: Grid) -> MotionRecord:
     """An accelerometer against velocity and attitude; lever arms along the body's axes, metres."""
     felt = slope(grid.stack("v_north", "v_east", "v_down"), grid.dt_s) - np.array([0.0, 0.0, GRAVITY])
     rates = grid.stack("p", "q", "r")
@@ -157,20 +157,20 @@ def accelerometer(grid: Grid) -> Record:
     to_body = attitude(grid).inv()
     noise = np.mean(to_body.as_matrix() ** 2, axis=0) @ grid.densities("v_north", "v_east", "v_down")
     tilted = GRAVITY**2 * np.array([*grid.densities("pitch", "roll"), 0.0])
-    return Record(
+    return MotionRecord(
         grid.dt_s, grid.stack("f_x", "f_y", "f_z"), to_body.apply(felt), np.stack(arms, axis=2), noise, tilted
     )
 
 
-def velocity(grid: Grid) -> Record:
+def velocity(grid: Grid) -> MotionRecord:
     """A velocity in the world against the position."""
     measured = grid.stack("v_north", "v_east", "v_down")
     implied = slope(grid.stack("north", "east", "down"), grid.dt_s)
     noise = grid.densities("north", "east", "down")
-    return Record(grid.dt_s, measured, implied, _no_arm(measured), noise, np.zeros(3))
+    return MotionRecord(grid.dt_s, measured, implied, _no_arm(measured), noise, np.zeros(3))
 
 
-def heading_velocity(grid: Grid) -> Record:
+def heading_velocity(grid: Grid) -> MotionRecord:
     """A velocity along and to the right of the heading against the position."""
     measured = grid.stack("v_forward", "v_right")
     north, east = slope(grid.stack("north", "east"), grid.dt_s).T
@@ -178,7 +178,7 @@ def heading_velocity(grid: Grid) -> Record:
     forward = north * np.cos(heading) + east * np.sin(heading)
     right = east * np.cos(heading) - north * np.sin(heading)
     noise = np.full(2, np.mean(grid.densities("north", "east")))
-    return Record(
+    return MotionRecord(
         grid.dt_s, measured, np.column_stack([forward, right]), _no_arm(measured), noise, np.zeros(2)
     )
 
@@ -187,7 +187,7 @@ def _no_arm(measured: FloatArray) -> FloatArray:
     return np.empty((*measured.shape, 0))
 
 
-INSTRUMENTS: Mapping[str, Callable[[Grid], Record]] = {
+INSTRUMENTS: Mapping[str, Callable[[Grid], MotionRecord]] = {
     "gyro": gyro,
     "accelerometer": accelerometer,
     "velocity": velocity,

@@ -22,8 +22,8 @@ from flysid.ingest.align.vehicle import vehicle_named
 from flysid.ingest.formats.base import Limits
 from flysid.ingest.formats.opening import identify, locate, open_log
 from flysid.ingest.formats.registry import format_of
-from flysid.ingest.lake.finding import Found
-from flysid.ingest.lake.workers import Bounds, Lost, memory_reason, run_bounded
+from flysid.ingest.lake.finding import FoundLogs
+from flysid.ingest.lake.workers import Bounds, LostWorker, memory_reason, run_bounded
 from flysid.manifest import FLIGHTS, stamp_of
 from flysid.progress import part, tell
 from flysid.store import clean, create_data_folder, discard, locked, remove_empty, write_flight
@@ -71,7 +71,7 @@ Task = Path | Job
 
 
 def ingest_logs(
-    logs: Found,
+    logs: FoundLogs,
     data: str | Path,
     *,
     jobs: int = 0,
@@ -109,7 +109,7 @@ def ingest_logs(
 
 def _ingest_into(
     folder: Path,
-    logs: Found,
+    logs: FoundLogs,
     jobs: int,
     force: bool,
     limits: Limits,
@@ -182,7 +182,7 @@ def _done(
         return
     for task, outcome in run_bounded(work, tasks, workers, bounds):
         path = task if isinstance(task, Path) else task.path
-        if isinstance(outcome, Lost):
+        if isinstance(outcome, LostWorker):
             discard(data, outcome.pid)
             yield task, Result(path, reason=outcome.reason)
         elif isinstance(outcome, Result) and outcome.reason == NO_MEMORY and bounds.memory_bytes is not None:

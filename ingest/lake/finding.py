@@ -26,7 +26,7 @@ from flysid.ingest.formats.common.zip_members import read_archive
 from flysid.ingest.formats.opening import begins_archive, head_of, is_archive, names_log, own_name
 from flysid.ingest.formats.recognised import TEXT, kind_of, packing_of, stranger
 from flysid.ingest.formats.registry import confidence_of, known_suffixes
-from flysid.ingest.lake.workers import Bounds, Lost, run_bounded
+from flysid.ingest.lake.workers import Bounds, LostWorker, run_bounded
 from flysid.manifest import DATA_FILE
 
 GLOB_MARKS = frozenset("*?[")
@@ -54,7 +54,7 @@ class PassedOver:
 
 
 @dataclass(frozen=True)
-class Found:
+class FoundLogs:
     """Logs to read, what may be a log and cannot be read, and what is no log."""
 
     paths: tuple[Path, ...]
@@ -62,7 +62,7 @@ class Found:
     passed_over: tuple[PassedOver, ...] = ()
 
 
-def find_logs(given: Sequence[str | Path], bounds: Bounds | None = None) -> Found:
+def find_logs(given: Sequence[str | Path], bounds: Bounds | None = None) -> FoundLogs:
     """The logs that files, folders, archives and patterns name, in order, each once.
 
     A member of an archive is a path as if the archive were a folder: `flights.zip/one.tlog`.
@@ -76,7 +76,7 @@ def find_logs(given: Sequence[str | Path], bounds: Bounds | None = None) -> Foun
     UsageError : a path does not exist, a pattern matches nothing, there is no log at all.
     """
     with closing(_Archives(bounds)) as archives:
-        search = _Search(archives.look_into)
+        search = _LogSearch(archives.look_into)
         for item in given:
             for path in _expand(str(item)):
                 search.take(path)
@@ -91,7 +91,7 @@ def find_logs(given: Sequence[str | Path], bounds: Bounds | None = None) -> Foun
         )
     unique = {os.path.realpath(path): path for path in reversed(search.paths)}
     paths = tuple(path for path in search.paths if unique.get(os.path.realpath(path)) is path)
-    return Found(paths, tuple(search.unread.values()), tuple(search.passed_over.values()))
+    return FoundLogs(paths, tuple(search.unread.values()), tuple(search.passed_over.values()))
 
 
 def _expand(item: str) -> list[Path]:
@@ -114,15 +114,15 @@ class _Archives:
         self._tasks: deque[Path] = deque()
         self._outcomes = None if bounds is None else run_bounded(_inside_of, self._tasks, 1, bounds)
 
-    def look_into(self, path: Path) -> _Search:
+    def look_into(self, path: Path) -> _LogSearch:
         """What an archive holds."""
         if self._outcomes is None:
             return _inside_of(path)
         self._tasks.append(path)
         _, outcome = next(self._outcomes)
-        if not isinstance(outcome, Lost):
+        if not isinstance(outcome, LostWorker):
             return outcome
-        found = _Search(_inside_of)
+        found = _LogSearch(_inside_of)
         found._fail(path, outcome.reason)
         return found
 
@@ -133,17 +133,17 @@ class _Archives:
 
 
 @dataclass
-class _Search:
+class _LogSearch:
     """What has been found so far, each path once; `look_into` says what is in an archive."""
 
-    look_into: Callable[[Path], _Search]
+    look_into: Callable[[Path], _LogSearch]
     paths: dict[Path, None] = field(default_factory=dict)
     unread: dict[Path, Unread] = field(default_factory=dict)
     passed_over: dict[Path, PassedOver] = field(default_factory=dict)
 
     def take(self, path: Path) -> None:
         """What is named itself: a folder, an archive or a log."""
-        inside = _Search(self.look_into)
+        inside = _LogSearch(self.look_into)
         if path.is_dir():
             inside._look_into(path)
         elif path.is_file() and begins_archive(path):
@@ -154,7 +154,7 @@ class _Search:
             inside._fail(path, NOTHING)
         self._add(inside)
 
-    def _add(self, other: _Search) -> None:
+    def _add(self, other: _LogSearch) -> None:
         self.paths |= other.paths
         self.unread |= other.unread
         self.passed_over |= other.passed_over
@@ -223,9 +223,9 @@ class _Search:
             self._fail(path, told)
 
 
-def _inside_of(path: Path) -> _Search:
+def _inside_of(path: Path) -> _LogSearch:
     """Members of an archive one by one; an archive without a log is passed over as one thing."""
-    inside = _Search(_inside_of)
+    inside = _LogSearch(_inside_of)
     try:
         archive = read_archive(path)
     except (FormatError, OSError) as error:

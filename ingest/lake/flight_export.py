@@ -32,7 +32,7 @@ MATLAB_NAME = 63
 
 
 @dataclass(frozen=True)
-class Kind:
+class FileKind:
     """A kind of file: what writes it, and whether one file holds several tables."""
 
     write: Callable[[Path, Mapping[str, pa.Table]], None]
@@ -334,10 +334,10 @@ def _json_type(kind: Any) -> str:
     return "integer" if pa.types.is_integer(kind) else "number" if pa.types.is_floating(kind) else "string"
 
 
-KINDS: Mapping[str, Kind] = {
-    "csv": Kind(_write_csv, holds_many=False),
-    "parquet": Kind(_write_parquet, holds_many=False),
-    "mat": Kind(_write_mat, holds_many=True),
-    "xlsx": Kind(_write_xlsx, holds_many=True),
-    "mcap": Kind(_write_mcap, holds_many=True),
+KINDS: Mapping[str, FileKind] = {
+    "csv": FileKind(_write_csv, holds_many=False),
+    "parquet": FileKind(_write_parquet, holds_many=False),
+    "mat": FileKind(_write_mat, holds_many=True),
+    "xlsx": FileKind(_write_xlsx, holds_many=True),
+    "mcap": FileKind(_write_mcap, holds_many=True),
 }

@@ -8,7 +8,7 @@ import pyarrow as pa
 from flysid.dataset import FloatArray
 from flysid.flight import BOOT, TIME, field_scale
 from flysid.ingest.align.signals import Log
-from flysid.ingest.formats.common.scrub_rules import Column, Place, has_fix, places
+from flysid.ingest.formats.common.scrub_rules import Position, ScrubColumn, has_fix, places
 
 ESTIMATES = ("GLOBAL_POSITION_INT", "vehicle_global_position", "POS")
 """Streams with the estimator's own position: smoother than a receiver's."""
@@ -25,7 +25,7 @@ def read_track(log: Log) -> pa.Table | None:
     if not found:
         return None
 
-    def preference(candidate: tuple[str, Place]) -> tuple[bool, int]:
+    def preference(candidate: tuple[str, Position]) -> tuple[bool, int]:
         message = candidate[0].rpartition("/")[2]
         return message in ESTIMATES, log.rows[candidate[0]]
 
@@ -46,10 +46,10 @@ def read_track(log: Log) -> pa.Table | None:
     return pa.table(columns) if kept.any() else None
 
 
-def _place(log: Log, stream: str) -> Place | None:
+def _place(log: Log, stream: str) -> Position | None:
     if not log.rows[stream]:
         return None
-    found = places([Column(name, name) for name in log.columns(stream)])
+    found = places([ScrubColumn(name, name) for name in log.columns(stream)])
     return found[0] if found else None
 
 

@@ -58,7 +58,7 @@ class Bounds:
 
 
 @dataclass(frozen=True)
-class Lost:
+class LostWorker:
     """A task whose worker ended before it answered: why, and the worker's process id."""
 
     reason: str
@@ -72,8 +72,8 @@ def run_bounded(
     bounds: Bounds,
     *,
     look_every_s: float = 0.1,
-) -> Generator[tuple[Task, Outcome | Lost], None, None]:
-    """Do tasks in worker processes; yields each with its outcome, or `Lost`, as they finish.
+) -> Generator[tuple[Task, Outcome | LostWorker], None, None]:
+    """Do tasks in worker processes; yields each with its outcome, or `LostWorker`, as they finish.
 
     Parameters
     ----------
@@ -164,7 +164,7 @@ class _Worker(Generic[Task, Outcome]):
         with suppress(OSError):  # it has died: `outcome` finds out
             self.connection.send(task)
 
-    def outcome(self) -> tuple[Task, Outcome | Lost] | None:
+    def outcome(self) -> tuple[Task, Outcome | LostWorker] | None:
         """The task and what became of it; None while the worker is at it."""
         assert self._task is not None
         try:
@@ -207,7 +207,7 @@ class _Worker(Generic[Task, Outcome]):
         memory = self._bounds.memory_bytes
         return memory is not None and anonymous_bytes(self._process.pid) > memory // 2
 
-    def _lost(self, broken: str) -> tuple[Task, Lost]:
+    def _lost(self, broken: str) -> tuple[Task, LostWorker]:
         assert self._task is not None
         task = self._task
         self._task = None
@@ -220,7 +220,7 @@ class _Worker(Generic[Task, Outcome]):
                 f"a worker process ended ({ended_how(code)}) before it could begin",
                 hint="a script that ingests needs 'if __name__ == \"__main__\":' around what it does",
             )
-        return task, Lost(broken or f"its process {ended_how(code)}", self._process.pid or 0)
+        return task, LostWorker(broken or f"its process {ended_how(code)}", self._process.pid or 0)
 
     def end(self) -> None:
         """Kill it; what it was at is not finished."""

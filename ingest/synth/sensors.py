@@ -15,7 +15,7 @@ import numpy as np
 from flysid.dataset import FloatArray
 from flysid.errors import UsageError
 from flysid.ingest.formats.common.clock import SECOND_NS
-from flysid.ingest.synth.telemetry import IntArray, Series
+from flysid.ingest.synth.telemetry import IntArray, Telemetry
 
 
 @dataclass(frozen=True)
@@ -85,7 +85,7 @@ def sample_times_ns(first_ns: int, last_ns: int, rate_hz: float) -> IntArray:
     return np.asarray(first_ns + 1_000_000 * milliseconds, dtype=np.int64)
 
 
-def observe(truth: Series, sensor: Sensor, rng: np.random.Generator) -> Series:
+def observe(truth: Telemetry, sensor: Sensor, rng: np.random.Generator) -> Telemetry:
     """What the sensor says about every quantity of `truth`.
 
     Between the truth's samples values are interpolated linearly; before its first one they stand still.
@@ -95,7 +95,7 @@ def observe(truth: Series, sensor: Sensor, rng: np.random.Generator) -> Series:
     seen_ns = time_ns - round(sensor.latency_s * SECOND_NS)
     since = (seen_ns - truth.time_ns[0]).astype(np.float64)
     grid = (truth.time_ns - truth.time_ns[0]).astype(np.float64)
-    return Series(
+    return Telemetry(
         time_ns,
         {
             name: _blur(np.interp(since, grid, values), name, sensor, rng)

@@ -18,7 +18,7 @@ from flysid.ingest.formats.common.clock import SECOND_NS
 from flysid.ingest.synth.dryden import Gust, Wind
 from flysid.ingest.synth.plans import GENTLE, Manoeuvre, plan_named
 from flysid.ingest.synth.sensors import SENSORS, Sensor, observe, velocity_sensor
-from flysid.ingest.synth.telemetry import MS_NS, Recording, Series
+from flysid.ingest.synth.telemetry import MS_NS, Recording, Telemetry
 from flysid.ingest.synth.vehicles import CHANGES, VEHICLES, Air
 
 EPOCH_NS = 1_767_225_600 * SECOND_NS  # 2026-01-01T00:00:00Z
@@ -186,9 +186,9 @@ def fly_one(order: Order, index: int) -> Recording:
     return Recording(
         name=flight_names(order)[index],
         boot_utc_ns=EPOCH_NS + index * APART_NS,
-        command=Series(time_ns, dict(zip(("theta_in", "phi_in", "vz_in"), command.T, strict=True))),
-        state=observe(Series(time_ns, truth), sensor_of(order), rng),
-        truth=Series(time_ns, truth),
+        command=Telemetry(time_ns, dict(zip(("theta_in", "phi_in", "vz_in"), command.T, strict=True))),
+        state=observe(Telemetry(time_ns, truth), sensor_of(order), rng),
+        truth=Telemetry(time_ns, truth),
         seed=order.seed * 1000 + index,
         lost=tuple(_interval_ns(start, length) for start, length in order.dropouts_s),
         system=vehicle + 1,

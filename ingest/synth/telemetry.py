@@ -24,7 +24,7 @@ MS_NS = 1_000_000
 
 
 @dataclass(frozen=True, eq=False)
-class Series:
+class Telemetry:
     """Named values, each (N,), at (N,) times in nanoseconds of the vehicle's clock."""
 
     time_ns: IntArray
@@ -57,9 +57,9 @@ class Recording:
 
     name: str
     boot_utc_ns: int
-    command: Series
-    state: Series
-    truth: Series
+    command: Telemetry
+    state: Telemetry
+    truth: Telemetry
     seed: int = 0
     lost: tuple[tuple[int, int], ...] = ()
     system: int = 1

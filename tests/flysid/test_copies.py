@@ -11,7 +11,7 @@ from flysid.alike import Grid
 from flysid.copies import find_copy
 from flysid.dataset import Dataset, FloatArray, Segment, Signal
 from flysid.errors import DataError
-from flysid.ingest.align.resample import Series, decimate, hold, linear
+from flysid.ingest.align.resample import RecordedSignal, decimate, hold, linear
 from flysid.like_windows import pairs_alike
 from flysid.same_flights import same_flights
 from tests.flysid.plain_copies import are_same
@@ -48,8 +48,8 @@ def recorded(
     ratio = max(1, round(DT_S / (every * BASE_S)))
     steps = np.arange((len(coarse) - 1) * ratio + 1)
     grid = coarse[0] + np.round(steps * (DT_S * 1e9 / ratio)).astype(np.int64)
-    held = hold(Series(t, u), grid)
-    states = linear(Series(t, y), grid)
+    held = hold(RecordedSignal(t, u), grid)
+    states = linear(RecordedSignal(t, y), grid)
     return Segment(decimate(held, ratio), decimate(states, ratio), t0_ns=int(coarse[0]), flight=name)
 
 

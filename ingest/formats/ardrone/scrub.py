@@ -18,7 +18,7 @@ from flysid.ingest.formats.base import Limits
 from flysid.ingest.formats.common import scrub_rules as rules
 from flysid.ingest.formats.common.capture import is_capture
 from flysid.ingest.formats.common.gather import as_bytes
-from flysid.ingest.formats.common.scrub_rules import Column, Scrubber
+from flysid.ingest.formats.common.scrub_rules import Scrubber, ScrubColumn
 
 CHECKSUM_BYTES = 8
 
@@ -56,7 +56,7 @@ def _scrub_packet(packet: bytearray, makeup: MakeUp, scrubber: Scrubber) -> None
             continue
         kind = option.dtype()
         rows = np.frombuffer(bytes(packet[at : at + kind.itemsize]), dtype=kind).copy()
-        plain = [Column(f.name, f.name, 1.0) for f in option.fields if not f.count]
+        plain = [ScrubColumn(f.name, f.name, 1.0) for f in option.fields if not f.count]
         rules.scrub_rows(rows, plain, f"navdata/{option.name}", scrubber)
         packet[at : at + kind.itemsize] = rows.tobytes()
     if packet != before:

@@ -35,7 +35,7 @@ from flysid.ingest.formats.blackbox.layouts import (
 )
 from flysid.ingest.formats.blackbox.writing import Fields, Writer, unsigned_vb
 from flysid.ingest.formats.common import scrub_rules as rules
-from flysid.ingest.formats.common.scrub_rules import Column, Scrubber
+from flysid.ingest.formats.common.scrub_rules import Scrubber, ScrubColumn
 from flysid.ingest.formats.common.tally import Tally
 
 SETTINGS = {4: "minthrottle", 9: "vbatref", 11: "motorOutput"}  # that predictors add
@@ -187,7 +187,7 @@ class _Again:
         records = np.zeros(len(rows), dtype=types)
         for name, values in zip(definition.names, rows.values, strict=True):
             records[name] = values.view(records.dtype[name])
-        columns = [Column(name, name) for name in definition.names]
+        columns = [ScrubColumn(name, name) for name in definition.names]
         rules.scrub_rows(records, columns, STREAMS[kind], self._scrubber)
         return records
 

@@ -17,7 +17,7 @@ import pyarrow as pa
 
 from flysid.flight import BOOT, RECEIVED, TIME, field_metadata
 from flysid.ingest.formats.common import arrow_arrays
-from flysid.ingest.formats.common.record_tables import HEADS, Cell, RecordForm
+from flysid.ingest.formats.common.record_tables import HEADS, RecordCell, RecordForm
 
 ByteMatrix = npt.NDArray[np.uint8]
 IntArray = npt.NDArray[np.int64]
@@ -38,7 +38,7 @@ class Field:
 
 
 @dataclass(frozen=True)
-class Layout:
+class RecordLayout:
     """The packed layout of a message on the wire, and its fields in the order of the columns."""
 
     name: str
@@ -72,9 +72,9 @@ class Layout:
             self._forms[len(heads)] = form
         return form.table(schema, heads, matrix.reshape(-1), len(matrix))
 
-    def _cell(self, spec: Field) -> Cell:
+    def _cell(self, spec: Field) -> RecordCell:
         kind, offset = self.dtype.fields[spec.name][:2]  # type: ignore[index]
-        return Cell(offset, kind.base, kind.shape[0] if kind.shape else 0)
+        return RecordCell(offset, kind.base, kind.shape[0] if kind.shape else 0)
 
 
 def as_array(content: memoryview | bytes) -> npt.NDArray[np.uint8]:

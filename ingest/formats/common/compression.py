@@ -27,11 +27,11 @@ _GZIP = 31
 _ZSTD_HEAD_BYTES = 18  # at most
 
 
-class ChunkError(ValueError):
+class CompressionError(ValueError):
     """A compressed part of a log that cannot be used; the message says why."""
 
 
-class Decoder(Protocol):
+class Decompressor(Protocol):
     """What zlib and zstandard offer for one compressed frame."""
 
     @property
@@ -67,10 +67,10 @@ class _Growth:
     excess: float = 0.0
 
     def check(self, given: int, taken: int, at: int) -> None:
-        """Raises ChunkError where too much came out of the bytes up to `at`, of which `taken` are new."""
+        """Raises CompressionError where the bytes up to `at`, `taken` of them new, gave too much."""
         self.excess = max(0.0, self.excess + given - self.max_ratio * taken)
         if self.excess > FREE_BYTES:
-            raise ChunkError(
+            raise CompressionError(
                 f"ahead of byte {at} of the packed data they expand to more than {self.max_ratio:g} times "
                 "their size: the rest is left out"
             )
@@ -79,7 +79,7 @@ class _Growth:
 def unpacked_pieces(view: memoryview, max_ratio: float) -> Iterator[bytes]:
     """What a gzip or zstd file expands to, piece by piece: all its frames, one behind the other.
 
-    Raises ChunkError where they end early, are damaged, or expand to far more than `max_ratio` times their
+    Raises CompressionError where they end early, are damaged, or expand far beyond `max_ratio` times their
     size; what stands before has been given.
     """
     at = 0
@@ -90,12 +90,14 @@ def unpacked_pieces(view: memoryview, max_ratio: float) -> Iterator[bytes]:
         if at and _is_padding(view, at):
             return
         if at and not _begins_frame(view, at, is_gzip):
-            raise ChunkError(f"{len(view) - at} bytes behind the {name} data at byte {at} are something else")
+            raise CompressionError(
+                f"{len(view) - at} bytes behind the {name} data at byte {at} are something else"
+            )
         at = yield from (_inflate(view, at, _GZIP, growth) if is_gzip else _unzstd(view, at, growth))
 
 
 def inflated_pieces(view: memoryview, max_ratio: float) -> Iterator[bytes]:
-    """What deflate data without a header (a member of a zip archive) expand to; raises ChunkError."""
+    """What deflate data without a header (a member of a zip archive) expand to; raises CompressionError."""
     yield from _inflate(view, 0, _RAW_DEFLATE, _Growth(max_ratio))
 
 
@@ -130,18 +132,18 @@ def _unzstd(view: memoryview, at: int, growth: _Growth, *, step: int = 512) -> G
 
     head = _ZstdHead.read(bytes(view[at : at + _ZSTD_HEAD_BYTES]))
 
-    def decoder() -> Decoder:
-        found: Decoder = zstandard.ZstdDecompressor(max_window_size=_WINDOW).decompressobj()
+    def decoder() -> Decompressor:
+        found: Decompressor = zstandard.ZstdDecompressor(max_window_size=_WINDOW).decompressobj()
         try:
             found.decompress(memoryview(head.without_size))
         except zstandard.ZstdError as error:
-            raise ChunkError(f"the zstd frame at byte {at} cannot be unpacked: {error}") from error
+            raise CompressionError(f"the zstd frame at byte {at} cannot be unpacked: {error}") from error
         return found
 
     made = _Unpacking(decoder, zstandard.ZstdError, view, at + head.size, step)
     end, given = yield from _frame(made, growth)
     if head.content is not None and given != head.content:
-        raise ChunkError(f"the zstd frame states {head.content} bytes and holds {given}")
+        raise CompressionError(f"the zstd frame states {head.content} bytes and holds {given}")
     return end
 
 
@@ -182,7 +184,7 @@ class _ZstdHead:
 class _Unpacking:
     """One frame of packed data: who decodes it and fails how, and where it begins behind its header."""
 
-    make: Callable[[], Decoder]
+    make: Callable[[], Decompressor]
     error_type: type[Exception]
     view: memoryview
     start: int
@@ -190,7 +192,7 @@ class _Unpacking:
 
 
 def _frame(made: _Unpacking, growth: _Growth) -> Generator[bytes, None, tuple[int, int]]:
-    """The expanded bytes of a frame; returns where it ends, and how many there are. Raises ChunkError."""
+    """The expanded bytes of a frame; returns where it ends, and their number. Raises CompressionError."""
     view = made.view
     step = made.step
     decoder = made.make()
@@ -201,7 +203,7 @@ def _frame(made: _Unpacking, growth: _Growth) -> Generator[bytes, None, tuple[in
             piece = decoder.decompress(view[at : at + step])
         except made.error_type as error:
             yield from _up_to_damage(made, at)
-            raise ChunkError(f"the packed data are damaged before byte {at + step}: {error}") from error
+            raise CompressionError(f"the packed data are damaged before byte {at + step}: {error}") from error
         given += len(piece)
         yield piece
         end = min(at + step, len(view)) - len(decoder.unused_data)
@@ -211,7 +213,7 @@ def _frame(made: _Unpacking, growth: _Growth) -> Generator[bytes, None, tuple[in
         if at - released >= _RELEASE_BYTES:
             release(view, released, at)
             released = at
-    raise ChunkError(f"the packed data end early, at byte {len(view)}")
+    raise CompressionError(f"the packed data end early, at byte {len(view)}")
 
 
 def _up_to_damage(made: _Unpacking, damaged: int) -> Iterator[bytes]:
@@ -237,7 +239,7 @@ def packer_for(suffix: str) -> Packer:
 def first_bytes(pieces: Iterator[bytes], count: int) -> bytes:
     """At most `count` bytes of the beginning, as many as can be had."""
     out = bytearray()
-    with suppress(ChunkError):
+    with suppress(CompressionError):
         for piece in pieces:
             out += piece
             if len(out) >= count:
@@ -258,7 +260,7 @@ def expand(pieces: Iterator[bytes]) -> Iterator[Expanded]:
             for piece in pieces:
                 written += file.write(piece)
             file.flush()
-        except ChunkError as error:
+        except CompressionError as error:
             lost = str(error)
             file.flush()
         except OSError as error:
@@ -283,15 +285,15 @@ def expand(pieces: Iterator[bytes]) -> Iterator[Expanded]:
 
 
 def unpack_message(payload: bytes, limits: Limits, *, free_bytes: int = 1 << 20) -> bytes:
-    """A message that was compressed for itself. Raises ChunkError."""
+    """A message that was compressed for itself. Raises CompressionError."""
     import zstandard
 
     most = min(limits.max_chunk_bytes, int(limits.max_ratio * len(payload)) + free_bytes)
     try:
         stated = zstandard.get_frame_parameters(payload).content_size
         if stated not in (zstandard.CONTENTSIZE_UNKNOWN, zstandard.CONTENTSIZE_ERROR) and stated > most:
-            raise ChunkError(f"a message that expands to {stated} bytes is beyond the limits")
+            raise CompressionError(f"a message that expands to {stated} bytes is beyond the limits")
         decoder = zstandard.ZstdDecompressor(max_window_size=_WINDOW)
         return bytes(decoder.decompress(payload, max_output_size=most))
     except zstandard.ZstdError as error:
-        raise ChunkError(f"zstd data are damaged: {error}") from error
+        raise CompressionError(f"zstd data are damaged: {error}") from error

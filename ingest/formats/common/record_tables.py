@@ -34,7 +34,7 @@ _NUMBERS = {size: np.dtype(f"u{size}") for size in (1, 2, 4, 8)}
 
 
 @dataclass(frozen=True)
-class Cell:
+class RecordCell:
     """Where a column lies in a record.
 
     Attributes
@@ -74,7 +74,7 @@ class Cell:
 class _Block:
     """Cells that are alike, and neighbours in the record: what the first one is, its piece, and how many."""
 
-    def __init__(self, cell: Cell, piece: int) -> None:
+    def __init__(self, cell: RecordCell, piece: int) -> None:
         self.piece = piece
         self.columns = 1
         self._cell = cell
@@ -82,7 +82,7 @@ class _Block:
         self._kind = _NUMBERS.get(cell.width) or np.dtype(f"V{cell.width}")
         self._is_flag = cell.is_flag
 
-    def takes(self, cell: Cell) -> bool:
+    def takes(self, cell: RecordCell) -> bool:
         """Whether a cell goes on where the block ends, and is copied as its cells are."""
         alike = cell.is_flag == self._is_flag and cell.width == self._width
         return alike and cell.offset == self._cell.offset + self.columns * self._width
@@ -100,7 +100,7 @@ class _Block:
 class RecordForm:
     """How records of `size` bytes become columns: `heads`, which are computed, then one for every cell."""
 
-    def __init__(self, size: int, heads: Sequence[np.dtype[Any]], cells: Sequence[Cell]) -> None:
+    def __init__(self, size: int, heads: Sequence[np.dtype[Any]], cells: Sequence[RecordCell]) -> None:
         self.size = size
         self.types = [*map(number_type, heads), *(cell.type for cell in cells)]
         numbers = sorted((c for c in cells if not c.is_text), key=lambda c: c.offset)
@@ -108,11 +108,11 @@ class RecordForm:
         self._blocks = list(_blocks(numbers, len(heads)))
         self._texts = [cell for cell in cells if cell.is_text]
         # pieces of the buffer: heads, numbers as they lie in the record, ends and characters of every text
-        laid = [*(Cell(0, kind) for kind in heads), *numbers]
+        laid = [*(RecordCell(0, kind) for kind in heads), *numbers]
         self._bits = [c.width * (1 if c.is_flag else 8) for c in laid]
         self._make_head(cells)
 
-    def _make_head(self, cells: Sequence[Cell]) -> None:
+    def _make_head(self, cells: Sequence[RecordCell]) -> None:
         """The words of the head, and which of them tell of rows and of pieces."""
         counts = [1] * len(self._heads)
         buffers = 2 * len(self._heads)
@@ -164,7 +164,7 @@ class RecordForm:
             whole[place : place + len(piece)] = piece
         return pa.Table.from_batches([pa.ipc.read_record_batch(pa.py_buffer(whole), schema)])
 
-    def _text(self, cell: Cell, records: Bytes, rows: int) -> tuple[Bytes, Bytes]:
+    def _text(self, cell: RecordCell, records: Bytes, rows: int) -> tuple[Bytes, Bytes]:
         """Ends and characters of a column of text."""
         array = fixed_text(np.ndarray((rows, cell.width), np.uint8, records, cell.offset, (self.size, 1)))
         _, ends, characters = (np.frombuffer(b or b"", dtype=np.uint8) for b in array.buffers())
@@ -172,7 +172,7 @@ class RecordForm:
         return ends[: 4 * (rows + 1)], characters[:last]
 
 
-def _blocks(cells: Sequence[Cell], piece: int) -> Iterator[_Block]:
+def _blocks(cells: Sequence[RecordCell], piece: int) -> Iterator[_Block]:
     """Cells in the order of the record, neighbours together; the first one's piece is `piece`."""
     block: _Block | None = None
     for k, cell in enumerate(cells):

@@ -119,7 +119,7 @@ class Fix:
 
 
 @dataclass(frozen=True)
-class Column:
+class ScrubColumn:
     """A column of a record: its key in the structured array, its name, and its scale where one is stated."""
 
     key: str
@@ -128,12 +128,12 @@ class Column:
 
 
 @dataclass(frozen=True)
-class Place:
+class Position:
     """Columns that hold one position; `altitudes` may be none."""
 
-    lat: Column
-    lon: Column
-    altitudes: tuple[Column, ...]
+    lat: ScrubColumn
+    lon: ScrubColumn
+    altitudes: tuple[ScrubColumn, ...]
 
 
 @dataclass
@@ -197,11 +197,11 @@ def has_fix(lat_deg: FloatArray, lon_deg: FloatArray) -> BoolArray:
 # --------------------------------------------------------------------------------------------- columns
 
 
-def places(columns: Sequence[Column]) -> tuple[Place, ...]:
+def places(columns: Sequence[ScrubColumn]) -> tuple[Position, ...]:
     """Positions among the columns of one record, by their names."""
     by_name = {c.name.lower(): c for c in columns}
     return tuple(
-        Place(by_name[lat], by_name[lon], tuple(by_name[a] for a in alts))
+        Position(by_name[lat], by_name[lon], tuple(by_name[a] for a in alts))
         for lat, lon, alts in _places(tuple(by_name))
     )
 
@@ -239,7 +239,9 @@ def is_private_parameter(name: str) -> bool:
     return name not in _KEPT_PARAMETERS and _PARAMETER.search(name) is not None
 
 
-def scrub_rows(rows: npt.NDArray[Any], columns: Sequence[Column], where: str, scrubber: Scrubber) -> None:
+def scrub_rows(
+    rows: npt.NDArray[Any], columns: Sequence[ScrubColumn], where: str, scrubber: Scrubber
+) -> None:
     """Scrub structured records in place: positions and identifiers, by the names of their columns."""
     for place in places(columns):
         scrub_place(rows, place, where, scrubber)
@@ -249,7 +251,7 @@ def scrub_rows(rows: npt.NDArray[Any], columns: Sequence[Column], where: str, sc
 
 
 def scrub_place(
-    rows: npt.NDArray[Any], place: Place, where: str, scrubber: Scrubber, mask: BoolArray | None = None
+    rows: npt.NDArray[Any], place: Position, where: str, scrubber: Scrubber, mask: BoolArray | None = None
 ) -> None:
     """Move or remove one position of every record (of those in `mask`)."""
     chosen = np.ones(len(rows), dtype=np.bool_) if mask is None else mask
@@ -265,12 +267,12 @@ def scrub_place(
         scrubber.note(ALTITUDE, f"{where}.{column.name}", (chosen & is_fix).sum())
 
 
-def _degrees(rows: npt.NDArray[Any], column: Column) -> FloatArray:
+def _degrees(rows: npt.NDArray[Any], column: ScrubColumn) -> FloatArray:
     degrees: FloatArray = rows[column.key].astype(np.float64) * _scale(rows, column, GRID_DEG)
     return degrees
 
 
-def _scale(rows: npt.NDArray[Any], column: Column, integers: float) -> float:
+def _scale(rows: npt.NDArray[Any], column: ScrubColumn, integers: float) -> float:
     """The stated scale, or what whole numbers mean by custom: 1e-7 degrees, millimetres."""
     if column.scale is not None and column.scale != 1.0:
         return column.scale
@@ -278,7 +280,7 @@ def _scale(rows: npt.NDArray[Any], column: Column, integers: float) -> float:
 
 
 def _put(
-    rows: npt.NDArray[Any], column: Column, values: FloatArray, mask: BoolArray, integers: float
+    rows: npt.NDArray[Any], column: ScrubColumn, values: FloatArray, mask: BoolArray, integers: float
 ) -> None:
     kind = rows.dtype[column.key]
     raw = values[mask] / _scale(rows, column, integers)
@@ -329,7 +331,8 @@ def scrub_tree(value: Any, where: str, scrubber: Scrubber) -> Any:
         tree = {k: scrub_tree(v, f"{where}.{k}", scrubber) for k, v in value.items()}
         numbers = {k: v for k, v in tree.items() if isinstance(v, int | float) and not isinstance(v, bool)}
         columns = [
-            Column(k, k, None if isinstance(v, float) or abs(v) <= 360 else 1e-7) for k, v in numbers.items()
+            ScrubColumn(k, k, None if isinstance(v, float) or abs(v) <= 360 else 1e-7)
+            for k, v in numbers.items()
         ]
         for place in places(columns):
             used = (place.lat, place.lon, *place.altitudes)

@@ -17,7 +17,7 @@ from pathlib import Path
 from zipfile import ZIP_DEFLATED, ZIP_STORED
 
 from flysid.ingest.formats.base import map_file
-from flysid.ingest.formats.common.compression import ChunkError, inflated_pieces, unpacked_pieces
+from flysid.ingest.formats.common.compression import CompressionError, inflated_pieces, unpacked_pieces
 
 ZIP_MAGICS = (b"PK\x03\x04", b"PK\x05\x06", b"PK\x07\x08PK\x03\x04")
 ZSTANDARD = 93
@@ -85,12 +85,12 @@ def _is_in_place(view: memoryview, member: Member) -> bool:
 
 
 def member_pieces(view: memoryview, member: Member, max_ratio: float) -> Iterator[bytes]:
-    """What a member expands to; raises ChunkError where it is cut, damaged or not what the archive says.
+    """What a member expands to; raises CompressionError where it is cut, damaged or not what the archive has.
 
     `max_ratio` : see `Limits`.
     """
     if member.fault:
-        raise ChunkError(member.fault)
+        raise CompressionError(member.fault)
     start = _data_start(view, member)
     packed = view[start : start + member.packed]
     total = 0
@@ -100,13 +100,13 @@ def member_pieces(view: memoryview, member: Member, max_ratio: float) -> Iterato
         crc = zlib.crc32(piece, crc)
         yield piece
         if member.size is not None and total > member.size:
-            raise ChunkError(f"it is larger than the {member.size} bytes that the archive states")
+            raise CompressionError(f"it is larger than the {member.size} bytes that the archive states")
     if len(packed) < member.packed:
-        raise ChunkError("the archive ends inside it")
+        raise CompressionError("the archive ends inside it")
     if member.size is not None and total < member.size:
-        raise ChunkError(f"{member.size - total} of its {member.size} bytes are missing")
+        raise CompressionError(f"{member.size - total} of its {member.size} bytes are missing")
     if member.crc is not None and crc != member.crc:
-        raise ChunkError("its checksum is wrong: some of its bytes are damaged")
+        raise CompressionError("its checksum is wrong: some of its bytes are damaged")
 
 
 def _unpack(packed: memoryview, method: int, max_ratio: float, *, piece: int = 1 << 20) -> Iterator[bytes]:
@@ -120,7 +120,7 @@ def _unpack(packed: memoryview, method: int, max_ratio: float, *, piece: int = 1
 def _data_start(view: memoryview, member: Member) -> int:
     head = bytes(view[member.header : member.header + _LOCAL.size])
     if len(head) < _LOCAL.size or head[:4] != ZIP_MAGICS[0]:
-        raise ChunkError(f"its header at byte {member.header} of the archive is damaged")
+        raise CompressionError(f"its header at byte {member.header} of the archive is damaged")
     *_, name, extra = _LOCAL.unpack(head)
     return int(member.header + _LOCAL.size + name + extra)
 

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from flysid.ingest.formats.common.columns import Field, Layout
+from flysid.ingest.formats.common.columns import Field, RecordLayout
 
 MAGIC = 0xBC
 TIME_NS: Mapping[int, int] = {1: 10**6, 2: 10**3}  # of one count
@@ -67,7 +67,7 @@ VARIABLE_UNITS: Mapping[str, str] = {
 class Header:
     """The kinds of events by id, the format's version, and where the first event begins."""
 
-    kinds: Mapping[int, Layout]
+    kinds: Mapping[int, RecordLayout]
     version: int
     end: int
 
@@ -88,7 +88,7 @@ def header_of(data: bytes) -> Header | None:
     version, count = struct.unpack_from("<HH", data, 1)
     if version not in TIME_NS or not count:
         return None
-    kinds: dict[int, Layout] = {}
+    kinds: dict[int, RecordLayout] = {}
     at = 5
     try:
         for _ in range(count):
@@ -124,12 +124,12 @@ def _variable(word: str) -> tuple[str, str]:
     return word[:-3], TYPES[word[-2]]
 
 
-def _layout(name: str, fields: list[tuple[str, str]]) -> Layout:
+def _layout(name: str, fields: list[tuple[str, str]]) -> RecordLayout:
     names = [field for field, _ in fields]
     if len(set(names)) != len(names):
         raise ValueError("a variable twice")
     dtype = np.dtype(fields) if fields else np.dtype([])
-    return Layout(name, dtype, tuple(Field(field, unit=unit_of(field)) for field in names))
+    return RecordLayout(name, dtype, tuple(Field(field, unit=unit_of(field)) for field in names))
 
 
 def unit_of(variable: str) -> str:

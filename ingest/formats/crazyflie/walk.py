@@ -20,7 +20,7 @@ LATEST_NS = 1 << 62
 
 
 @dataclass(frozen=True)
-class Lost:
+class LostBytes:
     """Bytes [start, end) that are no event, and why."""
 
     start: int
@@ -39,7 +39,7 @@ class Events:
 
 def walk(
     view: memoryview, header: Header, stop: int, batch: int, checksum: int = 0
-) -> Iterator[Events | Lost]:
+) -> Iterator[Events | LostBytes]:
     """The events up to `stop` in batches of about `batch` bytes, and what is lost between them.
 
     The last `checksum` bytes may be no event.
@@ -60,7 +60,7 @@ class _Walk:
         self.unit_ns = TIME_NS[header.version]
         self.ids = np.array(sorted(self.sizes), dtype=np.uint16)
 
-    def run(self, batch: int) -> Iterator[Events | Lost]:
+    def run(self, batch: int) -> Iterator[Events | LostBytes]:
         found: list[tuple[int, int, int]] = []
         at = self.start
         due = at + batch
@@ -74,7 +74,7 @@ class _Walk:
                 at = end
             elif end and not is_timely and (end in self.ends or self.is_head(end, last)) and last is not None:
                 yield from _hand_on(found)
-                yield Lost(at, end, "an event out of time")
+                yield LostBytes(at, end, "an event out of time")
                 at = end
             else:
                 ahead = self.in_step(at + 1, last)
@@ -85,7 +85,7 @@ class _Walk:
                     at = end
                 yield from _hand_on(found)
                 if ahead > at:
-                    yield Lost(at, ahead, "no event")
+                    yield LostBytes(at, ahead, "no event")
                 at = max(at, ahead)
             if at >= due:
                 yield from _hand_on(found)

@@ -17,7 +17,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from flysid.ingest.formats.common.columns import Field, Layout
+from flysid.ingest.formats.common.columns import Field, RecordLayout
 
 FMT_ID = 128
 FMT_LENGTH = 89
@@ -74,7 +74,7 @@ class Definition:
     format: str
     labels: tuple[str, ...]
     stream: str
-    layout: Layout | None
+    layout: RecordLayout | None
 
 
 @dataclass
@@ -162,7 +162,7 @@ def is_consistent(number: int, length: int, name: str, form: str, labels: str) -
 
 
 @lru_cache(maxsize=1024)
-def make_layout(name: str, form: str, labels: tuple[str, ...], length: int) -> Layout | None:
+def make_layout(name: str, form: str, labels: tuple[str, ...], length: int) -> RecordLayout | None:
     """The layout of a message; None where a character is unknown or the lengths disagree.
 
     Missing labels are made up, superfluous ones ignored, repeated ones numbered. Logs share their layouts.
@@ -182,7 +182,7 @@ def make_layout(name: str, form: str, labels: tuple[str, ...], length: int) -> L
     if dtype.itemsize + HEADER_BYTES != length:
         return None
     fields = tuple(_field(n, c, k, scale) for n, c, (k, _, scale) in zip(names, form, kinds, strict=True))
-    return Layout(name, dtype, fields)
+    return RecordLayout(name, dtype, fields)
 
 
 def _field(name: str, character: str, kind: str, scale: float) -> Field:
@@ -200,7 +200,7 @@ class Units:
     factors: dict[str, float] = field(default_factory=dict)
     of_message: dict[int, tuple[str, str]] = field(default_factory=dict)
 
-    def apply(self, definition: Definition) -> tuple[Layout, str]:
+    def apply(self, definition: Definition) -> tuple[RecordLayout, str]:
         """The definition's layout with units and factors, and its instance column ("" where none)."""
         assert definition.layout is not None
         unit_ids, factor_ids = self.of_message.get(definition.number, ("", ""))

@@ -22,7 +22,7 @@ from flysid.errors import FormatError
 from flysid.flight import ClockMap, Damage
 from flysid.ingest.formats.base import Limits, Parts, StreamPart, Summary, release
 from flysid.ingest.formats.common.clock import SECOND_NS, IntArray, UtcFit
-from flysid.ingest.formats.common.columns import ByteMatrix, Layout, gather, message_schema
+from flysid.ingest.formats.common.columns import ByteMatrix, RecordLayout, gather, message_schema
 from flysid.ingest.formats.common.vehicle_time import Clocked, Source, VehicleTime
 from flysid.ingest.formats.dataflash.frames import LOOK_AHEAD, Messages, Walker
 from flysid.ingest.formats.dataflash.inner import HEAD
@@ -112,7 +112,7 @@ def _matrix(messages: Messages, rows: IntArray, definition: Definition) -> ByteM
     return gather(messages.buffer, messages.start[rows] + HEADER_BYTES, lengths, size)
 
 
-def _layout_of(definition: Definition) -> Layout:
+def _layout_of(definition: Definition) -> RecordLayout:
     assert definition.layout is not None, "messages without a layout are counted, not decoded"
     return definition.layout
 
@@ -125,7 +125,7 @@ def _groups(messages: Messages) -> dict[int, IntArray]:
     return {int(code): order[edges[i] : edges[i + 1]] for i, code in enumerate(codes)}
 
 
-def _records(matrix: ByteMatrix, layout: Layout) -> npt.NDArray[np.void]:
+def _records(matrix: ByteMatrix, layout: RecordLayout) -> npt.NDArray[np.void]:
     return matrix.view(layout.dtype).reshape(len(matrix))
 
 

@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from flysid.ingest.formats.base import Limits
 from flysid.ingest.formats.common import scrub_rules as rules
-from flysid.ingest.formats.common.scrub_rules import Column, Place, Scrubber
+from flysid.ingest.formats.common.scrub_rules import Position, Scrubber, ScrubColumn
 from flysid.ingest.formats.dataflash.frames import LOOK_AHEAD, Messages, Walker
 from flysid.ingest.formats.dataflash.layouts import HEADER_BYTES, TIME_LABELS, Definition
 
@@ -79,7 +79,7 @@ def scrub_messages(rows: npt.NDArray[Any], definition: Definition, scrubber: Scr
     where = definition.name
     assert layout is not None
     scales = {f.name: f.scale for f in layout.fields}
-    columns = {name: Column(name, name, scales.get(name)) for name in layout.dtype.names or ()}
+    columns = {name: ScrubColumn(name, name, scales.get(name)) for name in layout.dtype.names or ()}
     rules.scrub_rows(rows, list(columns.values()), where, scrubber)
     for name in columns:
         if where in CONTENT and name not in TIME_LABELS:
@@ -90,7 +90,7 @@ def scrub_messages(rows: npt.NDArray[Any], definition: Definition, scrubber: Scr
         _parameters(rows, scrubber)
     if where == "MAVC" and {"X", "Y", "Fr", "Cmd"} <= set(columns):
         used = np.isin(rows["Fr"], rules.GLOBAL_FRAMES) & np.isin(rows["Cmd"], rules.LOCATED_COMMANDS)
-        rules.scrub_place(rows, Place(columns["X"], columns["Y"], ()), where, scrubber, used)
+        rules.scrub_place(rows, Position(columns["X"], columns["Y"], ()), where, scrubber, used)
 
 
 def _parameters(rows: npt.NDArray[Any], scrubber: Scrubber) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 
 from flysid.ingest.formats.base import Limits
 from flysid.ingest.formats.common import scrub_rules as rules
-from flysid.ingest.formats.common.scrub_rules import Column, Scrubber
+from flysid.ingest.formats.common.scrub_rules import Scrubber, ScrubColumn
 from flysid.ingest.formats.dataflash.scrub import CONTENT, DEFINING
 
 
@@ -64,7 +64,7 @@ def _line(line: bytes, labels: dict[str, list[str]], scrubber: Scrubber) -> byte
 def _cells(name: str, labels: list[str], cells: list[str], scrubber: Scrubber) -> list[str]:
     """The cells of one line, scrubbed."""
     clean = list(cells)
-    for place in rules.places([Column(label, label) for label in labels]):
+    for place in rules.places([ScrubColumn(label, label) for label in labels]):
         used = [place.lat, place.lon, *place.altitudes]
         where = [labels.index(c.key) for c in used]
         try:

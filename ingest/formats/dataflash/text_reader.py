@@ -23,7 +23,7 @@ from flysid.flight import ClockMap, Damage, Region
 from flysid.ingest.formats.base import Limits, Parts, StreamPart, Summary
 from flysid.ingest.formats.common.arrow_arrays import strings
 from flysid.ingest.formats.common.clock import IntArray
-from flysid.ingest.formats.common.columns import Layout, message_schema, numbers, schema_field
+from flysid.ingest.formats.common.columns import RecordLayout, message_schema, numbers, schema_field
 from flysid.ingest.formats.common.line_batches import whole_lines
 from flysid.ingest.formats.common.vehicle_time import Clocked, VehicleTime
 from flysid.ingest.formats.dataflash.layouts import (
@@ -81,7 +81,7 @@ class _TextReader:
 
 
 @dataclass
-class _Lines:
+class _TextLines:
     """Lines of one definition in a batch: their numbers, their spans in the file, their fields."""
 
     rows: list[int] = field(default_factory=list)
@@ -126,9 +126,9 @@ def _parts(reader: _TextReader, data: bytes, base: int) -> Iterator[StreamPart]:
     yield from _tables(reader, tables, data.count(b"\n") + 1)
 
 
-def _group(reader: _TextReader, data: bytes, base: int) -> dict[int, _Lines]:
+def _group(reader: _TextReader, data: bytes, base: int) -> dict[int, _TextLines]:
     """Lines by definition, split into as many fields as their FMT states; others are skipped."""
-    groups: dict[int, _Lines] = {}
+    groups: dict[int, _TextLines] = {}
     blank = start = base  # empty lines since `blank` mean nothing, unless damage follows or precedes them
     for row, line in enumerate(_split(data)):
         end = start + len(line)
@@ -157,7 +157,7 @@ def _group(reader: _TextReader, data: bytes, base: int) -> dict[int, _Lines]:
             if _swallowed(reader, code, cells[-1]):
                 _skip(reader, blank, end, "two lines run into one")
             elif len(cells) == count:
-                group = groups.setdefault(code, _Lines())
+                group = groups.setdefault(code, _TextLines())
                 group.rows.append(row)
                 group.spans.append((start, end))
                 group.cells.append(cells)
@@ -206,7 +206,7 @@ def _define(reader: _TextReader, rest: str) -> int | None:
     return reader.definitions.current[FMT_ID]
 
 
-def _columns(reader: _TextReader, definition: Definition, lines: _Lines) -> list[Column]:
+def _columns(reader: _TextReader, definition: Definition, lines: _TextLines) -> list[Column]:
     """The fields as arrays; lines whose numbers are none are skipped and leave `lines`."""
     good = [_fits(definition.format, cells) for cells in lines.cells]
     if not all(good):
@@ -323,12 +323,12 @@ def _table(
     )
 
 
-def _describe(reader: _TextReader, definition: Definition) -> tuple[Layout, str]:
+def _describe(reader: _TextReader, definition: Definition) -> tuple[RecordLayout, str]:
     """Fields with units; factors only where the text still holds raw numbers."""
     if definition.layout is None:
         from flysid.ingest.formats.common.columns import Field
 
-        return Layout(definition.name, np.dtype([]), tuple(Field(n) for n in _names(definition))), ""
+        return RecordLayout(definition.name, np.dtype([]), tuple(Field(n) for n in _names(definition))), ""
     layout, instance = reader.units.apply(definition)
     fields = tuple(
         replace(spec, scale=1.0) if character in DIVIDED else spec

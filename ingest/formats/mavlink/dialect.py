@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from flysid.ingest.formats.common.columns import Field, Layout
+from flysid.ingest.formats.common.columns import Field, RecordLayout
 
 DEFAULT = "ardupilotmega"
 OTHERS = ("development", "all", "common")
@@ -77,7 +77,7 @@ class Dialect:
     crc_extra: npt.NDArray[np.int16]
     _module: ModuleType
 
-    def layout(self, message_id: int) -> Layout:
+    def layout(self, message_id: int) -> RecordLayout:
         """The layout of a known message."""
         return _layout(self.name, message_id)
 
@@ -105,7 +105,7 @@ def load_dialect(name: str = DEFAULT) -> Dialect:
 
 
 @cache
-def _layout(dialect: str, message_id: int) -> Layout:
+def _layout(dialect: str, message_id: int) -> RecordLayout:
     module = load_dialect(dialect)._module
     message = module.mavlink_map[message_id]
     wire = re.findall(r"(\d*)([a-zA-Z])", message.unpacker.format)
@@ -114,7 +114,7 @@ def _layout(dialect: str, message_id: int) -> Layout:
         formats[name] = _dtype(code, int(count) if count else 0)
     dtype = np.dtype(list(formats.items()))
     fields = tuple(_field(module, message, name, formats[name]) for name in message.fieldnames)
-    return Layout(str(message.msgname), dtype, fields)
+    return RecordLayout(str(message.msgname), dtype, fields)
 
 
 def _dtype(code: str, count: int) -> Any:

@@ -24,7 +24,7 @@ from flysid.ingest.formats.common.capture import is_capture
 from flysid.ingest.formats.common.clock import SECOND_NS, SIDE, BoolArray, IntArray, is_outlier
 from flysid.ingest.formats.common.columns import (
     ByteMatrix,
-    Layout,
+    RecordLayout,
     as_array,
     gather,
     message_schema,
@@ -195,7 +195,7 @@ def _admit(reader: _Reader, groups: dict[Source, IntArray]) -> dict[Source, IntA
     return kept
 
 
-def _matrix(frames: Frames, rows: IntArray, layout: Layout) -> ByteMatrix:
+def _matrix(frames: Frames, rows: IntArray, layout: RecordLayout) -> ByteMatrix:
     return gather(frames.buffer, frames.payload[rows], frames.length[rows], layout.size)
 
 
@@ -277,30 +277,30 @@ def _count_gaps(reader: _Reader, frames: Frames) -> None:
             reader.gaps[sender] = reader.gaps.get(sender, 0) + count
 
 
-def _time_field(layout: Layout) -> str | None:
+def _time_field(layout: RecordLayout) -> str | None:
     """The field that carries the vehicle's clock, if the message has one."""
     names = layout.dtype.names or ()
     return next((f for f in TIME_FIELDS if f in names), None)
 
 
-def _read_clock(source: Source, name: str, rows: IntArray, frames: Frames, layout: Layout) -> Clocked:
+def _read_clock(source: Source, name: str, rows: IntArray, frames: Frames, layout: RecordLayout) -> Clocked:
     """The times that a stream states; only the bytes of that field are gathered."""
     kind, at = layout.dtype.fields[name][:2]  # type: ignore[index]
     width = kind.itemsize
     left = np.clip(frames.length[rows] - at, 0, width)
-    bare = Layout(name, np.dtype([(name, kind)]), ())
+    bare = RecordLayout(name, np.dtype([(name, kind)]), ())
     matrix = gather(frames.buffer, frames.payload[rows] + at, left, width)
     unit = TIME_FIELDS[name]
     time_ns = np.minimum(_field_values(matrix, bare, name), MAX_NS // unit) * unit
     return Clocked(source, name, rows, time_ns, name in BOOT_FIELDS, (1 << 32) * unit if width == 4 else 0)
 
 
-def _field_values(matrix: ByteMatrix, layout: Layout, name: str) -> IntArray:
+def _field_values(matrix: ByteMatrix, layout: RecordLayout, name: str) -> IntArray:
     values: npt.NDArray[np.uint64] = matrix.view(layout.dtype).reshape(len(matrix))[name]
     return np.minimum(values, np.uint64((1 << 63) - 1)).astype(np.int64)
 
 
-def _note_vehicle(reader: _Reader, source: Source, matrix: ByteMatrix, layout: Layout) -> None:
+def _note_vehicle(reader: _Reader, source: Source, matrix: ByteMatrix, layout: RecordLayout) -> None:
     autopilots, kinds = (_field_values(matrix, layout, name) for name in ("autopilot", "type"))
     facts = vehicle_facts(reader.dialect, autopilots, kinds)
     if facts:
@@ -322,7 +322,7 @@ def vehicle_facts(
     }
 
 
-def _note_firmware(reader: _Reader, matrix: ByteMatrix, layout: Layout) -> None:
+def _note_firmware(reader: _Reader, matrix: ByteMatrix, layout: RecordLayout) -> None:
     """flight_sw_version holds major, minor and patch in its upper bytes, the kind of release below."""
     version = int(_field_values(matrix, layout, "flight_sw_version")[-1])
     if version:

@@ -17,9 +17,9 @@ from flysid.errors import UsageError
 from flysid.ingest.formats.base import Limits
 from flysid.ingest.formats.common import scrub_rules as rules
 from flysid.ingest.formats.common.capture import is_capture
-from flysid.ingest.formats.common.columns import Layout, gather
+from flysid.ingest.formats.common.columns import RecordLayout, gather
 from flysid.ingest.formats.common.pcap import FILE_HEAD_BYTES
-from flysid.ingest.formats.common.scrub_rules import Column, Place, Scrubber
+from flysid.ingest.formats.common.scrub_rules import Position, Scrubber, ScrubColumn
 from flysid.ingest.formats.mavlink.dialect import Dialect
 from flysid.ingest.formats.mavlink.frames import SIGNATURE_BYTES, V1, V2, Frames
 from flysid.ingest.formats.mavlink.reader import frame_batches
@@ -90,16 +90,16 @@ def _payloads(frames: Frames, dialect: Dialect, scrubber: Scrubber) -> dict[int,
     return out
 
 
-def scrub_message(records: npt.NDArray[Any], layout: Layout, scrubber: Scrubber) -> None:
+def scrub_message(records: npt.NDArray[Any], layout: RecordLayout, scrubber: Scrubber) -> None:
     """Scrub the records of one message in place."""
     names = records.dtype.names or ()
     scales = {f.name: f.scale for f in layout.fields}
-    columns = [Column(name, name, scales.get(name)) for name in names]
+    columns = [ScrubColumn(name, name, scales.get(name)) for name in names]
     rules.scrub_rows(records, columns, layout.name, scrubber)
     by_name = {c.name: c for c in columns}
     if all(name in names for name in OPERATOR):
         lat, lon, alt = (by_name[name] for name in OPERATOR)
-        rules.scrub_place(records, Place(lat, lon, (alt,)), f"{layout.name}.operator", scrubber)
+        rules.scrub_place(records, Position(lat, lon, (alt,)), f"{layout.name}.operator", scrubber)
     if layout.name == "VFR_HUD":
         _raise(records, scrubber)
     if layout.name in CONTENT:
@@ -111,15 +111,17 @@ def scrub_message(records: npt.NDArray[Any], layout: Layout, scrubber: Scrubber)
     if layout.name in PARAMETERS:
         _parameters(records, layout.name, scrubber)
     if layout.name in PLACED:
-        place = Place(by_name["x"], by_name["y"], (by_name["z"],))
+        place = Position(by_name["x"], by_name["y"], (by_name["z"],))
         used = np.isin(records["frame"], rules.GLOBAL_FRAMES) & np.isin(
             records["command"], rules.LOCATED_COMMANDS
         )
         above_sea = np.isin(records["frame"], (0, 5))
         rules.scrub_place(records, place, layout.name, scrubber, used & above_sea)
-        rules.scrub_place(records, Place(place.lat, place.lon, ()), layout.name, scrubber, used & ~above_sea)
+        rules.scrub_place(
+            records, Position(place.lat, place.lon, ()), layout.name, scrubber, used & ~above_sea
+        )
     if layout.name == "COMMAND_LONG":
-        place = Place(by_name["param5"], by_name["param6"], ())
+        place = Position(by_name["param5"], by_name["param6"], ())
         used = np.isin(records["command"], rules.LOCATED_COMMANDS)
         rules.scrub_place(records, place, layout.name, scrubber, used)
 

@@ -12,7 +12,7 @@ import numpy as np
 from mcap.opcode import Opcode
 
 from flysid.ingest.formats.base import Limits
-from flysid.ingest.formats.common.compression import ChunkError
+from flysid.ingest.formats.common.compression import CompressionError
 from flysid.ingest.formats.common.gather import Bytes, Index, Values, as_bytes, rows
 from flysid.ingest.formats.mcap.records import (
     HEAD_BYTES,
@@ -41,7 +41,7 @@ class Definition:
 
 
 @dataclass(frozen=True)
-class Found:
+class Contents:
     """What lies in a run of records: places of messages, definitions between them, and where the run ends."""
 
     messages: Index
@@ -61,16 +61,20 @@ class Block:
 
 
 def check_bounds(head: ChunkHead, limits: Limits) -> None:
-    """Raise ChunkError where a chunk declares more than `limits` allow."""
+    """Raise CompressionError where a chunk declares more than `limits` allow."""
     packed = head.data_end - head.data_at
     if head.size > limits.max_chunk_bytes:
-        raise ChunkError(f"chunk declares {head.size} bytes; at most {limits.max_chunk_bytes} are allowed")
+        raise CompressionError(
+            f"chunk declares {head.size} bytes; at most {limits.max_chunk_bytes} are allowed"
+        )
     if head.size > SMALL_CHUNK_BYTES and head.size > limits.max_ratio * packed:
-        raise ChunkError(f"chunk declares {head.size} bytes from {packed}: above {limits.max_ratio:g} times")
+        raise CompressionError(
+            f"chunk declares {head.size} bytes from {packed}: above {limits.max_ratio:g} times"
+        )
 
 
 def expand(view: memoryview, head: ChunkHead) -> bytes | memoryview:
-    """The records of a chunk, of exactly the declared size. Raises ChunkError where they cannot be had."""
+    """The records of a chunk, of the declared size. Raises CompressionError where they cannot be had."""
     packed = view[head.data_at : head.data_end]
     if head.compression == "":
         data: bytes | memoryview = packed
@@ -79,9 +83,9 @@ def expand(view: memoryview, head: ChunkHead) -> bytes | memoryview:
     elif head.compression == "lz4":
         data = _expand_lz4(packed, head.size)
     else:
-        raise ChunkError(f"compression {head.compression!r} is not known")
+        raise CompressionError(f"compression {head.compression!r} is not known")
     if len(data) != head.size:
-        raise ChunkError(f"chunk declares {head.size} bytes and holds {len(data)}")
+        raise CompressionError(f"chunk declares {head.size} bytes and holds {len(data)}")
     return data
 
 
@@ -108,7 +112,7 @@ def crc32(data: bytes | memoryview) -> int:
     return int(fastcrc.crc32.iso_hdlc(data))
 
 
-def walk(data: bytes | memoryview, start: int, stop: int, registry: Registry | None = None) -> Found:
+def walk(data: bytes | memoryview, start: int, stop: int, registry: Registry | None = None) -> Contents:
     """Messages and definitions from `start` on, up to the first record that is neither or does not fit.
 
     With a registry a message of an unknown channel ends the walk too: top-level records have no checksum.
@@ -135,10 +139,10 @@ def walk(data: bytes | memoryview, start: int, stop: int, registry: Registry | N
         elif registry is not None or op == 0 or op == Opcode.MESSAGE:
             break
         at = end
-    return Found(np.array(places, dtype=np.int64), tuple(definitions), at)
+    return Contents(np.array(places, dtype=np.int64), tuple(definitions), at)
 
 
-def find_indexed(data: bytes | memoryview, offsets: Index) -> Found | None:
+def find_indexed(data: bytes | memoryview, offsets: Index) -> Contents | None:
     """The same as `walk` over a whole chunk, from the offsets of its message indexes; None where they lie."""
     messages = np.sort(offsets)
     if len(messages) == 0 or messages[0] < 0 or messages[-1] + MESSAGE_HEAD_BYTES > len(data):
@@ -156,10 +160,10 @@ def find_indexed(data: bytes | memoryview, offsets: Index) -> Found | None:
         if len(inside.messages) or inside.stop != taken[gap]:
             return None
         definitions += [Definition(gap, d.op, d.start, d.end) for d in inside.definitions]
-    return Found(messages, tuple(definitions), len(data))
+    return Contents(messages, tuple(definitions), len(data))
 
 
-def bind(data: bytes | memoryview, found: Found, registry: Registry) -> Block:
+def bind(data: bytes | memoryview, found: Contents, registry: Registry) -> Block:
     """The messages found, each with the channel that its id meant where it stood."""
     buffer = as_bytes(data)
     head = rows(buffer, found.messages, MESSAGE_HEAD_BYTES).view(MESSAGE_HEAD)
@@ -184,10 +188,10 @@ def _expand_zstd(packed: memoryview, size: int) -> bytes:
     try:
         stated = zstandard.get_frame_parameters(packed).content_size
         if stated not in (size, 0, zstandard.CONTENTSIZE_UNKNOWN):
-            raise ChunkError(f"chunk declares {size} bytes and its zstd frame {stated}")
+            raise CompressionError(f"chunk declares {size} bytes and its zstd frame {stated}")
         return bytes(zstandard.ZstdDecompressor().decompress(packed, max_output_size=max(size, 1)))
     except zstandard.ZstdError as error:
-        raise ChunkError(f"zstd data are damaged: {error}") from error
+        raise CompressionError(f"zstd data are damaged: {error}") from error
 
 
 def _expand_lz4(packed: memoryview, size: int) -> bytes:
@@ -196,7 +200,7 @@ def _expand_lz4(packed: memoryview, size: int) -> bytes:
     try:
         return bytes(lz4.frame.LZ4FrameDecompressor().decompress(packed, max_length=size + 1))
     except (RuntimeError, ValueError, EOFError) as error:
-        raise ChunkError(f"lz4 data are damaged: {error}") from error
+        raise CompressionError(f"lz4 data are damaged: {error}") from error
 
 
 def _cut_zstd(packed: memoryview, most: int) -> bytes:

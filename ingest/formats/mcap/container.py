@@ -17,12 +17,12 @@ import numpy as np
 from mcap.opcode import Opcode
 
 from flysid.ingest.formats.base import Limits
-from flysid.ingest.formats.common.compression import ChunkError
+from flysid.ingest.formats.common.compression import CompressionError
 from flysid.ingest.formats.common.gather import Index
 from flysid.ingest.formats.common.tally import Tally
 from flysid.ingest.formats.mcap.chunks import (
     Block,
-    Found,
+    Contents,
     bind,
     check_bounds,
     checksum_fails,
@@ -225,7 +225,7 @@ class McapReader:
         offsets, after = self._message_indexes(end)
         try:
             data = self._expand(head)
-        except ChunkError as error:
+        except CompressionError as error:
             followed = after == self._limit or self._record_end(after) > 0
             resume = after if followed else self._next(at + 1)
             self._tally.skip(at, min(end, resume), str(error))
@@ -242,11 +242,11 @@ class McapReader:
         check_bounds(head, self._limits)
         self._expanded += head.size
         if self._expanded > max(FREE_EXPANSION_BYTES, self._limits.max_ratio * len(self.view)):
-            raise ChunkError("the chunks of the file expand beyond the allowed ratio")
+            raise CompressionError("the chunks of the file expand beyond the allowed ratio")
         data = expand(self.view, head)
         if checksum_fails(head, data):
             self._tally.bad_checksums += 1
-            raise ChunkError("chunk checksum failed")
+            raise CompressionError("chunk checksum failed")
         return data
 
     def _message_indexes(self, at: int) -> tuple[Index, int]:
@@ -276,11 +276,11 @@ class McapReader:
     def _lone(self, at: int) -> Steps:
         """One message that `walk` will not take: of an unknown channel, or larger than a batch."""
         end = record_end(self.view, at, self._limit)
-        found = Found(np.zeros(1, dtype=np.int64), (), end - at)
+        found = Contents(np.zeros(1, dtype=np.int64), (), end - at)
         yield bind(self.view[at:end], found, self.registry)
         return end
 
-    def _doubt_last(self, found: Found, base: int) -> tuple[Found, int]:
+    def _doubt_last(self, found: Contents, base: int) -> tuple[Contents, int]:
         """After messages comes no record: was it the last one's length that lied, or is this garbage?
 
         `base` is where the places in `found` count from. Returns the messages to keep and where to go on.
@@ -294,7 +294,7 @@ class McapReader:
             self._tally.skip(stop, resume, "no record here")
             return found, resume
         self._tally.skip(last, resume, "record of a wrong length")
-        return Found(found.messages[:-1], (), found.stop), resume
+        return Contents(found.messages[:-1], (), found.stop), resume
 
     def _next(self, at: int) -> int:
         return next_record(self.view, at, self._limit, self.registry)

@@ -12,7 +12,7 @@ from typing import IO, Any, cast
 
 from flysid.ingest.formats.base import Limits
 from flysid.ingest.formats.common import scrub_rules as rules
-from flysid.ingest.formats.common.scrub_rules import Column, Scrubber
+from flysid.ingest.formats.common.scrub_rules import Scrubber, ScrubColumn
 from flysid.ingest.formats.common.tally import Tally
 from flysid.ingest.formats.mcap.container import McapReader
 from flysid.ingest.formats.mcap.records import HEAD_BYTES, MESSAGE_HEAD_BYTES
@@ -154,7 +154,7 @@ def _scrub_fields(message: Any, where: str, scrubber: Scrubber) -> None:
         elif isinstance(value, int | float) and not isinstance(value, bool):
             numbers[field.name] = value
     columns = [
-        Column(name, name, 1e-7 if isinstance(v, int) and abs(v) > 360 else None)
+        ScrubColumn(name, name, 1e-7 if isinstance(v, int) and abs(v) > 360 else None)
         for name, v in numbers.items()
     ]
     for place in rules.places(columns):

@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 
 from flysid.ingest.formats.common import arrow_arrays
 from flysid.ingest.formats.common.gather import Bytes, Index, Values, numbers, rows, runs, spread
-from flysid.ingest.formats.messages.definitions import Array, DefinitionError, Number, Record, Text, Type
+from flysid.ingest.formats.messages.definitions import Array, DefinitionError, MessageType, Number, Text, Type
 
 MAX_STEPS = 50_000  # element-by-element steps over all sequences of one batch
 MAX_FIXED_BYTES = 1 << 26
@@ -124,7 +124,7 @@ class Elements:
 Step = Run | TextStep | NumberSequence | Elements
 
 
-def plan(kind: Record) -> tuple[Step, ...]:
+def plan(kind: MessageType) -> tuple[Step, ...]:
     """The steps that decode a message type. Raises DefinitionError where its fixed part is too large."""
     steps: list[Step] = []
     pending: list[Leaf] = []
@@ -134,7 +134,7 @@ def plan(kind: Record) -> tuple[Step, ...]:
 
 
 def _plan_into(kind: Type, path: str, steps: list[Step], pending: list[Leaf]) -> None:
-    if isinstance(kind, Record):
+    if isinstance(kind, MessageType):
         for name, inner in kind.fields:
             _plan_into(inner, f"{path}.{name}" if path else name, steps, pending)
     elif isinstance(kind, Number):
@@ -154,15 +154,15 @@ def _flush(steps: list[Step], pending: list[Leaf]) -> None:
         pending.clear()
 
 
-def _varying(kind: Text | Array | Number | Record, path: str) -> Step:
+def _varying(kind: Text | Array | Number | MessageType, path: str) -> Step:
     if isinstance(kind, Text):
         return TextStep(path)
     assert isinstance(kind, Array)
     if isinstance(kind.element, Number):
         return NumberSequence(path, kind.element.dtype)
-    single = not isinstance(kind.element, Record)
-    inner = Record("", (("", kind.element),)) if single else kind.element
-    assert isinstance(inner, Record)
+    single = not isinstance(kind.element, MessageType)
+    inner = MessageType("", (("", kind.element),)) if single else kind.element
+    assert isinstance(inner, MessageType)
     return Elements(path, plan(inner), kind.size, single)
 
 

@@ -37,7 +37,7 @@ class Text:
 
 
 @dataclass(frozen=True)
-class Record:
+class MessageType:
     """A message type: named fields in order, and units by name where comments state them."""
 
     name: str
@@ -53,7 +53,7 @@ class Array:
     size: int | None
 
 
-Type = Number | Text | Record | Array
+Type = Number | Text | MessageType | Array
 
 _COMMON: Mapping[str, str] = {
     "bool": "b1",
@@ -88,7 +88,7 @@ _BRACKETS = re.compile(r"\[([^][]*)\]")
 _NEXT = re.compile(r"^={3,}[ \t]*$", re.MULTILINE)
 
 
-def parse_definition(name: str, text: str, ros: int) -> Record:
+def parse_definition(name: str, text: str, ros: int) -> MessageType:
     """The layout of message `name` from its concatenated definition.
 
     Parameters
@@ -106,7 +106,7 @@ def parse_definition(name: str, text: str, ros: int) -> Record:
 
 def units_of(kind: Type, path: str = "", unit: str = "") -> Iterator[tuple[str, str]]:
     """Dotted path and unit, maybe "", of every column of numbers that a type gives."""
-    if isinstance(kind, Record):
+    if isinstance(kind, MessageType):
         for name, inner in kind.fields:
             yield from units_of(inner, f"{path}.{name}" if path else name, kind.units.get(name, ""))
     elif isinstance(kind, Number) or (isinstance(kind, Array) and isinstance(kind.element, Number)):
@@ -144,7 +144,7 @@ class _Resolver:
         self._numbers = ROS1_NUMBERS if ros == 1 else ROS2_NUMBERS
         self._leaves = 0
 
-    def record(self, name: str, above: tuple[str, ...]) -> Record:
+    def record(self, name: str, above: tuple[str, ...]) -> MessageType:
         if name in above:
             raise DefinitionError(f"type {name} contains itself")
         if len(above) >= MAX_DEPTH:
@@ -162,7 +162,7 @@ class _Resolver:
                 units[found[0]] = _stated_unit(comment)
         if not fields and self._ros == 2:  # rosidl gives an empty message this member
             fields = [("structure_needs_at_least_one_member", Number("u1"))]
-        return Record(name, tuple(fields), units)
+        return MessageType(name, tuple(fields), units)
 
     def _field(self, line: str, owner: str, above: tuple[str, ...]) -> tuple[str, Type] | None:
         """One line of a definition; None for a constant."""
@@ -188,7 +188,7 @@ class _Resolver:
         if name == "string":
             return Text()
         if self._ros == 1 and name in _SECONDS:
-            return Record(name, _SECONDS[name])
+            return MessageType(name, _SECONDS[name])
         if name == "wstring":
             raise DefinitionError("wstring has no agreed layout")
         return self.record(self._qualify(name, owner), above)

@@ -9,14 +9,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from flysid.ingest.formats.common import scrub_rules as rules
-from flysid.ingest.formats.common.scrub_rules import Column, Scrubber
+from flysid.ingest.formats.common.scrub_rules import Scrubber, ScrubColumn
 from flysid.ingest.formats.messages.cdr import ROS1_WIRE, Wire
 from flysid.ingest.formats.messages.channel import Channel
 from flysid.ingest.formats.messages.definitions import (
     Array,
     DefinitionError,
+    MessageType,
     Number,
-    Record,
     Text,
     Type,
     parse_definition,
@@ -54,7 +54,7 @@ def may_hold(kind: Type, path: str = "") -> bool:
 
 
 def _names(kind: Type, path: str) -> Iterator[tuple[str, str]]:
-    if isinstance(kind, Record):
+    if isinstance(kind, MessageType):
         for name, inner in kind.fields:
             yield from _names(inner, f"{path}.{name}" if path else name)
     elif isinstance(kind, Array):
@@ -63,7 +63,7 @@ def _names(kind: Type, path: str) -> Iterator[tuple[str, str]]:
         yield path, kind.dtype if isinstance(kind, Number) else ""
 
 
-def scrub_message(kind: Record, data: bytes, wire: Wire, where: str, scrubber: Scrubber) -> bytes:
+def scrub_message(kind: MessageType, data: bytes, wire: Wire, where: str, scrubber: Scrubber) -> bytes:
     """The message with the same length. Raises MessageError where it does not fit its type."""
     out = bytearray(data)
     numbers: dict[str, Spot] = {}
@@ -86,7 +86,7 @@ def scrub_message(kind: Record, data: bytes, wire: Wire, where: str, scrubber: S
 
 
 def _move(out: bytearray, numbers: dict[str, Spot], wire: Wire, where: str, scrubber: Scrubber) -> None:
-    for place in rules.places([Column(path, path) for path in numbers]):
+    for place in rules.places([ScrubColumn(path, path) for path in numbers]):
         spots = [numbers[c.key] for c in (place.lat, place.lon, *place.altitudes)]
         kinds = [np.dtype(wire.order + spot.dtype) for spot in spots]
         values = tuple(
@@ -122,7 +122,7 @@ def cleaner_for(channel: Channel, scrubber: Scrubber) -> Clean | None:
     return lambda raw: _scrub_cdr(kind, raw, where, scrubber)
 
 
-def _scrub_cdr(kind: Record, raw: bytes, where: str, scrubber: Scrubber) -> bytes:
+def _scrub_cdr(kind: MessageType, raw: bytes, where: str, scrubber: Scrubber) -> bytes:
     """A message behind its 4 bytes of encapsulation. Raises MessageError where these are not known."""
     wire = CDR_WIRES.get(raw[1]) if len(raw) >= 4 else None
     if wire is None:
@@ -151,7 +151,7 @@ class _Walk:
         self._steps += 1
         if self._steps > MAX_STEPS:
             raise MessageError("too many elements")
-        if isinstance(kind, Record):
+        if isinstance(kind, MessageType):
             for name, inner in kind.fields:
                 yield from self.spots(inner, f"{path}.{name}" if path else name)
         elif isinstance(kind, Array):

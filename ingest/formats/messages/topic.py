@@ -25,7 +25,12 @@ from flysid.ingest.formats.messages.cdr import (
     plan,
 )
 from flysid.ingest.formats.messages.channel import Channel
-from flysid.ingest.formats.messages.definitions import DefinitionError, Record, parse_definition, units_of
+from flysid.ingest.formats.messages.definitions import (
+    DefinitionError,
+    MessageType,
+    parse_definition,
+    units_of,
+)
 from flysid.ingest.formats.messages.json_schema import decode_json, parse_json_schema
 from flysid.ingest.formats.messages.protobuf import decode_protobuf, parse_descriptors
 
@@ -149,7 +154,7 @@ def _cdr_decoder(name: str, text: str) -> Decoder:
     return decode_batch
 
 
-def _unit_notes(name: str, kind: Record) -> dict[str, dict[bytes, bytes] | None]:
+def _unit_notes(name: str, kind: MessageType) -> dict[str, dict[bytes, bytes] | None]:
     """Units as the definition's comments state them; for PX4's messages, else as PX4 does."""
     topic = px4_topic(name) if name.startswith("px4_msgs/") else ""
     return {

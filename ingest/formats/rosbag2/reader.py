@@ -14,7 +14,7 @@ from typing import Any
 
 from flysid.errors import FormatError
 from flysid.ingest.formats.base import Limits, Parts, Summary
-from flysid.ingest.formats.common.compression import ZSTD_MAGIC, ChunkError, unpack_message
+from flysid.ingest.formats.common.compression import ZSTD_MAGIC, CompressionError, unpack_message
 from flysid.ingest.formats.common.tally import Tally
 from flysid.ingest.formats.messages.channel import Channel, Schema
 from flysid.ingest.formats.messages.topics import Message, Topics, gather
@@ -88,7 +88,7 @@ class Bag:
         elif payload[:4] == ZSTD_MAGIC:
             try:
                 payload = unpack_message(payload, self._limits)
-            except ChunkError as error:
+            except CompressionError as error:
                 self._tally.undecode(channel.topic, 1, str(error))
                 channel = None
         return Message(channel, payload, log_ns)

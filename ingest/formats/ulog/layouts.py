@@ -14,7 +14,7 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
-from flysid.ingest.formats.common.record_tables import HEADS, Cell, RecordForm
+from flysid.ingest.formats.common.record_tables import HEADS, RecordCell, RecordForm
 
 MAX_RECORD_BYTES = 0xFFFF
 MAX_FIELDS = 4000
@@ -104,11 +104,11 @@ class UlogLayout:
         )
 
 
-def _cell(field: UlogField) -> Cell:
+def _cell(field: UlogField) -> RecordCell:
     """A field as a column."""
     if field.kind == "char" and field.count:
-        return Cell(field.offset, np.dtype(f"S{field.count}"))
-    return Cell(field.offset, _KINDS[field.kind], field.count)
+        return RecordCell(field.offset, np.dtype(f"S{field.count}"))
+    return RecordCell(field.offset, _KINDS[field.kind], field.count)
 
 
 def parse_format(text: str) -> tuple[str, str]:

@@ -13,7 +13,7 @@ import numpy as np
 
 from flysid.ingest.formats.base import Limits
 from flysid.ingest.formats.common import scrub_rules as rules
-from flysid.ingest.formats.common.scrub_rules import Column, Place, Scrubber
+from flysid.ingest.formats.common.scrub_rules import Position, Scrubber, ScrubColumn
 from flysid.ingest.formats.ulog.layouts import LayoutError, UlogLayout, flatten, parse_format
 from flysid.ingest.formats.ulog.records import FILE_HEAD_BYTES, HEAD, HEAD_BYTES, Framer
 
@@ -82,7 +82,7 @@ class _Pass:
 
     def _scrub_topic(self, rows: np.ndarray, name: str, layout: UlogLayout) -> None:
         scrubber = self._scrubber
-        columns = {f.name: Column(str(k), f.name) for k, f in enumerate(layout.fields)}
+        columns = {f.name: ScrubColumn(str(k), f.name) for k, f in enumerate(layout.fields)}
         plain = [c for f, c in zip(layout.fields, columns.values(), strict=True) if not f.count]
         rules.scrub_rows(rows, plain, name, scrubber)
         for field, column in zip(layout.fields, columns.values(), strict=True):
@@ -94,10 +94,10 @@ class _Pass:
                 rules.clear(rows, column.key, (rules.IDENTITY, f"{name}.{field.name}"), scrubber)
         if name == COMMAND and {"param5", "param6", "command"} <= set(columns):
             used = np.isin(rows[columns["command"].key], rules.LOCATED_COMMANDS)
-            place = Place(columns["param5"], columns["param6"], ())
+            place = Position(columns["param5"], columns["param6"], ())
             rules.scrub_place(rows, place, name, scrubber, used)
 
-    def _text_column(self, rows: np.ndarray, column: Column, count: int, where: str) -> None:
+    def _text_column(self, rows: np.ndarray, column: ScrubColumn, count: int, where: str) -> None:
         texts = [row.tobytes() for row in rows[column.key]]
         clean = [rules.redacted_field(text) for text in texts]
         changed = sum(a.rstrip(b"\0") != b.rstrip(b"\0") for a, b in zip(texts, clean, strict=True))

@@ -19,7 +19,7 @@ from flysid.dataset import FloatArray
 from flysid.ingest.synth.telemetry import (
     IntArray,
     Recording,
-    Series,
+    Telemetry,
     as_bytes,
     heard,
     in_sending_order,
@@ -45,7 +45,7 @@ GUIDED = 4
 
 
 @dataclass(frozen=True)
-class Kind:
+class MessageKind:
     """One message definition: type number, name, format characters, labels, unit and multiplier letters."""
 
     number: int
@@ -68,19 +68,36 @@ class Kind:
         return rows
 
 
-DEFINED = Kind(FMT, "FMT", "BBnNZ", "Type,Length,Name,Format,Columns", "-b---", "-----")
-UNIT = Kind(129, "UNIT", "QbZ", "TimeUS,Id,Label", "s--", "F--")
-MULT = Kind(130, "MULT", "Qbd", "TimeUS,Id,Mult", "s--", "F--")
-FMTU = Kind(131, "FMTU", "QBNN", "TimeUS,FmtType,UnitIds,MultIds", "s---", "F---")
-MSG = Kind(132, "MSG", "QZ", "TimeUS,Message", "s-", "F-")
-MODE = Kind(133, "MODE", "QBBB", "TimeUS,Mode,ModeNum,Rsn", "s---", "F---")
-ATT = Kind(134, "ATT", "QccccCCCCB", "TimeUS,DesRoll,Roll,DesPitch,Pitch,DesYaw,Yaw,ErrRP,ErrYaw,AEKF",
-           "sddddhhdh-", "FBBBBBBBB-")  # fmt: skip
-XKF1 = Kind(135, "XKF1", "QBccCfffffff", "TimeUS,C,Roll,Pitch,Yaw,VN,VE,VD,dPD,PN,PE,PD", "s#ddhnnnnmmm",
-            "F-BBB0000000")  # fmt: skip
-CTUN = Kind(136, "CTUN", "Qffffffefffhhf",
-            "TimeUS,ThI,ABst,ThO,ThH,DAlt,Alt,BAlt,DSAlt,SAlt,TAlt,DCRt,CRt,N", "s----mmmmmmnnz",
-            "F----00B000BB-")  # fmt: skip
+DEFINED = MessageKind(FMT, "FMT", "BBnNZ", "Type,Length,Name,Format,Columns", "-b---", "-----")
+UNIT = MessageKind(129, "UNIT", "QbZ", "TimeUS,Id,Label", "s--", "F--")
+MULT = MessageKind(130, "MULT", "Qbd", "TimeUS,Id,Mult", "s--", "F--")
+FMTU = MessageKind(131, "FMTU", "QBNN", "TimeUS,FmtType,UnitIds,MultIds", "s---", "F---")
+MSG = MessageKind(132, "MSG", "QZ", "TimeUS,Message", "s-", "F-")
+MODE = MessageKind(133, "MODE", "QBBB", "TimeUS,Mode,ModeNum,Rsn", "s---", "F---")
+ATT = MessageKind(
+    134,
+    "ATT",
+    "QccccCCCCB",
+    "TimeUS,DesRoll,Roll,DesPitch,Pitch,DesYaw,Yaw,ErrRP,ErrYaw,AEKF",
+    "sddddhhdh-",
+    "FBBBBBBBB-",
+)
+XKF1 = MessageKind(
+    135,
+    "XKF1",
+    "QBccCfffffff",
+    "TimeUS,C,Roll,Pitch,Yaw,VN,VE,VD,dPD,PN,PE,PD",
+    "s#ddhnnnnmmm",
+    "F-BBB0000000",
+)
+CTUN = MessageKind(
+    136,
+    "CTUN",
+    "Qffffffefffhhf",
+    "TimeUS,ThI,ABst,ThO,ThH,DAlt,Alt,BAlt,DSAlt,SAlt,TAlt,DCRt,CRt,N",
+    "s----mmmmmmnnz",
+    "F----00B000BB-",
+)
 KINDS = (DEFINED, UNIT, MULT, FMTU, MSG, MODE, ATT, XKF1, CTUN)
 
 
@@ -96,7 +113,7 @@ def dataflash_bytes(recording: Recording) -> bytes:
     return b"".join([_definitions(first_us), _start(first_us), *(raw[kind[i]][row[i]] for i in kept)])
 
 
-def _held(command: Series, time_ns: IntArray) -> dict[str, FloatArray]:
+def _held(command: Telemetry, time_ns: IntArray) -> dict[str, FloatArray]:
     """The command in force at each time."""
     at = np.maximum(np.searchsorted(command.time_ns, time_ns, side="right") - 1, 0)
     return {name: values[at] for name, values in command.values.items()}
@@ -118,7 +135,7 @@ def _definitions(time_us: int) -> bytes:
     return b"".join(rows)
 
 
-def _one(kind: Kind, *values: object) -> bytes:
+def _one(kind: MessageKind, *values: object) -> bytes:
     rows = kind.rows(1)
     rows[0] = (HEAD, kind.number, *values)
     return as_bytes(rows)[0]
@@ -133,7 +150,7 @@ def _cents(values: FloatArray) -> npt.NDArray[np.int64]:
     return np.round(100.0 * values).astype(np.int64)
 
 
-def _attitude(state: Series, held: dict[str, FloatArray]) -> npt.NDArray[np.void]:
+def _attitude(state: Telemetry, held: dict[str, FloatArray]) -> npt.NDArray[np.void]:
     rows = ATT.rows(len(state))
     rows["TimeUS"] = state.time_ns // 1000
     rows["DesRoll"], rows["Roll"] = _cents(held["phi_in"]), _cents(state["phi"])
@@ -142,7 +159,7 @@ def _attitude(state: Series, held: dict[str, FloatArray]) -> npt.NDArray[np.void
     return rows
 
 
-def _estimate(state: Series) -> npt.NDArray[np.void]:
+def _estimate(state: Telemetry) -> npt.NDArray[np.void]:
     rows = XKF1.rows(len(state))
     rows["TimeUS"] = state.time_ns // 1000
     rows["Roll"], rows["Pitch"] = _cents(state["phi"]), _cents(-state["theta"])

@@ -21,7 +21,7 @@ from flysid.ingest.formats.common.clock import SECOND_NS
 from flysid.ingest.synth.telemetry import (
     MS_NS,
     Recording,
-    Series,
+    Telemetry,
     arrival_utc_ns,
     heard,
     in_sending_order,
@@ -87,7 +87,7 @@ def _heartbeat(link: Any, _: int) -> Message:
     )
 
 
-def _attitude_target(command: Series, thrust: FloatArray) -> Encoder:
+def _attitude_target(command: Telemetry, thrust: FloatArray) -> Encoder:
     time_ms = command.time_ns // MS_NS
     q = quaternion(np.radians(command["phi_in"]), -np.radians(command["theta_in"]))
 
@@ -99,7 +99,7 @@ def _attitude_target(command: Series, thrust: FloatArray) -> Encoder:
     return encode
 
 
-def _climb_target(command: Series, system: int) -> Encoder:
+def _climb_target(command: Telemetry, system: int) -> Encoder:
     from pymavlink.dialects.v20 import common
 
     time_ms = command.time_ns // MS_NS
@@ -115,7 +115,7 @@ def _climb_target(command: Series, system: int) -> Encoder:
     return encode
 
 
-def _attitude(state: Series) -> Encoder:
+def _attitude(state: Telemetry) -> Encoder:
     time_ms = state.time_ns // MS_NS
     angles = np.radians(np.column_stack([state["phi"], -state["theta"], state["psi"]]))
     rates = np.gradient(angles, state.time_ns * 1e-9, axis=0)
@@ -126,7 +126,7 @@ def _attitude(state: Series) -> Encoder:
     return encode
 
 
-def _local_position(state: Series) -> Encoder:
+def _local_position(state: Telemetry) -> Encoder:
     time_ms = state.time_ns // MS_NS
     c = np.cos(np.radians(state["psi"]))
     s = np.sin(np.radians(state["psi"]))

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from flysid.ingest.synth.telemetry import Recording, Series, arrival_utc_ns, heard, in_sending_order
+from flysid.ingest.synth.telemetry import Recording, Telemetry, arrival_utc_ns, heard, in_sending_order
 
 # Goes into the file's header; the library's own name carries a version, which would change the bytes.
 LIBRARY = "flysid"
@@ -84,7 +84,9 @@ def _messages(writer: Any, recording: Recording, topics: list[int]) -> None:
         )
 
 
-def _rows(recording: Recording, series: Series, units: dict[str, str], *, decimals: int = 6) -> list[bytes]:
+def _rows(
+    recording: Recording, series: Telemetry, units: dict[str, str], *, decimals: int = 6
+) -> list[bytes]:
     """One JSON document per sample, at a micro-unit's resolution."""
     columns = [np.round(series[name], decimals).tolist() for name in units]
     stamps = (series.time_ns + recording.boot_utc_ns).tolist()

@@ -22,7 +22,7 @@ from flysid.ingest.formats.common.clock import SECOND_NS
 from flysid.ingest.synth.telemetry import (
     MS_NS,
     Recording,
-    Series,
+    Telemetry,
     as_bytes,
     heard,
     in_sending_order,
@@ -130,7 +130,7 @@ def _declare(field: tuple[str, str]) -> str:
     return f"{TYPES[code.lstrip('0123456789')]}{count} {name};"
 
 
-def _table(series: Series, fields: Fields) -> npt.NDArray[np.void]:
+def _table(series: Telemetry, fields: Fields) -> npt.NDArray[np.void]:
     rows: npt.NDArray[np.void] = np.zeros(len(series), dtype=_dtype(fields))
     rows["timestamp"] = series.time_ns // 1000
     if "timestamp_sample" in (rows.dtype.names or ()):
@@ -146,7 +146,7 @@ def _setpoint(recording: Recording) -> npt.NDArray[np.void]:
     return rows
 
 
-def _climb(command: Series) -> npt.NDArray[np.void]:
+def _climb(command: Telemetry) -> npt.NDArray[np.void]:
     rows = _table(command, CLIMB)
     for name in ("x", "y", "z", "yaw", "vx", "vy"):
         rows[name] = np.nan  # PX4 leaves what is not controlled undefined
@@ -154,7 +154,7 @@ def _climb(command: Series) -> npt.NDArray[np.void]:
     return rows
 
 
-def _attitude(state: Series) -> npt.NDArray[np.void]:
+def _attitude(state: Telemetry) -> npt.NDArray[np.void]:
     rows = _table(state, ATTITUDE)
     tilt = quaternion(np.radians(state["phi"]), -np.radians(state["theta"]))
     rows["q"] = _turn(tilt, np.radians(state["psi"]))
@@ -172,7 +172,7 @@ def _turn(q: FloatArray, yaw_rad: FloatArray) -> FloatArray:
     return np.hstack([c * w - s * z, c * x - s * y, c * y + s * x, c * z + s * w])
 
 
-def _efforts(state: Series) -> dict[str, npt.NDArray[np.void]]:
+def _efforts(state: Telemetry) -> dict[str, npt.NDArray[np.void]]:
     """Rates, and what controllers ask of the rotors (half at hover); axes forward, right, down."""
     rates, thrust, torque = (_table(state, VECTOR) for _ in range(3))
     rates["xyz"] = np.radians(np.column_stack([state["p"], -state["q"], -state["r"]]))
@@ -185,7 +185,7 @@ def _efforts(state: Series) -> dict[str, npt.NDArray[np.void]]:
     }
 
 
-def _position(state: Series) -> npt.NDArray[np.void]:
+def _position(state: Telemetry) -> npt.NDArray[np.void]:
     rows = _table(state, POSITION)
     c = np.cos(np.radians(state["psi"]))
     s = np.sin(np.radians(state["psi"]))

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from flysid.ingest.synth.synth import Order, fly_one
-from flysid.ingest.synth.telemetry import Series
+from flysid.ingest.synth.telemetry import Telemetry
 from flysid.ingest.synth.writers.mavlink import tlog_bytes
 from tests.command import call, call_quick
 from tests.flysid.live.flown import FAULT_S
@@ -32,6 +32,6 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "good.tlog").write_bytes(tlog_bytes(recording))
     late = recording.state.time_ns >= recording.state.time_ns[0] + FAULT_S * 1e9
     values = {**recording.state.values, "vx": recording.state["vx"] + 0.4 * late}
-    broken = replace(recording, state=Series(recording.state.time_ns, values))
+    broken = replace(recording, state=Telemetry(recording.state.time_ns, values))
     (folder / "bad.tlog").write_bytes(tlog_bytes(broken))
     return folder

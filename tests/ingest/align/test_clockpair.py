@@ -3,7 +3,7 @@ import pytest
 
 from flysid.errors import DataError
 from flysid.ingest.align.clock_pair import ClockFit, fit_clock
-from flysid.ingest.align.resample import Series
+from flysid.ingest.align.resample import RecordedSignal
 
 
 def motion(duration_s: float, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
@@ -17,7 +17,7 @@ def motion(duration_s: float, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
 
 def recordings(
     duration_s: float, offset_s: float, drift_ppm: float, noise: float = 0.3
-) -> tuple[Series, Series]:
+) -> tuple[RecordedSignal, RecordedSignal]:
     """One motion, by a 198 Hz recorder with jitter and by a 120 Hz one whose clock is late and drifts."""
     rng = np.random.default_rng(1)
     t, x = motion(duration_s)
@@ -28,7 +28,9 @@ def recordings(
     a = np.interp(t_a, t, x) + noise * rng.normal(size=len(t_a))
     b = -2.0 * np.interp(t_b, t, x) + 3.0 + noise * rng.normal(size=len(t_b))
     stamps = (t_b - offset_s) / (1 + 1e-6 * drift_ppm)
-    return Series(np.round(t_a * 1e9).astype(np.int64), a), Series(np.round(stamps * 1e9).astype(np.int64), b)
+    return RecordedSignal(np.round(t_a * 1e9).astype(np.int64), a), RecordedSignal(
+        np.round(stamps * 1e9).astype(np.int64), b
+    )
 
 
 def true_offset_s(fit: ClockFit, offset_s: float, drift_ppm: float) -> float:
@@ -65,10 +67,10 @@ def test_recordings_of_different_flights_are_refused() -> None:
     reference, _ = recordings(100.0, 0.0, 0.0)
     t, x = motion(100.0, seed=9)
     with pytest.raises(DataError, match="do not match"):
-        fit_clock(reference, Series(np.round(t * 1e9).astype(np.int64), x))
+        fit_clock(reference, RecordedSignal(np.round(t * 1e9).astype(np.int64), x))
 
 
 def test_too_few_samples_are_refused() -> None:
-    few = Series(np.arange(5, dtype=np.int64), np.zeros(5))
+    few = RecordedSignal(np.arange(5, dtype=np.int64), np.zeros(5))
     with pytest.raises(DataError, match="too few"):
         fit_clock(few, few)

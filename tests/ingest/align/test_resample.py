@@ -4,13 +4,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from flysid.ingest.align import resample
-from flysid.ingest.align.resample import Series
+from flysid.ingest.align.resample import RecordedSignal
 
 MS = 1_000_000
 
 
-def at(times_ms: object, values: object) -> Series:
-    return Series(np.round(np.asarray(times_ms) * MS).astype(np.int64), np.asarray(values, dtype=float))
+def at(times_ms: object, values: object) -> RecordedSignal:
+    return RecordedSignal(
+        np.round(np.asarray(times_ms) * MS).astype(np.int64), np.asarray(values, dtype=float)
+    )
 
 
 def test_tidy_sorts_drops_and_counts() -> None:
@@ -79,7 +81,7 @@ def test_intersection_holds_exactly_the_common_points(
 def test_equal_stamps_come_through_unchanged(period_ms: int, start_ns: int, count: int) -> None:
     t = start_ns + np.arange(count, dtype=np.int64) * period_ms * MS
     x = np.random.default_rng(1).normal(size=count)
-    series = Series(t, x)
+    series = RecordedSignal(t, x)
     phase = resample.phase_ns(t, period_ms * MS)
     grid = resample.grid_in((int(t[0]), int(t[-1]) + 1), period_ms * MS, phase)
     np.testing.assert_array_equal(grid, t)
@@ -90,7 +92,7 @@ def test_equal_stamps_come_through_unchanged(period_ms: int, start_ns: int, coun
 def test_jitter_does_not_smear_commands_stamped_with_the_output() -> None:
     rng = np.random.default_rng(3)
     grid = np.arange(200, dtype=np.int64) * 20 * MS
-    command = Series(grid + rng.integers(-MS, MS, size=200), np.arange(200.0))
+    command = RecordedSignal(grid + rng.integers(-MS, MS, size=200), np.arange(200.0))
     held = resample.hold(command, grid, resample.hold_tolerance_ns(command, grid))
     np.testing.assert_array_equal(held, np.arange(200.0))
 

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from flysid.ingest.formats.common.arrow_arrays import fixed_text, strings
 from flysid.ingest.formats.common.columns import (
     Field,
-    Layout,
+    RecordLayout,
     gather,
     message_schema,
 )
@@ -61,7 +61,7 @@ def test_every_kind_of_field_keeps_its_bits(kinds: list[tuple[str, int]], rows: 
     dtype = np.dtype([(f"f{i}", *shape) for i, shape in enumerate(shapes)])
     raw = np.frombuffer(random.randbytes(rows * dtype.itemsize), np.uint8).reshape(rows, dtype.itemsize)
     names = random.sample(dtype.names or (), len(kinds))
-    layout = Layout("M", dtype, tuple(Field(n) for n in names))
+    layout = RecordLayout("M", dtype, tuple(Field(n) for n in names))
     time_ns = np.arange(rows)
     schema = message_schema(layout.columns, {}, received=False)
     table = layout.table(schema, (time_ns, time_ns + 1), raw)
@@ -86,7 +86,7 @@ def test_every_kind_of_field_keeps_its_bits(kinds: list[tuple[str, int]], rows: 
 
 
 def test_schema_states_units_and_avoids_reserved_names() -> None:
-    layout = Layout(
+    layout = RecordLayout(
         "M", np.dtype([("boot", "<i4"), ("v", "<i2")]), (Field("boot"), Field("v", unit="m/s", scale=0.01))
     )
     schema = message_schema(layout.columns, {"time_source": "x"}, received=True)

@@ -14,7 +14,14 @@ from flysid.flight import Flight
 from flysid.ingest.formats.base import Limits, collect
 from flysid.ingest.formats.common.scrub_rules import Scrubber
 from flysid.ingest.formats.mcap.scrub import scrub
-from flysid.ingest.formats.messages.definitions import Array, Number, Record, Text, Type, parse_definition
+from flysid.ingest.formats.messages.definitions import (
+    Array,
+    MessageType,
+    Number,
+    Text,
+    Type,
+    parse_definition,
+)
 from flysid.ingest.formats.registry import FORMATS
 from tests.samplelogs import ros
 from tests.samplelogs.mcap import Topic, json_topic, mcap_file, ros1_topic, ros2_topic
@@ -91,7 +98,7 @@ def estimated(kind: Type, value: Any, at: int) -> int:
     As their generated `get_serialized_size`: the elements of a sequence of numbers are aligned even if it has
     none.
     """
-    if isinstance(kind, Record):
+    if isinstance(kind, MessageType):
         for name, inner in kind.fields:
             at = estimated(inner, value[name], at)
         return at
@@ -121,7 +128,7 @@ NEEDED = {
 
 
 def value_of(kind: Type, rng: np.random.Generator) -> Any:
-    if isinstance(kind, Record):
+    if isinstance(kind, MessageType):
         return {name: value_of(inner, rng) for name, inner in kind.fields}
     if isinstance(kind, Text):
         return ros.words(rng)

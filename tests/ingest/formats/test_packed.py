@@ -25,7 +25,7 @@ from flysid.cli import root
 from flysid.errors import FormatError, UsageError
 from flysid.ingest.formats.base import Limits
 from flysid.ingest.formats.common import compression
-from flysid.ingest.formats.common.compression import ChunkError, unpacked_pieces
+from flysid.ingest.formats.common.compression import CompressionError, unpacked_pieces
 from flysid.ingest.formats.opening import open_log
 from flysid.ingest.formats.scrubbing import scrub_log
 from tests.format_trials import FORMATS, module_of, sample
@@ -177,7 +177,7 @@ def test_a_zstd_frame_that_states_a_wrong_size_keeps_what_it_holds(size: int, of
     stated = int.from_bytes(packed[at : at + width], "little") + off_by
     packed[at : at + width] = (stated % 256**width).to_bytes(width, "little")
     found: list[bytes] = []
-    with pytest.raises(ChunkError, match=rf"states \d+ bytes and holds {len(blob)}"):
+    with pytest.raises(CompressionError, match=rf"states \d+ bytes and holds {len(blob)}"):
         found.extend(unpacked_pieces(memoryview(bytes(packed)), 200.0))
     assert b"".join(found) == blob
 
@@ -343,7 +343,7 @@ def test_many_small_bombs_are_one(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(compression, "FREE_BYTES", 4 << 20)
     packed = gzip.compress(LOG) + 100 * gzip.compress(bytes(1 << 20))
     found: list[int] = []
-    with pytest.raises(ChunkError, match="the rest is left out"):
+    with pytest.raises(CompressionError, match="the rest is left out"):
         found.extend(map(len, unpacked_pieces(memoryview(packed), 50.0)))
     assert len(LOG) < sum(found) < 8 << 20
 

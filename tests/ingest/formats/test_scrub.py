@@ -27,10 +27,10 @@ from flysid.errors import FormatError, UsageError
 from flysid.flight import Flight, field_scale
 from flysid.ingest.formats.base import map_file
 from flysid.ingest.formats.common.scrub_rules import (
-    Column,
     Fix,
     Gps,
     Scrubber,
+    ScrubColumn,
     is_private_parameter,
     places,
     redact,
@@ -411,7 +411,8 @@ def test_names_of_positions_and_parameters() -> None:
         "ref_lon",
     ]
     found = [
-        (p.lat.name, p.lon.name, [a.name for a in p.altitudes]) for p in places([Column(n, n) for n in names])
+        (p.lat.name, p.lon.name, [a.name for a in p.altitudes])
+        for p in places([ScrubColumn(n, n) for n in names])
     ]
     assert found == [
         ("lat", "lon", ["alt", "alt_ellipsoid"]),

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from flysid.ingest.kinematics.agreement import Record, agreement, late
+from flysid.ingest.kinematics.agreement import MotionRecord, agreement, late
 
 DT_S = 0.01
 HIGHEST_HZ = 10.0
@@ -16,7 +16,9 @@ def motion(rng: np.random.Generator, seconds: float = 60.0) -> np.ndarray:
     return np.asarray(sum(np.sin(2 * np.pi * f * time_s + p) for f, p in tones) / np.sqrt(20.0))
 
 
-def record(rng: np.random.Generator, *, lag_s: float = 0.0, arm: float = 0.0, noise: float = 0.004) -> Record:
+def record(
+    rng: np.random.Generator, *, lag_s: float = 0.0, arm: float = 0.0, noise: float = 0.004
+) -> MotionRecord:
     """One axis that reads 1.05 times too much and 0.2 more, late; what is implied is a noisy derivative."""
     exact = motion(rng) - 9.8
     other = motion(rng)
@@ -24,7 +26,7 @@ def record(rng: np.random.Generator, *, lag_s: float = 0.0, arm: float = 0.0, no
     implied = exact + np.gradient(noise * rng.standard_normal(len(exact)), DT_S)
     reading = reading + 0.1 * rng.standard_normal(len(exact))
     density = np.array([noise**2 * DT_S])
-    return Record(DT_S, reading[:, None], implied[:, None], other[:, None, None], density, np.zeros(1))
+    return MotionRecord(DT_S, reading[:, None], implied[:, None], other[:, None, None], density, np.zeros(1))
 
 
 def test_bias_scale_lag_and_arm_are_within_their_intervals() -> None:
@@ -53,7 +55,7 @@ def test_the_noise_of_a_bias_is_not_taken_for_smaller_than_it_is() -> None:
         implied = exact + np.gradient(0.01 * rng.standard_normal(exact.shape), DT_S, axis=0)
         reading = exact + noise * rng.standard_normal(exact.shape)
         density = np.array([0.01**2 * DT_S])
-        made = Record(DT_S, reading, implied, np.empty((*exact.shape, 0)), density, np.zeros(1))
+        made = MotionRecord(DT_S, reading, implied, np.empty((*exact.shape, 0)), density, np.zeros(1))
         stated.append(agreement([made], HIGHEST_HZ).bias_sd[0])
     assert np.mean(stated) > 1.02 * noise / np.sqrt(len(exact))
 
@@ -68,7 +70,7 @@ def test_noise_of_what_is_implied_does_not_shrink_the_scale() -> None:
 
 def test_a_reading_of_the_other_sign_is_found() -> None:
     right = record(np.random.default_rng(3))
-    wrong = Record(right.dt_s, -right.measured, right.implied, right.arm, right.noise, right.flat)
+    wrong = MotionRecord(right.dt_s, -right.measured, right.implied, right.arm, right.noise, right.flat)
     assert agreement([wrong], HIGHEST_HZ).scale[0] == pytest.approx(-1.05, abs=0.05)
 
 

@@ -9,10 +9,10 @@ from hypothesis import strategies as st
 
 from flysid.errors import UsageError
 from flysid.ingest.synth.sensors import SENSORS, Sensor, observe, sample_times_ns
-from flysid.ingest.synth.telemetry import Series
+from flysid.ingest.synth.telemetry import Telemetry
 
 TIME_NS = 12_000_000_000 + 5_000_000 * np.arange(4001, dtype=np.int64)
-RAMP = Series(TIME_NS, {"vx": (TIME_NS - TIME_NS[0]) * 1e-9, "z": np.zeros(4001)})
+RAMP = Telemetry(TIME_NS, {"vx": (TIME_NS - TIME_NS[0]) * 1e-9, "z": np.zeros(4001)})
 
 
 def plain(rate_hz: float = 50.0, **changes: float) -> Sensor:

@@ -24,7 +24,7 @@ from flysid.ingest.synth.dryden import Gust
 from flysid.ingest.synth.live import Pace, fly_live
 from flysid.ingest.synth.rigid_body import Effects
 from flysid.ingest.synth.synth import WRITERS, Order, flight_names, fly_one
-from flysid.ingest.synth.telemetry import Recording, Series, as_bytes
+from flysid.ingest.synth.telemetry import Recording, Telemetry, as_bytes
 from flysid.ingest.synth.truth import truth_bytes
 from flysid.ingest.synth.vehicles import EFFECTS
 from flysid.ingest.synth.writers.ardrone import _wrapped_time
@@ -40,7 +40,7 @@ def recording() -> Recording:
     flown = fly_one(BOLD, 0)
     psi = flown.state["psi"] + np.linspace(0, 40, len(flown.state))
     return Recording(
-        **{**vars(flown), "state": Series(flown.state.time_ns, {**flown.state.values, "psi": psi})}
+        **{**vars(flown), "state": Telemetry(flown.state.time_ns, {**flown.state.values, "psi": psi})}
     )
 
 
