@@ -3,7 +3,8 @@
 With N seeds from FIRST on: `flysid.feedback` on open loops (linear and nonlinear plants of
 `bench.verdict_fairness`; a quick attitude loop under smooth commands, logged slowly, with next to no noise,
 and with a setpoint that is logged more slowly still and held),
-and on closed ones (`bench.loop_bands`, by the strength of the gusts that the controller has to answer).
+and on closed ones (`bench.loop_bands`, by the strength of the gusts that the controller has to answer), also
+where the log holds the input.
 
 Of ingested folders: every pair that `flysid ls --suggest` calls good or closed loop, what `flysid tf` says of
 the same pair, and how many of them do not agree.
@@ -37,7 +38,7 @@ SMOOTH_HZ = (0.3, 1.0, 3.0)
 QUICK = 10.0  # rad/s
 SECONDS = 60
 FAINT = 1e-3  # noise over the output's spread
-HELD = (2, 5)  # samples for which a slow setpoint stands
+HELD = (2, 5)  # samples for which a log holds an input
 
 
 def slow_log(seed: int, log_hz: int, smooth_hz: float, *, noise: float = FAINT, held: int = 1) -> Dataset:
@@ -55,8 +56,7 @@ def slow_log(seed: int, log_hz: int, smooth_hz: float, *, noise: float = FAINT, 
     y = lfilter([0.0, a.sum()], a, u)
     y = y + noise * y.std() * rng.standard_normal(len(y))
     every = VEHICLE_HZ // log_hz
-    logged = np.repeat(u[:: every * held], held)[: len(u[::every])]
-    return Dataset.from_arrays(logged, y[::every], every * dt)
+    return hold(Dataset.from_arrays(u[::every], y[::every], every * dt), held)
 
 
 def trials(count: int, first: int) -> Iterator[str]:
@@ -80,7 +80,17 @@ def trials(count: int, first: int) -> Iterator[str]:
             logs = [slow_log(s, 50, smooth, noise=noise, held=held) for smooth in SMOOTH_HZ for s in seeds]
             yield seen(f"open, setpoint held for {held} samples of 50 Hz, noise of {noise}", logs)
     for gusts in (0.0, 0.1, 0.3, 1.0, 3.0):
-        yield seen(f"closed, gusts of {gusts}", [flown(_rng(s), gusts)[0] for s in seeds])
+        loops = [flown(_rng(s), gusts)[0] for s in seeds]
+        yield seen(f"closed, gusts of {gusts}", loops)
+        for held in HELD:
+            logs = [hold(data, held) for data in loops]
+            yield seen(f"closed, gusts of {gusts}, input held for {held} samples", logs)
+
+
+def hold(data: Dataset, samples: int) -> Dataset:
+    """The same where the log gets the input every so many samples only."""
+    held = [np.repeat(s.u[::samples], samples, axis=0)[: len(s)] for s in data.segments]
+    return Dataset.from_arrays(held, [s.y for s in data.segments], data.dt_s)
 
 
 def _rng(seed: int) -> np.random.Generator:

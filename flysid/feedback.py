@@ -7,10 +7,12 @@ pilot or a controller answers the output, later inputs hold what was new in it. 
 plant and any colour of the noise (Ljung, 1999, 13.4); what they miss of a nonlinear plant can fake a little,
 so that a share of the variance is asked for too.
 
-The very next input counts as known, and of one that the log holds for several samples as many: a vehicle
-moves between the samples of a log, too, and what is logged next helps to tell what its input did there. So a
-controller of no memory that answers within that time goes unseen.
-Of faster logs samples 20 ms apart are taken: a pilot and an outer loop need longer.
+The very next input counts as known: a vehicle moves between the samples of a log, too, and what is logged
+next helps to tell what its input did there. So a controller of no memory that answers within a sample goes
+unseen.
+Samples are taken where the input is new: one that the log holds for five samples gives every fifth. Between,
+it is no more than an old number, and what the vehicle answers there looks like foresight. Of faster logs
+samples 20 ms apart are taken: a pilot and an outer loop need longer.
 """
 
 from __future__ import annotations
@@ -83,7 +85,7 @@ def feedback(data: Dataset) -> tuple[Feedback, ...]:
     >>> feedback(train)[0].closed  # train: see `flysid.Dataset`
     False
     """
-    every = max(int(GRID_S / data.dt_s + 1e-6), 1)
+    every = max(int(GRID_S / data.dt_s + 1e-6), _held([s.u for s in data.segments]))
     dt_s = every * data.dt_s
     lags = _look_ahead(dt_s)
     names = tuple(s.name for s in data.inputs)
@@ -103,12 +105,9 @@ def _later_inputs(signals: list[tuple[FloatArray, FloatArray]], lags: int) -> tu
     """(p of the F test, share of the variance) of later inputs in what an output's past does not tell."""
     from scipy.special import fdtrc
 
-    ahead = _held([u for _, u in signals])
-    if ahead >= lags:
+    if not signals:
         return 1.0, 0.0
-    rows = [_rows(y, u, ahead, lags) for y, u in signals]
-    if not rows:
-        return 1.0, 0.0
+    rows = [_rows(y, u, lags) for y, u in signals]
     target, before, after = (np.concatenate(parts)[:MOST_ROWS] for parts in zip(*rows, strict=True))
     known, kept = _basis(before)
     rest = target - known @ (known.T @ target)
@@ -127,12 +126,13 @@ def _later_inputs(signals: list[tuple[FloatArray, FloatArray]], lags: int) -> tu
 def _scale(data: Dataset, output: int, every: int, fewest: int) -> list[tuple[FloatArray, FloatArray]]:
     """(N,) output and (N, n_u) inputs of segments of at least `fewest` rows, of mean 0 and variance 1.
 
-    As many as rows are kept, of one sample in `every`.
+    As many as rows are kept, of one sample in `every`, where inputs are new.
     """
     parts = []
     left = MOST_ROWS
     for s in data.segments:
-        part = np.column_stack([s.y[::every, output], s.u[::every]])
+        first = _first_new(s.u, every)
+        part = np.column_stack([s.y[first::every, output], s.u[first::every]])
         if len(part) >= fewest and left > 0:
             parts.append(part)
             left -= len(part)
@@ -151,12 +151,18 @@ def _held(inputs: list[FloatArray]) -> int:
     return int(sum(len(u) - 1 for u in inputs) / moving.min() + 0.5) if len(moving) else 1
 
 
-def _rows(y: FloatArray, u: FloatArray, ahead: int, lags: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Output, what is known of it (a constant, its past, inputs up to `ahead`), later inputs."""
+def _first_new(u: FloatArray, every: int) -> int:
+    """The first of every so many samples at which most inputs (N, n_u) are new."""
+    new = np.flatnonzero((np.diff(u, axis=0) != 0.0).any(axis=1)) + 1
+    return int(np.bincount(new % every, minlength=every).argmax())
+
+
+def _rows(y: FloatArray, u: FloatArray, lags: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Output, what is known of it (a constant, its past, inputs up to the next), later inputs."""
     at = np.arange(ORDER, len(y) - lags)
     past = np.stack([y[at - k] for k in range(1, ORDER + 1)], axis=1)
-    driven = np.hstack([u[at - k] for k in range(-ahead, ORDER + 1)])
-    later = np.hstack([u[at + k] for k in range(ahead + 1, lags + 1)])
+    driven = np.hstack([u[at - k] for k in range(-1, ORDER + 1)])
+    later = np.hstack([u[at + k] for k in range(2, lags + 1)])
     return y[at], np.column_stack([np.ones(len(at)), past, driven]), later
 
 

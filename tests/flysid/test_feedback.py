@@ -93,13 +93,24 @@ def test_what_moves_between_the_samples_of_a_log_is_no_feedback(hertz: int) -> N
     assert not feedback(data)[0].closed
 
 
-def test_a_setpoint_logged_slower_than_the_output_is_no_feedback() -> None:
+@pytest.mark.parametrize("noise", [0.02, 0.001])
+def test_a_setpoint_logged_slower_than_the_output_is_no_feedback(noise: float) -> None:
     rng = np.random.default_rng(3)
     u = lfilter([1.0], np.poly([0.98, 0.98]), rng.standard_normal(N))
     y = lfilter([0.0, 0.15], [1.0, -0.85], u)
-    y = y + 0.02 * y.std() * rng.standard_normal(N)
-    data = Dataset.from_arrays(np.repeat(u[::5], 5)[:N], y, DT_S)
-    assert not feedback(data)[0].closed
+    y = y + noise * y.std() * rng.standard_normal(N)
+    assert not feedback(Dataset.from_arrays(held(u, 5), y, DT_S))[0].closed
+
+
+@pytest.mark.parametrize("first", [0, 3])
+def test_a_pilot_is_recognised_in_a_log_that_holds_the_stick(first: int) -> None:
+    (whole,) = closed_loop(3.0, 15, 0).segments
+    assert feedback(Dataset.from_arrays(held(whole.u[:, 0], 5)[first:], whole.y[first:], DT_S))[0].closed
+
+
+def held(u: FloatArray, samples: int) -> FloatArray:
+    """What a log holds of a signal (N,) that it gets every so many samples."""
+    return np.repeat(u[::samples], samples)[: len(u)]
 
 
 def test_of_a_fast_log_samples_are_taken_apart() -> None:
