@@ -1,20 +1,21 @@
-"""Rate loops of a blackbox log: setpoint, controller's output, gyro on an even grid; the header's gains."""
+"""Rate loops of a blackbox log: setpoint, controller's output, gyro; the header's settings."""
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
 
 from flysid.dataset import FloatArray
 from flysid.errors import DataError, UsageError
-from flysid.loops.controller import AXES
+from flysid.loops.betaflight import AXES, Conditions
 from flysid.loops.stick_response import StickRecord
 
 LARGEST_SHARE = 0.05
 """Of the time at a limit: beyond, what is seen is the limit."""
+FULL_STICK = 500.0
 
 
 def settings_of(log: Any) -> dict[str, str]:
@@ -34,28 +35,43 @@ def settings_of(log: Any) -> dict[str, str]:
     return dict(zip(table["name"], table["text"], strict=True))
 
 
+def terms_of(axis: int) -> list[str]:
+    """Fields of an axis whose sum is the controller's output."""
+    return [f"axis{term}[{axis}]" for term in "PID" if term != "D" or axis < 2]
+
+
+def fields_of(log: Any, stream: str, names: Iterable[str]) -> dict[str, FloatArray]:
+    """(N,) each.
+
+    Raises
+    ------
+    DataError : one is missing.
+    """
+    wanted = list(names)
+    try:
+        table = log.table(stream, wanted)
+    except (KeyError, DataError, UsageError) as error:
+        raise DataError(
+            f"{log.name} lacks a field of the rate loop: {error}",
+            hint="log PID terms, sticks and gyro (Betaflight before 4.0)",
+        ) from error
+    return {name: np.asarray(table[name], dtype=np.float64) for name in wanted}
+
+
 def record_of(
     log: Any, axis: str, settings: Mapping[str, str], *, rate_hz: float = 500.0
-) -> tuple[StickRecord, FloatArray]:
-    """One axis of a flight, and the throttle (us).
+) -> tuple[StickRecord, Conditions]:
+    """One axis of a flight on an even grid, and what its gains depended on.
 
     Raises
     ------
     DataError : fields are missing; the controller's output was at its limit for more than 5 % of the time.
     """
     k = list(AXES).index(axis)
-    terms = [f"axis{term}[{k}]" for term in "PID" if term != "D" or axis != "yaw"]
-    columns = ["time_ns", f"gyroADC[{k}]", *terms, "rcCommand[3]"]
-    setpoint = f"setpoint[{k}]"
-    try:
-        main = log.table("main", columns)
-        asked = log.table("setpoint", ["time_ns", setpoint])
-    except (KeyError, DataError, UsageError) as error:
-        raise DataError(
-            f"{log.name} lacks a field of the {axis} loop: {error}",
-            hint="log PID terms, sticks and gyro (Betaflight before 4.0)",
-        ) from error
-    values = {name: np.asarray(main[name], dtype=np.float64) for name in columns}
+    terms = terms_of(k)
+    names = ["time_ns", "loopIteration", f"gyroADC[{k}]", *terms, f"rcCommand[{k}]", "rcCommand[3]"]
+    values = fields_of(log, "main", names)
+    asked = fields_of(log, "setpoint", ["time_ns", f"setpoint[{k}]"])
     time = values["time_ns"] * 1e-9
     output = np.sum([values[name] for name in terms], axis=0)
     limit = float(settings.get("pidsum_limit_yaw" if axis == "yaw" else "pidsum_limit") or np.inf)
@@ -65,12 +81,31 @@ def record_of(
             f"{log.name}: the {axis} controller was at its limit for {100.0 * share:.0f} % of the flight",
             hint="fly more gently: in saturation the gains have no effect",
         )
-    r = np.asarray(asked[setpoint], dtype=np.float64)
-    at = np.asarray(asked["time_ns"], dtype=np.float64) * 1e-9
+    r = asked[f"setpoint[{k}]"]
+    at = asked["time_ns"] * 1e-9
     record = StickRecord(
         log.name, rate_hz, even_pieces(rate_hz, time, at, r, output, values[f"gyroADC[{k}]"])
     )
-    return record, values["rcCommand[3]"]
+    stick = np.abs(values[f"rcCommand[{k}]"]) / FULL_STICK
+    flown = Conditions(
+        values["rcCommand[3]"],
+        np.interp(time, at, r),
+        stick,
+        slower(time, values["loopIteration"], settings),
+    )
+    return record, flown
+
+
+def slower(time: FloatArray, loops: FloatArray, settings: Mapping[str, str]) -> float:
+    """Steps of the loop over those that the header states; 1 where it states none.
+
+    Parameters
+    ----------
+    time, loops : (N,) s, and numbers of the loop that a row is of.
+    """
+    stated = 1e-6 * float(settings.get("looptime") or 0.0) * float(settings.get("pid_process_denom") or 1.0)
+    gone = loops[-1] - loops[0]
+    return float((time[-1] - time[0]) / gone / stated) if stated and gone > 0.0 else 1.0
 
 
 def even_pieces(

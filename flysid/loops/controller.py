@@ -1,12 +1,6 @@
 """Rate controllers as their firmware computes them, from the gains that a log states.
 
-Betaflight 3.1 to 3.5 (pid.c of 3.1.7 and 3.4.0, in whole numbers of the mixer, 1000 for the motors' range):
-
-    P: 0.032029 p (r - y)      I: 0.244381 i integral of (r - y)      D: 0.000529 d (w r' - (F y)')
-
-with the D filter F, first order (PT1) or second (biquad), and the setpoint's weight w. Above a throttle of
-`tpa_breakpoint`, P and D shrink (TPA). Where the setpoint's weight is relaxed about the sticks' centre, the
-one weight that explains the log best stands for it.
+Betaflight's is `flysid.loops.betaflight`.
 
 PX4 (RateControl, 1.12 on) and ArduPilot (AC_PID, 4.0 on) count in rad/s and in shares of the output, here
 in deg/s and thousandths:
@@ -21,9 +15,8 @@ with the log.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -31,10 +24,6 @@ from flysid.dataset import FloatArray
 from flysid.errors import DataError
 from flysid.loops.stick_response import ComplexArray, Loop
 
-P_SCALE = 0.032029
-I_SCALE = 0.244381
-D_SCALE = 0.000529
-AXES = {"roll": "rollPID", "pitch": "pitchPID", "yaw": "yawPID"}
 THOUSANDTHS = 1000.0
 RELEASE = "ver_sw_release"
 FIRST_ORDER_SINCE = 0x010D0000
@@ -53,51 +42,49 @@ class Controller:
     ----------
     gains : as the firmware names them, for people.
     p, i, d : per unit of error, of its integral, of its derivative.
-    weight : of the setpoint in the derivative; None: it depends on the sticks, see `as_flown`.
+    weight : of the setpoint in the derivative.
     filters : orders and cut-offs (Hz) of what the derivative of y goes through.
     error_filters, reference_filters : of what the error goes through, and the setpoint before it.
     forward : from the filtered setpoint straight to the output.
-    slope_filtered : the setpoint's derivative goes through `filters`, too.
+    slope_filtered : the setpoint's derivative goes through `filters` and `notch`, too.
+    notch : centre and cut-off (Hz) of what the derivative goes through besides; 0 for none.
     """
 
     gains: Mapping[str, float]
     p: float
     i: float
     d: float
-    weight: float | None
+    weight: float
     filters: Filters
     error_filters: Filters = ()
     reference_filters: Filters = ()
     forward: float = 0.0
     slope_filtered: bool = False
+    notch: tuple[float, float] = (0.0, 0.0)
 
     def feedback(self, f: FloatArray) -> ComplexArray:
         """(F,) from the measured rate, its sign left out."""
         s = 2j * np.pi * np.maximum(f, 1e-6)
-        inside = self.p + self.i / s + self.d * s * _through(self.filters, f)
+        inside = self.p + self.i / s + self.d * s * self._slope_through(f)
         return np.asarray(inside * _through(self.error_filters, f))
 
     def reference(self, f: FloatArray) -> ComplexArray:
         """(F,) from the setpoint."""
         s = 2j * np.pi * np.maximum(f, 1e-6)
-        slope = (self.weight or 0.0) * self.d * s
+        slope = self.weight * self.d * s
         if self.slope_filtered:
-            slope = slope * _through(self.filters, f)
+            slope = slope * self._slope_through(f)
         inside = (self.p + self.i / s + slope) * _through(self.error_filters, f)
         return np.asarray((inside + self.forward) * _through(self.reference_filters, f))
 
-    def as_flown(self, loop: Loop, low: float, high: float) -> Controller:
-        """With the setpoint's weight that explains a log best, where the gains do not state one."""
-        if self.weight is not None or not self.d:
-            return self
-        at = (loop.f >= low) & (loop.f <= high)
-        s = loop.mean[:, :, at]
-        f = loop.f[at]
-        by = 2j * np.pi * f * self.d * s[0, 0]
-        rest = s[0, 1] - self.reference(f) * s[0, 0] + self.feedback(f) * s[0, 2]
-        by = by / np.abs(s[0, 1])
-        rest = rest / np.abs(s[0, 1])
-        return replace(self, weight=float((by.conj() @ rest).real / (by.conj() @ by).real))
+    def _slope_through(self, f: FloatArray) -> ComplexArray:
+        """(F,) of what the derivative goes through."""
+        through = _through(self.filters, f)
+        centre, cut = self.notch
+        if centre > cut > 0.0:
+            x = f / centre
+            through = through * (1.0 - x * x) / (1.0 + 1j * x * (centre / cut - cut / centre) - x * x)
+        return np.asarray(through)
 
     def miss(self, loop: Loop, low: float, high: float) -> float:
         """Median relative error with which it gives what the log recorded, between two frequencies (Hz)."""
@@ -115,44 +102,6 @@ def _through(filters: Filters, f: FloatArray) -> ComplexArray:
             x = 1j * f / cut
             through = through / (1.0 + x if order == 1 else 1.0 + np.sqrt(2.0) * x + x * x)
     return through
-
-
-def betaflight(settings: Mapping[str, str], axis: str, throttle: FloatArray) -> Controller:
-    """The controller of an axis, from a header's settings; P and D as TPA left them on average.
-
-    Raises
-    ------
-    DataError : another firmware or version, a gain or filter that is missing.
-    """
-    revision = settings.get("Firmware revision", "")
-    found = re.match(r"Betaflight (\d+)\.(\d+)", revision)
-    if not found or not (3, 1) <= (version := (int(found[1]), int(found[2]))) <= (3, 5):
-        raise DataError(
-            f"the controller of {revision or 'an unnamed firmware'} is not known here",
-            hint="gains of Betaflight 3.1 to 3.5 are; the loop itself: flysid tf LOG -r betaflight-rate",
-        )
-    p, i, d = _numbers(settings, AXES[axis])
-    if version < (3, 4):
-        weight = _numbers(settings, "dtermSetpointWeight", "dterm_setpoint_weight")[0] / 127.0
-        cut = _numbers(settings, "dterm_lpf_hz", "dterm_lowpass_hz")[0]
-        cuts: tuple[float, ...] = (cut,)
-    else:
-        weight = _numbers(settings, "dterm_setpoint_weight")[0] / 100.0
-        cuts = (_numbers(settings, "dterm_lowpass_hz")[0], _numbers(settings, "dterm_lowpass2_hz")[0])
-    first = 2 if _numbers(settings, "dterm_filter_type")[0] == 1 else 1
-    orders = (first, 1)
-    filters = tuple((order, cut) for order, cut in zip(orders, cuts, strict=False) if cut > 0)
-    relaxed = _numbers(settings, "setpointRelaxRatio", "setpoint_relaxation_ratio")[0]
-    kept = _attenuation(settings, throttle)
-    stated = {f"{AXES[axis]} P": p, "I": i, "D": d}
-    return Controller(
-        stated,
-        P_SCALE * p * kept,
-        I_SCALE * i,
-        D_SCALE * d * kept,
-        None if 0.0 < relaxed < 100.0 else weight,
-        filters,
-    )
 
 
 def px4(stated: Mapping[str, float], axis: str) -> Controller:
@@ -223,24 +172,6 @@ def _find_stated(stated: Mapping[str, float], *names: str) -> tuple[float, ...]:
             hint="log the parameters; known are PX4 1.12 on and ArduCopter 4.0 on",
         )
     return tuple(stated[name] for name in names)
-
-
-def _numbers(settings: Mapping[str, str], *names: str) -> tuple[float, ...]:
-    for name in names:
-        text = settings.get(name)
-        if text:
-            return tuple(float(part) for part in re.split("[,/]", text))
-    raise DataError(f"the log's header does not state {names[0]}", hint="log with the header whole")
-
-
-def _attenuation(settings: Mapping[str, str], throttle: FloatArray) -> float:
-    """What TPA leaves of P and D, on average over a flight; 1 where the header does not state it."""
-    rate = settings.get("tpa_rate") or settings.get("dynThrPID")
-    start = settings.get("tpa_breakpoint")
-    if not rate or not start or not len(throttle):
-        return 1.0
-    above = np.clip((throttle - float(start)) / (2000.0 - float(start)), 0.0, 1.0)
-    return float(1.0 - (float(rate) / 100.0 * above).mean())
 
 
 def refuse_misfit(

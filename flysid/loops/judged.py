@@ -8,17 +8,13 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
-import numpy as np
-
-from flysid.dataset import FloatArray
 from flysid.errors import DataError, UsageError
+from flysid.loops.betaflight import AXES, NO_CONDITIONS, Conditions, betaflight
 from flysid.loops.blackbox_loops import record_of, settings_of
 from flysid.loops.controller import (
     ARDUPILOT_AXES,
-    AXES,
     Controller,
     ardupilot,
-    betaflight,
     px4,
     px4_order,
     refuse_misfit,
@@ -39,6 +35,9 @@ ALIKE = (
     "dterm_lowpass2_hz",
     "dterm_lpf_hz",
     "dterm_setpoint_weight",
+    "dtermSetpointWeight",
+    "setpoint_relaxation_ratio",
+    "setpointRelaxRatio",
 )
 """Settings that flights judged together share, besides their gains."""
 CAUTION = (
@@ -148,24 +147,23 @@ class Kind:
     ----------
     mark : a stream that only these logs have.
     settings : of a log, by name.
-    record : (log, axis, settings) -> the loop, and the throttle where gains depend on it.
-    controller : (settings, axis, throttle) -> the law.
+    record : (log, axis, settings) -> the loop, and what gains depended on.
+    controller : (settings, axis, conditions) -> the law.
     alike : (settings, axis) -> what flights that are judged together share.
     """
 
     mark: str
     settings: Callable[[Any], Mapping[str, Any]]
-    record: Callable[[Any, str, Mapping[str, Any]], tuple[StickRecord, FloatArray]]
-    controller: Callable[[Mapping[str, Any], str, FloatArray], Controller]
+    record: Callable[[Any, str, Mapping[str, Any]], tuple[StickRecord, Conditions]]
+    controller: Callable[[Mapping[str, Any], str, Conditions], Controller]
     alike: Callable[[Mapping[str, Any], str], tuple[Any, ...]]
 
 
-NO_THROTTLE = np.zeros(0)
 KINDS = (
     Kind(
         "vehicle_rates_setpoint",
         px4_parameters,
-        lambda log, axis, _: (px4_record(log, axis), NO_THROTTLE),
+        lambda log, axis, _: (px4_record(log, axis), NO_CONDITIONS),
         lambda stated, axis, _: px4(stated, axis),
         lambda stated, axis: (
             *_own(stated, f"MC_{axis.upper()}RATE_"),
@@ -176,7 +174,7 @@ KINDS = (
     Kind(
         "RATE",
         ardupilot_parameters,
-        lambda log, axis, _: (ardupilot_record(log, axis), NO_THROTTLE),
+        lambda log, axis, _: (ardupilot_record(log, axis), NO_CONDITIONS),
         lambda stated, axis, _: ardupilot(stated, axis),
         lambda stated, axis: _own(stated, f"ATC_RAT_{ARDUPILOT_AXES[axis]}_"),
     ),
@@ -279,15 +277,13 @@ def _judge(group: list[Stating], axis: str) -> Judged:
     try:
         kind = _kind(logs[0])
         settings = [_state(own) for _, own in group]
-        stated = kind.controller(settings[0], axis, NO_THROTTLE)
+        stated = kind.controller(settings[0], axis, NO_CONDITIONS)
         gains = stated.gains
         parts = [kind.record(log, axis, own) for log, own in zip(logs, settings, strict=True)]
-        each = [
-            kind.controller(own, axis, throttle) for own, (_, throttle) in zip(settings, parts, strict=True)
-        ]
+        each = [kind.controller(own, axis, flown) for own, (_, flown) in zip(settings, parts, strict=True)]
         loop = Loop.of([record for record, _ in parts])
         low, high = trusted_band(loop)
-        controller = each[0].as_flown(loop, low, high)
+        controller = each[0]
         miss = refuse_misfit(controller, loop, low, high)
         return Judged(axis, names, gains, "", "", miss, margins(loop, controller), loop, controller)
     except (DataError, UsageError) as error:

@@ -13,8 +13,9 @@ from scipy.spatial.transform import Rotation
 
 from flysid.dataset import FloatArray
 from flysid.errors import DataError, UsageError
+from flysid.loops.betaflight import AXES
 from flysid.loops.blackbox_loops import LARGEST_SHARE, even_pieces
-from flysid.loops.controller import AXES, RELEASE, THOUSANDTHS
+from flysid.loops.controller import RELEASE, THOUSANDTHS
 from flysid.loops.stick_response import StickRecord
 
 STREAMS = {

@@ -16,7 +16,8 @@ from click.testing import CliRunner
 from bench.gain_margins import Flown, Sampled
 from flysid.cli.gains import command
 from flysid.errors import DataError
-from flysid.loops.controller import betaflight, refuse_misfit
+from flysid.loops.betaflight import NO_CONDITIONS, betaflight
+from flysid.loops.controller import refuse_misfit
 from flysid.loops.judged import judge
 from flysid.loops.margins import LEAST_MS, _figure, margins, trusted_band
 from flysid.loops.prediction import predict
@@ -36,7 +37,6 @@ HEADER = {
     "setpoint_relaxation_ratio": "0",
     "pidsum_limit": "500",
 }
-STEADY = np.full(10, 1200.0)
 
 
 @dataclass
@@ -57,13 +57,14 @@ class Log:
 def log_of(seconds: float = 60.0, header: dict[str, str] | None = None, **flight: float) -> Log:
     """A simulated flight as a Betaflight log of its roll axis."""
     settings = HEADER | (header or {})
-    own = betaflight(HEADER, "roll", STEADY)
+    own = betaflight(HEADER, "roll", NO_CONDITIONS)
     vehicle = Vehicle(delay_steps=6)
     record = fly(vehicle, own, seconds, 3, **flight)
     r, u, y = record.pieces[0]
     time = (np.arange(len(r)) * 2_000_000).astype(np.int64)
     nothing = np.zeros(len(r))
     main = {"time_ns": time, "gyroADC[0]": y, "axisP[0]": u, "axisI[0]": nothing, "axisD[0]": nothing}
+    main |= {"loopIteration": np.arange(len(r)), "rcCommand[0]": nothing}
     return Log(
         "flight",
         {
@@ -187,7 +188,7 @@ def test_a_log_is_judged_from_its_header() -> None:
     found = judge([log_of()], ["roll"])[0]
     assert found.margins is not None
     assert found.gains == {"rollPID P": 46.0, "I": 45.0, "D": 25.0}
-    own = truth(Vehicle(delay_steps=6), betaflight(HEADER, "roll", STEADY))
+    own = truth(Vehicle(delay_steps=6), betaflight(HEADER, "roll", NO_CONDITIONS))
     assert found.margins.phase_deg.value == pytest.approx(own["phase_deg"], abs=5.0)
     assert len(found.lines()) == 5
     json.dumps(found.to_dict(), allow_nan=False)

@@ -99,7 +99,7 @@ REFUSED: dict[str, tuple[Callable[[], Any], str]] = {
     # signals are missing or too slow
     "no output": (lambda: without(px4(), "vehicle_torque_setpoint"), "lacks actuator_controls_0"),
     "no angle setpoint": (lambda: without(px4(), "vehicle_attitude_setpoint"), "lacks vehicle_attitude"),
-    "no gyro": (lambda: without(log_of(40.0), "main", "gyroADC[0]"), "lacks a field of the roll loop"),
+    "no gyro": (lambda: without(log_of(40.0), "main", "gyroADC[0]"), "lacks a field of the rate loop"),
     "logged slowly": (lambda: ardupilot(rate_hz=10.0), "at 10 Hz: too slow"),
     # the flight does not identify the loop
     "closed loop without excitation": (lambda: log_of(40.0, stick=0.0), "sticks never move"),
