@@ -72,10 +72,11 @@ class BetaflightLaw:
     filters, notch : orders and cut-offs (Hz), and centre and cut-off, of what the derivative goes through.
     stated_steps : whether the setpoint goes through the filters too, and steps are taken as stated: 3.1.
     step_s : stated; 0 where it is not.
-    thrust : share that TPA takes at full throttle, and where it begins, us.
+    tpa : share that it takes of P and D at full throttle, and where it begins, us.
     windup : share of the motors' range beyond which the integral slows down.
-    gathers : factor of the integral while the throttle moves by more than a threshold (us) in 0.1 s.
-    limits : of this output, the other axes' outputs, and the integral.
+    anti_gravity : factor of the integral while the throttle moves by more than a threshold (us) in 0.1 s.
+    limits : of the outputs of roll, pitch and yaw.
+    largest_i : of the integral.
     """
 
     stated: Mapping[str, float]
@@ -88,10 +89,11 @@ class BetaflightLaw:
     notch: tuple[float, float]
     stated_steps: bool
     step_s: float
-    thrust: tuple[float, float]
+    tpa: tuple[float, float]
     windup: float
-    gathers: tuple[float, float]
-    limits: tuple[float, tuple[float, float, float], float]
+    anti_gravity: tuple[float, float]
+    limits: tuple[float, float, float]
+    largest_i: float
 
     @classmethod
     def of(cls, settings: Mapping[str, str], axis: str) -> BetaflightLaw:
@@ -111,10 +113,10 @@ class BetaflightLaw:
         first = 2 if _numbers(settings, "dterm_filter_type")[0] == 1 else 1
         roll = _number(settings, 1000.0, "pidsum_limit", "pidSumLimit")
         yaw = _number(settings, 1000.0, "pidsum_limit_yaw", "pidSumLimitYaw")
-        gathers = (1.0, np.inf)
+        anti_gravity = (1.0, np.inf)
         if version >= (3, 4) and int(_number(settings, 0.0, "features")) & ANTI_GRAVITY:
-            stated = _number(settings, 1000.0, "anti_gravity_gain")
-            gathers = (stated / 1000.0, _number(settings, np.inf, "anti_gravity_threshold"))
+            faster = _number(settings, 1000.0, "anti_gravity_gain") / 1000.0
+            anti_gravity = (faster, _number(settings, np.inf, "anti_gravity_threshold"))
         return cls(
             {f"{AXES[axis]} P": p, "I": i, "D": d},
             P_SCALE * p,
@@ -131,17 +133,14 @@ class BetaflightLaw:
                 _number(settings, FULL_THROTTLE, "tpa_breakpoint"),
             ),
             _number(settings, 100.0, "iterm_windup", "itermWindupPointPercent") / 100.0,
-            gathers,
-            (
-                yaw if axis == "yaw" else roll,
-                (roll, roll, yaw),
-                LARGEST_I if version < (3, 2) else LARGEST_I_SINCE,
-            ),
+            anti_gravity,
+            (roll, roll, yaw),
+            LARGEST_I if version < (3, 2) else LARGEST_I_SINCE,
         )
 
     def kept(self, throttle: FloatArray) -> FloatArray:
         """(N,) what TPA leaves of P and D."""
-        share, begins = self.thrust
+        share, begins = self.tpa
         if begins >= FULL_THROTTLE:
             return np.ones(len(throttle))
         return np.asarray(1.0 - share * np.clip((throttle - begins) / (FULL_THROTTLE - begins), 0.0, 1.0))

@@ -16,7 +16,7 @@ import numpy as np
 from numba import njit
 
 from flysid.dataset import FloatArray
-from flysid.errors import DataError
+from flysid.errors import DataError, UsageError
 from flysid.loops.betaflight import AXES, BetaflightLaw
 from flysid.loops.blackbox_loops import FULL_STICK, even_pieces, fields_of, slower, terms_of
 from flysid.loops.controller import THOUSANDTHS
@@ -28,7 +28,7 @@ SIDES = np.array([[-1.0, -1.0, 1.0, 1.0], [1.0, -1.0, 1.0, -1.0], [1.0, -1.0, -1
 IDLE_STICK = 1050.0
 """us of throttle below which the motors idle (`min_check`), which headers do not state."""
 FULL_STICK_US = 2000.0
-SETTLED_S = 0.1
+MOVED_WITHIN_S = 0.1
 """Within which anti-gravity looks for a movement of the throttle."""
 
 
@@ -57,8 +57,8 @@ class FlownAxis:
     ----------
     time : (N,) s.
     setpoint, stick, throttle : (N,) deg/s, 0 to 1, us.
+    axis : 0 roll, 1 pitch.
     others : (4, N) what the other axes add to the motors, thousandths.
-    side : (4,) how this axis enters them.
     rate, given : (N,) deg/s, and what the motors were given for this axis, thousandths.
     airmode : the throttle gives way to the axes.
     slower : steps of the loop over those that the header states.
@@ -70,8 +70,8 @@ class FlownAxis:
     setpoint: FloatArray
     stick: FloatArray
     throttle: FloatArray
+    axis: int
     others: FloatArray
-    side: FloatArray
     rate: FloatArray
     given: FloatArray
     airmode: bool
@@ -95,8 +95,8 @@ class FlownAxis:
         def at(values: FloatArray) -> FloatArray:
             return np.interp(grid, self.time, values)
 
-        moved = np.abs(at(self.throttle) - np.interp(grid - SETTLED_S, self.time, self.throttle))
-        gain, threshold = law.gathers
+        moved = np.abs(at(self.throttle) - np.interp(grid - MOVED_WITHIN_S, self.time, self.throttle))
+        gain, threshold = law.anti_gravity
         numbers = np.array(
             [
                 law.p,
@@ -104,8 +104,8 @@ class FlownAxis:
                 law.d,
                 law.step_s if law.stated_steps else self.step_s,
                 law.windup,
-                law.limits[2],
-                law.limits[0],
+                law.largest_i,
+                law.limits[self.axis],
                 np.exp(-self.step_s / plant.lag_s),
                 plant.gain * self.step_s,
                 plant.delay_s / self.step_s,
@@ -118,7 +118,7 @@ class FlownAxis:
             np.where(moved > threshold, gain, 1.0),
             np.array([at(row) for row in self.others]),
             at(_opened(self.throttle)),
-            self.side,
+            SIDES[self.axis],
             self.airmode,
             law.stated_steps,
             _sections(law),
@@ -141,8 +141,11 @@ def flown_axis(log: Any, axis: str, settings: Mapping[str, str], *, largest_miss
 
     Raises
     ------
+    UsageError : yaw.
     DataError : another firmware, fields or settings are missing, or the motors are not those of a quad X.
     """
+    if axis not in ("roll", "pitch"):
+        raise UsageError(f"{axis} cannot be flown again: its P is filtered", hint="roll or pitch")
     k = list(AXES).index(axis)
     law = BetaflightLaw.of(settings, axis)
     if not law.step_s:
@@ -158,7 +161,7 @@ def flown_axis(log: Any, axis: str, settings: Mapping[str, str], *, largest_miss
     throttle = values["rcCommand[3]"]
     outputs = [
         np.clip(sum(values[name] for name in own), -limit, limit)
-        for own, limit in zip(terms, law.limits[1], strict=True)
+        for own, limit in zip(terms, law.limits, strict=True)
     ]
     every = [side[:, None] * output for side, output in zip(SIDES, outputs, strict=True)]
     others = np.sum([part for j, part in enumerate(every) if j != k], axis=0)
@@ -179,8 +182,8 @@ def flown_axis(log: Any, axis: str, settings: Mapping[str, str], *, largest_miss
         np.interp(time, asked["time_ns"] * 1e-9, asked[f"setpoint[{k}]"]),
         np.abs(values[f"rcCommand[{k}]"]) / FULL_STICK,
         throttle,
+        k,
         others,
-        SIDES[k],
         values[f"gyroADC[{k}]"],
         THOUSANDTHS / MOTORS * (SIDES[k] @ turned),
         misses[1] < misses[0],
@@ -257,7 +260,7 @@ def _filter(x, sections, states):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _step(setpoint, weighed, kept, gathers, others, throttle, side, airmode, whole, sections, numbers):  # type: ignore[no-untyped-def]
+def _step(setpoint, weighed, kept, faster, others, throttle, side, airmode, whole, sections, numbers):  # type: ignore[no-untyped-def]
     """(N,) rate and what the motors are given; `whole`: all of the derivative is filtered, and freely
     integrated."""
     p, i, d, dt, windup, largest_i, limit, keep, turn, late = numbers
@@ -276,7 +279,7 @@ def _step(setpoint, weighed, kept, gathers, others, throttle, side, airmode, who
         rate[k] = now
         error = setpoint[k] - now
         free = min(max((1.0 - asked) / max(1.0 - windup, 1e-9), 0.0), 1.0)
-        more = total + i * error * dt * gathers[k] * free
+        more = total + i * error * dt * faster[k] * free
         more = min(max(more, -largest_i), largest_i)
         if whole or asked < 1.0 or abs(more) < abs(total):
             total = more

@@ -14,7 +14,7 @@ import pytest
 from click.testing import CliRunner
 
 from flysid.cli.gains import command
-from flysid.errors import DataError
+from flysid.errors import DataError, UsageError
 from flysid.loops.betaflight import BetaflightLaw, Conditions
 from flysid.loops.flown_axis import SIDES, FlownAxis, Turning, _mixed, _opened, flown_axis
 from flysid.loops.prediction import Turnings, predict_flight, response_of
@@ -60,8 +60,8 @@ def flown(settings: dict[str, str], seconds: float = 40.0, size: float = 40.0, s
         size * stick,
         np.abs(stick),
         nothing + 1500.0,
+        0,
         np.zeros((4, n)),
-        SIDES[0],
         nothing,
         nothing,
         True,
@@ -159,9 +159,11 @@ def test_whether_airmode_is_on_is_read_off_the_motors(airmode: bool) -> None:
     assert flown_axis(log_of(airmode), "roll", SINCE_3_4).airmode == airmode
 
 
-def test_motors_of_another_frame_are_refused() -> None:
+def test_what_cannot_be_flown_again_is_refused() -> None:
     with pytest.raises(DataError, match="not what a quad X makes of the PID sums"):
         flown_axis(log_of(True, swapped=True), "roll", SINCE_3_4)
+    with pytest.raises(UsageError, match="yaw cannot be flown again"):
+        flown_axis(log_of(True), "yaw", SINCE_3_4)
     with pytest.raises(DataError, match="does not state its looptime"):
         flown_axis(log_of(True), "roll", SINCE_3_4 | {"looptime": ""})
 
