@@ -36,6 +36,8 @@ class Bordered:
 
     def damped_step(self, scale: FloatArray, damping: float, gradient: FloatArray) -> FloatArray | None:
         """-(H + damping diag(scale²))⁻¹ gradient, or None where that matrix is not positive definite."""
+        from scipy.linalg.lapack import dposv
+
         p = len(self.corner)
         (count, _, q) = self.border.shape
         s = scale[:p]
@@ -50,11 +52,14 @@ class Bordered:
             half = np.linalg.solve(
                 lower, np.concatenate([border.transpose(0, 2, 1), own[:, :, None]], axis=2)
             )
-            flat = half.reshape(count * q, p + 1)
-            factor = np.linalg.cholesky(corner - flat[:, :p].T @ flat[:, :p])
         except np.linalg.LinAlgError:
             return None
+        flat = half.reshape(count * q, p + 1)
         right = flat[:, :p].T @ flat[:, p] - g
-        step = np.linalg.solve(factor.T, np.linalg.solve(factor, right))
+        step = right
+        if p:
+            _, step, failed = dposv(corner - flat[:, :p].T @ flat[:, :p], right)
+            if failed:
+                return None
         rest = np.linalg.solve(lower.transpose(0, 2, 1), -half[:, :, p:] - half[:, :, :p] @ step[:, None])
         return np.concatenate([step / s, (rest[:, :, 0] / inner).ravel()])

@@ -6,7 +6,8 @@ unstable: such a point (non-finite or higher cost) is rejected and the damping g
 
 Method: Marquardt (1963) with the scaling of Moré (1978) (the largest diagonal of JᵀJ seen so far) and
 the damping rule of Nielsen (1999), Damping Parameter in Marquardt's Method, IMM-REP-1999-05.
-Cost per iteration: one call of `evaluate` (one more per rejected trial) and O(n³) for n parameters.
+Cost per iteration: one call of `evaluate` (one more per rejected trial; none at the end of a search with a
+cheaper `cost`) and O(n³) for n parameters.
 """
 
 from __future__ import annotations
@@ -87,31 +88,29 @@ def levenberg_marquardt(
     scale = _floor(point.diagonal)
     damping = first_damping
     growth = 2.0
-    reason: Reason = "max_iterations"
     tries = 0
     while tries < max_iterations:
         if point.cost == 0.0 or _is_stationary(point, scale):
-            reason = "converged"
-            break
+            return Refinement(point.theta, point.cost, "converged")
         tries += 1
         step = _step(point, scale, damping)
-        new = None if step is None else _try(evaluate, cost, point, step)
-        if step is None or new is None:
+        value, new = (np.inf, None) if step is None else _try(evaluate, cost, point.theta + step)
+        if step is not None and value < point.cost:  # NaN compares false
+            settled = point.cost - value <= tolerance * point.cost or _is_short(step, point, scale, tolerance)
+            if settled or tries == max_iterations:  # nobody asks for derivatives here
+                return Refinement(point.theta + step, value, "converged" if settled else "max_iterations")
+            new = new or _evaluate(evaluate, point.theta + step)
+        if step is None or new is None or not new.cost < point.cost:
             damping = damping * growth
             growth = growth * 2.0
             if damping > largest_damping or (step is not None and _is_short(step, point, scale, 1e-15)):
-                reason = "stalled"
-                break
+                return Refinement(point.theta, point.cost, "stalled")
             tries -= growth <= 2.0**8  # the first rejections in a row cost no iteration
             continue
         damping, growth = _relax(damping, point, new, step, scale)
-        settled = point.cost - new.cost <= tolerance * point.cost or _is_short(step, point, scale, tolerance)
         point = new
         scale = np.maximum(scale, np.sqrt(point.diagonal))
-        if settled:
-            reason = "converged"
-            break
-    return Refinement(point.theta, point.cost, reason)
+    return Refinement(point.theta, point.cost, "max_iterations")
 
 
 def _start(evaluate: Callable[[FloatArray], Residuals | NormalEquations], theta0: FloatArray) -> _Point:
@@ -165,23 +164,19 @@ def upper_triangle(matrix: FloatArray, column: FloatArray) -> FloatArray:
 def _try(
     evaluate: Callable[[FloatArray], Residuals | NormalEquations],
     cost: Callable[[FloatArray], float] | None,
-    point: _Point,
-    step: FloatArray,
-) -> _Point | None:
-    """The point one step on, or None when its cost is not lower."""
-    theta = point.theta + step
-    if cost is not None:
-        with np.errstate(over="ignore", invalid="ignore"):
-            value = cost(theta)
-        if not value < point.cost:  # NaN compares false
-            return None
-    new = _evaluate(evaluate, theta)
-    return new if new is not None and new.cost < point.cost else None
+    theta: FloatArray,
+) -> tuple[float, _Point | None]:
+    """The cost of a trial point, infinite where it diverges; the point too, where that is no dearer."""
+    if cost is None:
+        new = _evaluate(evaluate, theta)
+        return (np.inf if new is None else new.cost), new
+    with np.errstate(over="ignore", invalid="ignore"):
+        return cost(theta), None
 
 
 def _step(point: _Point, scale: FloatArray, damping: float) -> FloatArray | None:
     """Solve (JᵀJ + damping D²) step = -Jᵀr in scaled unknowns; None when that is singular."""
-    from scipy.linalg.lapack import dgels
+    from scipy.linalg.lapack import dgels, dposv
 
     n = len(scale)
     if isinstance(point.jtj, Bordered):
@@ -194,11 +189,9 @@ def _step(point: _Point, scale: FloatArray, damping: float) -> FloatArray | None
     else:
         assert point.jtj is not None
         matrix = point.jtj / np.outer(scale, scale) + damping * np.eye(n)
-        try:
-            factor = np.linalg.cholesky(matrix)
-        except np.linalg.LinAlgError:
+        _, solution, failed = dposv(matrix, -point.gradient / scale)
+        if failed:
             return None
-        solution = np.linalg.solve(factor.T, np.linalg.solve(factor, -point.gradient / scale))
     step = solution / scale
     return step if np.isfinite(step).all() else None
 

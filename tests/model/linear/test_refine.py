@@ -54,6 +54,23 @@ def test_a_cheap_cost_gives_the_same_path_as_the_full_evaluation() -> None:
     assert (cheap.theta == plain.theta).all()
 
 
+@pytest.mark.parametrize("iterations", [1, 4, 50])
+def test_the_last_point_is_not_differentiated(iterations: int) -> None:
+    differentiated = []
+
+    def evaluate(theta: FloatArray) -> tuple[FloatArray, FloatArray]:
+        differentiated.append(theta)
+        return rosenbrock(theta)
+
+    def cost(theta: FloatArray) -> float:
+        return float(np.sum(rosenbrock(theta)[0] ** 2))
+
+    start = np.array([-1.2, 1.0])
+    found = levenberg_marquardt(evaluate, start, cost=cost, max_iterations=iterations)
+    assert found.cost < cost(start)
+    assert not any((theta == found.theta).all() for theta in differentiated)
+
+
 def test_a_divergent_start_is_an_error() -> None:
     with pytest.raises(FitError, match="start"):
         levenberg_marquardt(exponential, np.array([100.0]))
