@@ -240,5 +240,5 @@ def _sweep_into(
 ) -> None:
     """Rows of a run from `begin` on with their sensitivities, as many as J (rows, n_y, P) has."""
     within = (begin, begin + len(J))
-    basis = np.ascontiguousarray(basis)
-    sweep(run, run, within, layout.lags, par, basis, own, ring, J, np.zeros((0, 0)), np.zeros(0))
+    columns = np.ascontiguousarray(basis.T)
+    sweep(run, run, within, layout.lags, par, columns, own, ring, J, np.zeros((0, 0)), np.zeros(0))

@@ -71,25 +71,6 @@ class Parameters(NamedTuple):
 _SILENT = math.log(GONE)
 
 
-@compiled
-def _fire(z, par, phi):  # type: ignore[no-untyped-def]
-    top = -1e300
-    for r in range(phi.size):
-        log_w = 0.0
-        for j in range(z.size):
-            d = (z[j] - par.centre[r, j]) / par.width[r, j]
-            log_w -= 0.5 * d * d
-        phi[r] = log_w
-        top = max(top, log_w)
-    total = 0.0
-    for r in range(phi.size):
-        gap = phi[r] - top
-        phi[r] = math.exp(gap) if gap > _SILENT else 0.0
-        total += phi[r]
-    for r in range(phi.size):
-        phi[r] = phi[r] / total if total > 0.0 else 1.0 / phi.size  # 0 only where z is not a number
-
-
 def free_run(W: FloatArray, first: int, lags: Lags, par: Parameters) -> None:
     """Write the simulated columns of rows first.. of W (N, n + n_u) from its own earlier rows, in place."""
     none = np.zeros((1, par.theta.shape[1], 0))
@@ -136,13 +117,26 @@ def firing(W: FloatArray, first: int, lags: Lags, par: Parameters) -> FloatArray
 
 
 def strengths(z: FloatArray, par: Parameters) -> FloatArray:
-    """(N, R) normalised firing strengths at antecedents z (N, n_z); `_fire` for many rows."""
+    """(N, R) normalised firing strengths at antecedents z (N, n_z), of many rows at once."""
     lean = (np.clip(z, *par.z_range)[:, None, :] - par.centre) / par.width
     loud = -0.5 * (lean * lean).sum(axis=2)
     gap = loud - loud.max(axis=1, keepdims=True)
     strength = np.where(gap > _SILENT, np.exp(gap), 0.0)
     total = strength.sum(axis=1, keepdims=True)
     return np.where(total > 0.0, strength / np.where(total > 0.0, total, 1.0), 1.0 / len(par.theta))
+
+
+@compiled
+def _add(rows, errors, H, g):  # type: ignore[no-untyped-def]
+    """Four rows J and errors e into J'J (lower triangle) and J'e: one pass over the sums for all of them."""
+    for p in range(g.size):
+        a = rows[0, p]
+        b = rows[1, p]
+        c = rows[2, p]
+        d = rows[3, p]
+        g[p] += a * errors[0] + b * errors[1] + c * errors[2] + d * errors[3]
+        for q in range(p + 1):
+            H[p, q] += a * rows[0, q] + b * rows[1, q] + c * rows[2, q] + d * rows[3, q]
 
 
 @compiled
@@ -155,7 +149,7 @@ def sweep(X, W, rows, lags, par, basis, own, ring, J, H, g):  # type: ignore[no-
     W : (N, n + n_u) what they are compared with, in its first J.shape[1] columns; without rows, errors are
         how far outputs leave the range of training on their way to the limits.
     rows : first row, row after the last.
-    basis : (n_b, n_x); consequent coordinates a with theta = offset + a @ basis.
+    basis : (n_x, n_b); consequent coordinates a with theta = offset + a @ basis.T.
     own : of the columns of sensitivities so many, the last (the start), only propagate; those before are the
         first of the unknowns [a (R n n_b) | centre | log width].
     ring : (D, n, M) sensitivities of row k in ring[k % D], D at least the deepest lag. Holds those of the
@@ -165,48 +159,66 @@ def sweep(X, W, rows, lags, par, basis, own, ring, J, H, g):  # type: ignore[no-
     """
     n_rules, n, n_x = par.theta.shape
     n_z = lags.z_lag.size
-    n_b = basis.shape[0]
+    n_b = basis.shape[1]
     n_y = J.shape[1]
     deep = ring.shape[0]
     size = ring.shape[2]
     common = size - own
     stressed = W.shape[0] == 0
     x = np.empty(n_x)
-    z = np.empty(n_z)
-    phi = np.empty(n_rules)
+    z = np.zeros(n_z)
+    phi = np.ones(n_rules)
     e = np.empty(n_b)
     part = np.empty(n_rules)
     inverse = np.empty((n_rules, n_z))
-    lean = np.empty((n_rules, n_z))
+    lean = np.zeros((n_rules, n_z))
     G = np.empty((deep, n))
     new = np.empty((n, size))
     at_centre = n_rules * n * n_b
     at_width = at_centre + n_rules * n_z
+    several = np.zeros((4, size))
+    errors = np.zeros(4)
+    waiting = 0
     sums = H.shape[0] > 0
     keeps = J.shape[0] > 0
     square = 0.0
     for r in range(n_rules):
         for j in range(n_z):
             inverse[r, j] = 1.0 / par.width[r, j]
+    slot = rows[0] % deep - 1
     for k in range(rows[0], rows[1]):
+        slot += 1  # k % deep, without a division
+        if slot == deep:
+            slot = 0
         for m in range(n_x):
             c = lags.column[m]
             x[m] = 1.0 if c < 0 else X[k - lags.lag[m], c]
-        for j in range(n_z):
-            value = X[k - lags.z_lag[j], lags.z_column[j]]
-            if lags.z_minus[j] >= 0:
-                value -= X[k - lags.z_minus[j], lags.z_column[j]]
-            z[j] = min(max(value, par.z_range[0, j]), par.z_range[1, j])
-        _fire(z, par, phi)
-        if size > 0:
-            for m in range(n_b):
-                total = 0.0
-                for c in range(n_x):
-                    total += basis[m, c] * x[c]
-                e[m] = total
+        if n_rules > 1:  # a single one speaks wherever it is, and does not lean anywhere
+            for j in range(n_z):
+                value = X[k - lags.z_lag[j], lags.z_column[j]]
+                if lags.z_minus[j] >= 0:
+                    value -= X[k - lags.z_minus[j], lags.z_column[j]]
+                z[j] = min(max(value, par.z_range[0, j]), par.z_range[1, j])
+            top = -np.inf
             for r in range(n_rules):
+                phi[r] = 0.0
                 for j in range(n_z):
                     lean[r, j] = (z[j] - par.centre[r, j]) * inverse[r, j]
+                    phi[r] -= 0.5 * lean[r, j] * lean[r, j]
+                top = max(top, phi[r])
+            total = 0.0
+            for r in range(n_rules):
+                gap = phi[r] - top
+                phi[r] = math.exp(gap) if gap > _SILENT else 0.0
+                total += phi[r]
+            for r in range(n_rules):  # the sum is 0 only where z is not a number
+                phi[r] = phi[r] / total if total > 0.0 else 1.0 / n_rules
+        if size > 0:
+            for m in range(n_b):
+                e[m] = basis[0, m] * x[0]
+            for c in range(1, n_x):
+                for m in range(n_b):
+                    e[m] += basis[c, m] * x[c]
         for i in range(n):
             value = 0.0
             for r in range(n_rules):
@@ -244,7 +256,9 @@ def sweep(X, W, rows, lags, par, basis, own, ring, J, H, g):  # type: ignore[no-
                     if lags.z_minus[j] >= 0:
                         G[lags.z_minus[j] - 1, c] -= slope
             for d in range(deep):
-                past = (k - 1 - d) % deep
+                past = slot - 1 - d
+                if past < 0:
+                    past += deep
                 for c in range(n):
                     f = G[d, c]
                     if f != 0.0:
@@ -265,7 +279,6 @@ def sweep(X, W, rows, lags, par, basis, own, ring, J, H, g):  # type: ignore[no-
                         new[i, at_centre + r * n_z + j] += pull * inverse[r, j]
                         new[i, at_width + r * n_z + j] += pull * lean[r, j]
         if size > 0:
-            slot = k % deep
             for i in range(n):
                 for p in range(size):
                     ring[slot, i, p] = new[i, p]
@@ -282,8 +295,15 @@ def sweep(X, W, rows, lags, par, basis, own, ring, J, H, g):  # type: ignore[no-
                     J[k - rows[0], i, p] = new[i, p]
             if sums and not (stressed and error == 0.0):
                 for p in range(size):
-                    f = new[i, p]
-                    g[p] += f * error
-                    for q in range(p + 1):
-                        H[p, q] += f * new[i, q]
+                    several[waiting, p] = new[i, p]
+                errors[waiting] = error
+                waiting += 1
+                if waiting == len(several):
+                    _add(several, errors, H, g)
+                    waiting = 0
+    if waiting > 0:
+        for m in range(waiting, len(several)):
+            for p in range(size):
+                several[m, p] = 0.0
+        _add(several, errors, H, g)
     return square

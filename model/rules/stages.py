@@ -44,7 +44,7 @@ class Cost:
         self.problem = problem
         self.body = body
         self.chosen = np.ascontiguousarray(chosen, dtype=np.int64)
-        self.basis = np.ascontiguousarray(problem.basis)
+        self.basis = np.ascontiguousarray(problem.basis.T)
         known = problem.parameters(body)
         self.par = known._replace(centre=known.centre.copy(), width=known.width.copy())
         layout = problem.layout
@@ -139,7 +139,7 @@ class Cost:
         par = self.par
         body = self.body
         begin = body.a.size
-        np.matmul(p[:begin].reshape(body.a.shape), self.basis, out=par.theta)
+        np.matmul(p[:begin].reshape(body.a.shape), self.problem.basis, out=par.theta)
         par.theta[:] += self.problem.offset
         if par.centre.size:
             low, high = self.problem.z_range
@@ -206,7 +206,7 @@ class Cost:
 
 def _symmetric(lower: FloatArray) -> FloatArray:
     """Matrices (..., n, n) of which only the lower triangles are known."""
-    return np.asarray(np.tril(lower) + np.swapaxes(np.tril(lower, -1), -1, -2))
+    return np.where(np.tri(lower.shape[-1], dtype=bool), lower, np.swapaxes(lower, -1, -2))
 
 
 def descend(cost: Cost, p: FloatArray, iterations: int, tolerance: float) -> tuple[float, FloatArray]:

@@ -43,9 +43,10 @@ def plain_step(W: FloatArray, k: int, p: Parameters) -> FloatArray:
     return np.asarray(np.einsum("r,rim,m->i", w / w.sum(), p.theta, x))
 
 
-def test_free_run_is_the_plain_model() -> None:
+@pytest.mark.parametrize("rules", [1, 3])
+def test_free_run_is_the_plain_model(rules: int) -> None:
     W = inputs(60)
-    p = parameters()
+    p = parameters(rules)
     expected = W.copy()
     for k in range(2, 60):
         expected[k, :2] = plain_step(expected, k, p)
@@ -66,8 +67,9 @@ def test_prediction_restarts_from_measurements_and_leaves_them_alone() -> None:
     assert np.allclose(ahead[10], short[10, :2], rtol=1e-13)
 
 
-def test_sensitivities_are_the_derivatives_of_the_free_run() -> None:
-    p = parameters()
+@pytest.mark.parametrize("rules", [1, 3])
+def test_sensitivities_are_the_derivatives_of_the_free_run(rules: int) -> None:
+    p = parameters(rules)
     n = 50
     depth = 2
     basis = np.random.default_rng(3).normal(size=(5, 5))
@@ -99,7 +101,9 @@ def test_sensitivities_are_the_derivatives_of_the_free_run() -> None:
     later = J[depth:].copy()
     H = np.zeros((len(v), len(v)))
     g = np.zeros(len(v))
-    square = sweep(inputs(n), W, (depth, n), LAGS, p, basis, depth * 2, ring, later, H, g)
+    square = sweep(
+        inputs(n), W, (depth, n), LAGS, p, np.ascontiguousarray(basis.T), depth * 2, ring, later, H, g
+    )
     J[depth:] = later
     flat = later.reshape(-1, len(v))
     gaps = inputs(n)
