@@ -37,15 +37,15 @@ class Difference:
     def is_diagonal(self) -> bool:
         """No output feeds another."""
         n = self.a.shape[1]
-        return not self.a[:, ~np.eye(n, dtype=bool)].any()
+        return n == 1 or not self.a[:, ~np.eye(n, dtype=bool)].any()
 
     def drive(self, u: FloatArray) -> FloatArray:
         """(N, n_y) sum_l B_l u(k-l) + c for inputs that were zero before."""
         out = np.empty((len(u), len(self.c)))
         out[:] = self.c
         for i, j in np.ndindex(*self.b.shape[1:]):
-            taps = np.trim_zeros(self.b[:, i, j], "b")
-            if len(taps):
+            taps = self.b[:, i, j]
+            if taps.any():
                 out[:, i] += apply_filter(taps, np.ones(1), u[:, j])
         return out
 

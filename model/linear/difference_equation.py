@@ -318,6 +318,23 @@ class FittedLinear(FreeRuns):
         miss = dy[:n] - system.run(du[:n], zero)
         return 0, np.einsum("oln,no->lo", self.starts, miss)
 
+    def start_responses(self, rows: int) -> FloatArray:
+        """(rows, n_y, n_init, n_y) what one unit of each first output adds to a free run without limits."""
+        n = self.n_init
+        n_y = len(self.outputs)
+        first = n if self.starts is None else 0
+        still = np.zeros((rows - first, n_y))
+        found = np.zeros((rows, n_y, n, n_y))
+        for i, o in np.ndindex(n, n_y):
+            found[i, o, i, o] = 1.0
+            given = found[:n, :, i, o]
+            if self.starts is None:
+                state = self.system.state(np.zeros((n, len(self.inputs))), given)
+            else:
+                state = np.einsum("oln,no->lo", self.starts, given)
+            found[n:, :, i, o] = self.system.respond(still, state)[n - first :]
+        return found
+
 
 def from_dict(document: Mapping[str, Any]) -> FittedLinear:
     """Rebuild a model from `to_dict()`; damage raises KeyError, TypeError or ValueError (see `base.load`)."""

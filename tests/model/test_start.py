@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
 
 from flysid.dataset import FloatArray
+from flysid.model.linear.difference_equation import FittedLinear
 from flysid.model.start import estimate_start, start_window
+from tests.model_examples import data, fitted
 
 DT = 0.01
 
@@ -103,3 +105,19 @@ def test_every_structure_runs_freely_as_the_comparison_starts_it() -> None:
     window = start_window(model.n_init, len(segment), DT)
     np.testing.assert_array_equal(model.free_run(segment)[window:], free_run(model, segment, window))
     assert model.free_run(segment).shape == segment.y.shape
+
+
+@pytest.mark.parametrize("name", ["arx", "oe"])
+@pytest.mark.parametrize("knows_its_state", [True, False])
+def test_what_a_linear_model_says_of_its_start_is_what_its_runs_do(name: str, knows_its_state: bool) -> None:
+    model = fitted(name)
+    assert isinstance(model, FittedLinear)
+    model = (model if knows_its_state else replace(model, starts=None)).unlimited()
+    u = data().segments[0].u[:40]
+    start = data().segments[0].y[: model.n_init]
+    still = model.simulate(u, start)
+    for i in range(model.n_init):
+        moved = start.copy()
+        moved[i] += 1.0
+        difference = model.simulate(u, moved) - still
+        np.testing.assert_allclose(model.start_responses(40)[:, :, i, 0], difference, atol=1e-12)
