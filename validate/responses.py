@@ -27,7 +27,15 @@ def responses(model: Fitted, hz: FloatArray, output: int, signal: int) -> list[C
         impulse = impulse_response(model, output, signal)
     if not np.isfinite(impulse).all():
         return []
-    return [np.exp(-2j * np.pi * np.outer(hz, np.arange(len(impulse))) * model.dt_s) @ impulse]
+    return [_transform(impulse, model.dt_s * hz)]
+
+
+def _transform(impulse: FloatArray, turns: FloatArray, *, piece: int = 64) -> ComplexArray:
+    """(F,) sum_k impulse[k] exp(-2j pi k turns), in pieces that share their exponentials."""
+    pieces = np.pad(impulse, (0, -len(impulse) % piece)).reshape(-1, piece)
+    within = np.exp(-2j * np.pi * np.outer(turns, np.arange(piece))) @ pieces.T
+    between = np.exp(-2j * np.pi * piece * np.outer(turns, np.arange(len(pieces))))
+    return np.asarray((within * between).sum(axis=1), dtype=np.complex128)
 
 
 def _rational(A: FloatArray, B: FloatArray, hz: FloatArray, dt_s: float) -> ComplexArray:
