@@ -56,6 +56,7 @@ class Row:
     said, own, true, rule : (2,) gain and seconds to 63 %: what the words say, what the model's free run does,
         what the plant does, what the strongest rule says by itself (its gain and slowest time constant).
     held : (2,) whether the interval holds the truth; NaN where none is given.
+    wide : (2,) half the interval, in logarithms.
     """
 
     said: FloatArray
@@ -63,6 +64,7 @@ class Row:
     true: FloatArray
     rule: FloatArray
     held: FloatArray
+    wide: FloatArray
 
 
 def truth(plant: Plant, level: float, inputs: tuple[float, float]) -> FloatArray:
@@ -265,9 +267,10 @@ def rows_of(model: Any, true_at: Truth, small: float) -> Iterator[Row]:
             held = np.where(
                 np.isfinite(ends).all(axis=1), (ends[:, 0] <= true) & (true <= ends[:, 1]), np.nan
             )
+            wide = 0.5 * np.log(ends.max(axis=1) / ends.min(axis=1))
             loudest = rules[int(p.shares.argmax())]
             rule = np.array([float(loudest.dc_gain[0, j]), loudest.time_constant_s])
-            yield Row(said, own_answer(model, p, small, j), true, rule, held)
+            yield Row(said, own_answer(model, p, small, j), true, rule, held, np.abs(wide))
 
 
 DRAG = PLANTS["vehicle with drag and a lagging actuator"]
@@ -340,11 +343,13 @@ def line(name: str, models: list[Told]) -> str:
     held = np.array([r.held for r in rows])
     given = np.isfinite(held)
     shares = " ".join(f"{np.nansum(held[:, i]):.0f}/{given[:, i].sum()}" for i in (0, 1))
+    wide = 100.0 * np.nanmedian([r.wide for r in rows], axis=0)
     rules = np.mean([model.rules for model in models])
     return (
         f"{name:18s} {len(models):2d} seeds {len(rows):4d} points {rules:.1f} rules | "
         f"own {off('said', 'own')} | truth {off('said', 'true')} | before {off('rule', 'true')} | "
-        f"held {shares} | same labels {sum(m.labels for m in models)} words {sum(m.words for m in models)} "
+        f"held {shares} | half widths {wide[0]:.1f} {wide[1]:.1f} | "
+        f"same labels {sum(m.labels for m in models)} words {sum(m.words for m in models)} "
         f"alike {sum(m.alike for m in models)}"
     )
 

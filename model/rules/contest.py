@@ -111,7 +111,7 @@ class Contest:
     def described(self) -> FittedTS:
         """The better of the two kinds, and what it does at operating points unless one rule is linear."""
         taken = self.taken
-        return self.of_rules if taken.linear else describe(self.of_rules, taken.train, taken.neighbour)
+        return self.of_rules if taken.linear else describe(self.of_rules, taken.train, settled=True)
 
     @property
     def of_rules(self) -> FittedTS:

@@ -123,12 +123,6 @@ class Search:
         return replace(self, notes=(*self.notes, *notes))
 
     @property
-    def neighbour(self) -> Stage | None:
-        """The model with a rule more, or one fewer where growth ended."""
-        near = [*self.models[self.at + 1 :], *self.models[max(self.at - 1, 0) : self.at]]
-        return next((m.stage for m in near if m.stable), None)
-
-    @property
     def least(self) -> int:
         """Rows that a segment of a part must have."""
         return self.context.least if self.stage.layout.hidden else self.stage.layout.depth + FEWEST
@@ -141,7 +135,7 @@ class Search:
     @property
     def model(self) -> FittedTS:
         """The fitted model; it says what it does at operating points, and how surely."""
-        return describe(self.bare, self.train, self.neighbour)
+        return describe(self.bare, self.train, settled=True)
 
     def again(self, data: Dataset) -> FittedTS:
         """The model refined from where it is on a part of the data; itself for all of them."""

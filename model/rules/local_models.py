@@ -49,6 +49,35 @@ class Place:
         return self.tangent.c - self.w[: len(self.tangent.c)]
 
 
+def all_terms(lags: Lags) -> Lags:
+    """Everything that a step looks back to: regressors, antecedents, what is subtracted from these."""
+    minus = lags.z_minus >= 0
+    return lags._replace(
+        column=np.concatenate([lags.column, lags.z_column, lags.z_column[minus]]),
+        lag=np.concatenate([lags.lag, lags.z_lag, lags.z_minus[minus]]),
+    )
+
+
+def derivatives(
+    lags: Lags, par: Parameters, x: FloatArray, z: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """(N, n) what steps lead to, (N, n, all terms) their slopes, memberships included, (N, R) shares.
+
+    Parameters
+    ----------
+    x, z : (N, n_x) regressors and (N, n_z) antecedents, normalised.
+    """
+    moves = (z > par.z_range[0]) & (z < par.z_range[1])
+    lean = (np.clip(z, *par.z_range)[:, None] - par.centre) / par.width
+    shares = strengths(z, par)
+    part = np.einsum("rim,km->kri", par.theta, x)
+    value = np.einsum("kr,kri->ki", shares, part)
+    blend = np.einsum("kr,rim->kim", shares, par.theta)
+    apart = shares[:, :, None] * (part - value[:, None])
+    bend = -np.einsum("kri,krj->kij", apart, lean / par.width) * moves[:, None]
+    return value, np.concatenate([blend, bend, -bend[:, :, lags.z_minus >= 0]], axis=2), shares
+
+
 @dataclass(frozen=True, eq=False)
 class SteadyMap:
     """Places of a model."""
@@ -63,31 +92,15 @@ class SteadyMap:
 
     @cached_property
     def _terms(self) -> Lags:
-        """Everything that a step looks back to: regressors, and antecedents."""
-        lags = self.layout.lags
-        minus = lags.z_minus >= 0
-        return lags._replace(
-            column=np.concatenate([lags.column, lags.z_column, lags.z_column[minus]]),
-            lag=np.concatenate([lags.lag, lags.z_lag, lags.z_minus[minus]]),
-        )
+        return all_terms(self.layout.lags)
 
     def at(self, w: FloatArray) -> Place:
         """The place where every signal has stood at w for long."""
         lags = self.layout.lags
-        par = self.parameters
-        own = lags.column >= 0
-        x = np.where(own, w[lags.column], 1.0)
-        minus = lags.z_minus >= 0
-        z = np.where(minus, 0.0, w[lags.z_column]) if len(minus) else np.zeros(0)
-        moves = (z > par.z_range[0]) & (z < par.z_range[1])
-        lean = (np.clip(z, *par.z_range) - par.centre) / par.width
-        shares = strengths(z[None], par)[0]
-        part = par.theta @ x
-        value = shares @ part
-        blend = np.tensordot(shares, par.theta, axes=1)
-        slopes = -np.einsum("r,ri,rj->ij", shares, part - value, lean / par.width) * moves
-        weights = np.concatenate([blend, slopes, -slopes[:, minus]], axis=1)
-        return Place(w, Recursion.of(self._terms, weights, len(w))._replace(c=value), shares)
+        x = np.where(lags.column >= 0, w[lags.column], 1.0)
+        z = np.where(lags.z_minus >= 0, 0.0, w[lags.z_column])
+        value, slopes, shares = (one[0] for one in derivatives(lags, self.parameters, x[None], z[None]))
+        return Place(w, Recursion.of(self._terms, slopes, len(w))._replace(c=value), shares)
 
     def resting(self, start: FloatArray, output: int, moved: int) -> Place | None:
         """Where the model rests while an output stands where `start` has it; None where none is found.

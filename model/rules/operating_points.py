@@ -1,14 +1,10 @@
 """What a model of rules does about the places at which its vehicle rests, and how sure that is.
 
 Numbers are of tangents (`flysid.model.rules.local_models`) at places spread over what was flown. Their errors
-are to first order, the place solved anew for every step: noise alone. What a model cannot express, no
-covariance shows; four things do, and as they speak of one and the same error, the largest of them is added:
-what the model with one rule more says otherwise, or where growth ended with one fewer; how much wider errors
-that still depend on what is simulated make the noise's share (`flysid.model.rules.rule_uncertainty`); that a
-condition on an input switches all its lags at once, which makes a time as unsure as these are apart; a floor.
-A blend of few rules winds about the truth and crosses it, and so does the other model's: how far the two are
-apart at one place says little of the error there, but in the mean square over all places they are as far
-apart as the truth is.
+are to first order, the place solved anew for every step: noise, and what the model cannot express, which no
+covariance shows. That is what the free run's errors tell of slopes that are missing at the place, in the
+sensor and in the law (`flysid.model.rules.lack_of_fit`), or a floor where this is more; and of a time, that a
+condition on an input switches all its lags at once, which makes it as unsure as these are apart.
 Such an error is the same in every sample and has a bound: it is taken to lie anywhere up to there (JCGM
 100:2008, 4.3.7), so that 95 % are within 1.65 standard deviations, not 1.96.
 """
@@ -28,10 +24,10 @@ from flysid.errors import DataError
 from flysid.model.base import OperatingPoint
 from flysid.model.covariance import STEP, root_of
 from flysid.model.polynomials import CONFIDENCE, Z95
+from flysid.model.rules.lack_of_fit import missing_slopes
 from flysid.model.rules.local_models import Place, SteadyMap
 from flysid.model.rules.rule_model import RuleModel
-from flysid.model.rules.rule_uncertainty import Uncertainty, scale_factor, uncertainty
-from flysid.model.rules.stages import Stage
+from flysid.model.rules.rule_uncertainty import NUDGE, Uncertainty, uncertainty
 from flysid.model.rules.vocabulary import Axis
 
 _FLOWN = (0.01, 0.99)  # quantiles of signals within which a model is asked
@@ -44,30 +40,18 @@ _EVENLY = CONFIDENCE * np.sqrt(3.0)  # standard deviations that so many of evenl
 M = TypeVar("M", bound=RuleModel)
 
 
-def describe(model: M, train: Dataset, neighbour: Stage | None = None) -> M:
-    """The model with its operating points.
-
-    With intervals where it stands at a minimum of the simulation error and another one is known beside it:
-    noise alone is half of what such numbers are off by.
-    """
+def describe(model: M, train: Dataset, *, settled: bool = False) -> M:
+    """The model with its operating points; with intervals where it is `settled`, a minimum of the error."""
     sure: Uncertainty | None = None
-    more: SteadyMap | None = None
-    misfit = 1.0
-    if neighbour is not None:
-        more = SteadyMap(neighbour.layout, neighbour.problem.parameters(neighbour.body))
+    if settled:
         with contextlib.suppress(DataError, np.linalg.LinAlgError), np.errstate(all="ignore"):
-            misfit = scale_factor(model, train)
             sure = uncertainty(model, train)
     own = SteadyMap(model.layout, model.parameters)
-    return replace(model, operating_points=operating_points(own, train, sure, more, misfit))
+    return replace(model, operating_points=operating_points(own, train, sure))
 
 
 def operating_points(
-    model: SteadyMap,
-    train: Dataset,
-    sure: Uncertainty | None = None,
-    neighbour: SteadyMap | None = None,
-    misfit: float = 1.0,
+    model: SteadyMap, train: Dataset, sure: Uncertainty | None = None
 ) -> tuple[OperatingPoint, ...]:
     """For every output: places over what was flown; none where the model comes to no rest (it integrates).
 
@@ -75,14 +59,9 @@ def operating_points(
     ----------
     train : data that the model was fitted to.
     sure : how sure the model is of its numbers; None: no intervals.
-    neighbour : the model with one rule more, or one fewer where growth ended: what it says otherwise widens
-        the intervals.
-    misfit : by how much the noise's standard errors are too small (`scale_factor`).
     """
     outputs = range(len(train.outputs))
-    return tuple(
-        p for output in outputs for p in _Asked(model, train, sure, neighbour, misfit, output).points()
-    )
+    return tuple(p for output in outputs for p in _Asked(model, train, sure, output).points())
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,8 +71,6 @@ class _Asked:
     model: SteadyMap
     train: Dataset
     sure: Uncertainty | None
-    neighbour: SteadyMap | None
-    misfit: float
     output: int
 
     def points(self) -> Iterator[OperatingPoint]:
@@ -102,7 +79,8 @@ class _Asked:
         u = np.concatenate([s.u[:, self.moved] for s in self.train.segments])
         wanted = _levels(y)
         first, last = np.quantile(y, _FLOWN)
-        grid = np.unique(np.concatenate([np.linspace(first, last, _GRID), wanted]))
+        knots = np.linspace(first, last, _GRID)
+        grid = np.unique(np.concatenate([knots, wanted]))
         shift, scale = self.model.layout.shift, self.model.layout.scale
         column = self.model.n + self.moved
         low, high = (np.quantile(u, _FLOWN) - shift[column]) / scale[column]
@@ -113,10 +91,18 @@ class _Asked:
         }
         levels = np.array(sorted(found))
         nearest = [levels[np.abs(levels - v).argmin()] for v in wanted] if found else []
-        chosen = np.unique(nearest).tolist()
-        apart = np.array([self._of_neighbour(level, found[level]) for level in chosen])
-        for level, gap in zip(chosen, _pool(apart), strict=True):
-            yield self._point(found[level], gap)
+        chosen = np.unique(nearest)
+        lacks = self._lacks(knots, chosen)
+        for level, lack in zip(chosen, lacks, strict=True):
+            yield self._point(found[level], lack)
+
+    def _lacks(self, knots: FloatArray, levels: FloatArray) -> FloatArray:
+        """(L, 2) mean squares of the slopes that are missing at levels, in the sensor and in the law."""
+        if self.sure is None or not len(levels):
+            return np.full((len(levels), 2), np.nan)
+        shift, scale = self.model.layout.shift[self.output], self.model.layout.scale[self.output]
+        normal = ((knots - shift) / scale, (levels - shift) / scale)
+        return missing_slopes(self.sure, self.output, *normal).T
 
     @cached_property
     def moved(self) -> int:
@@ -125,7 +111,7 @@ class _Asked:
         gains = np.linalg.pinv(np.eye(self.model.n) - A.sum(axis=0)) @ B.sum(axis=0)
         return int(np.abs(gains[self.output]).argmax())
 
-    def _point(self, place: Place, apart: FloatArray) -> OperatingPoint:
+    def _point(self, place: Place, lack: FloatArray) -> OperatingPoint:
         layout = self.model.layout
         n, n_y = self.model.n, layout.n_y
         dt = self.train.dt_s
@@ -136,7 +122,7 @@ class _Asked:
         inputs = range(len(layout.inputs))
         answers = [tangent.answer(j, samples) for j in inputs]
         figures = np.array([(a.gain[output], a.reached[output]) for a in answers]).T
-        wide = np.minimum(self._half_widths(place, figures, samples, apart), _LOST)
+        wide = np.minimum(self._half_widths(place, figures, samples, lack), _LOST)
         gain, reached = figures * np.stack(
             [layout.scale[output] / layout.scale[n:], np.full(len(inputs), dt)]
         )
@@ -166,10 +152,10 @@ class _Asked:
         answers = (place.tangent.answer(j, samples) for j in range(len(self.model.layout.inputs)))
         return np.array([(a.gain[self.output], a.reached[self.output]) for a in answers]).T
 
-    def _half_widths(self, place: Place, figures: FloatArray, samples: int, apart: FloatArray) -> FloatArray:
+    def _half_widths(self, place: Place, figures: FloatArray, samples: int, lack: FloatArray) -> FloatArray:
         """(2, n_u) half 95 % intervals of the logarithms of gain and time; NaN where nothing is known.
 
-        `apart`: (2, n_u) how far the neighbour's logarithms are from these.
+        `lack`: (2,) mean squares of the slopes that are missing there, see `_lacks`.
         """
         if self.sure is None:
             return np.full(figures.shape, np.nan)
@@ -184,10 +170,24 @@ class _Asked:
                 if more is None or less is None:
                     return np.full(figures.shape, np.nan)
                 noise += ((more - less) / (2.0 * STEP * figures)) ** 2
-            lack = np.maximum((self.misfit**2 - 1.0) * noise, apart**2)
-            lack = np.maximum(lack, _FLOOR**2)
-            lack[1] = np.maximum(lack[1], (self._switch() / figures[1]) ** 2)
-            return np.asarray(np.hypot(Z95 * np.sqrt(noise), _EVENLY * np.sqrt(lack)))
+            missing = lack[1] * self._law_moves(place, figures, samples) ** 2
+            missing[0] += lack[0]
+            missing = np.maximum(missing, _FLOOR**2)
+            missing[1] = np.maximum(missing[1], (self._switch() / figures[1]) ** 2)
+            return np.asarray(np.hypot(Z95 * np.sqrt(noise), _EVENLY * np.sqrt(missing)))
+
+    def _law_moves(self, place: Place, figures: FloatArray, samples: int) -> FloatArray:
+        """(2, n_u) derivatives of logarithms to the weight of the output one sample ago in its equation."""
+        A = place.tangent.A
+        lasting = np.linalg.inv(np.eye(self.model.n) - A.sum(axis=0))[self.output, self.output]
+        small = NUDGE / lasting  # of a fast sampled slow answer less than that moves much
+        ends = []
+        for way in (small, -small):
+            moved = A.copy()
+            moved[0, self.output, self.output] += way
+            near = replace(place, tangent=place.tangent._replace(A=moved))
+            ends.append(self._figures_at(near, samples))
+        return np.asarray((ends[0] - ends[1]) / (2.0 * small * figures))
 
     def _switch(self) -> FloatArray:
         """(n_u,) samples from the first to the last lag of every input that conditions speak of; else 0.
@@ -200,30 +200,6 @@ class _Asked:
         own = [lags.lag[lags.column == column] for column in columns]
         spoken = [column in lags.z_column and len(lag) > 0 for column, lag in zip(columns, own, strict=True)]
         return np.array([float(np.ptp(lag)) if said else 0.0 for lag, said in zip(own, spoken, strict=True)])
-
-    def _of_neighbour(self, level: float, place: Place) -> FloatArray:
-        """(2, n_u) logarithms of what the neighbour says there over what this one does; 0 without one."""
-        samples = place.tangent.samples()
-        if self.neighbour is None or samples is None:
-            return np.zeros((2, len(self.model.layout.inputs)))
-        figures = self._figures_at(place, samples)
-        own, other = self.model.layout, self.neighbour.layout
-        way = np.unique(np.append(np.linspace(own.shift[self.output], level, _GRID // 5), level))
-        there = walked(self.neighbour, self.output, self.moved, way).get(level)
-        said = None if there is None else self._figures(self.neighbour, there, there.tangent.samples())
-        if said is None:
-            return np.full(figures.shape, np.inf)
-        units = [layout.scale[self.output] / layout.scale[layout.n :] for layout in (other, own)]
-        with np.errstate(all="ignore"):  # an answer at once takes no time at all
-            ratio = said * np.stack([units[0] / units[1], np.ones(figures.shape[1])]) / figures
-            return np.where(ratio > 0.0, np.log(ratio), np.inf)
-
-
-def _pool(apart: FloatArray) -> FloatArray:
-    """(places, 2, n_u) in the mean square over all places where the neighbour rests; infinite elsewhere."""
-    known = np.isfinite(apart)
-    mean = np.where(known, apart**2, 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1)
-    return np.where(known, np.sqrt(mean), np.inf)
 
 
 def _levels(y: FloatArray) -> FloatArray:

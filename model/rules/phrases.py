@@ -143,16 +143,17 @@ def meanings(rules: Sequence[Rule], signals: Signals = ((), ())) -> list[str]:
     told = []
     for at, rule in enumerate(rules):
         alone = [f"strongest for {100 * rule.support:.0f} % of the samples"] if len(rules) > 1 else []
-        means = _at_rest(rule, rules[:at], signals) if known else _by_itself(rule, signals)
+        means = _at_rest(at, rules, signals) if known else _by_itself(rule, signals)
         told.append("; ".join([*alone, *means, *([rule.push] if rule.push else [])]))
     return told
 
 
-def _at_rest(rule: Rule, others: Sequence[Rule], signals: Signals) -> list[str]:
-    """Where the rule is the loudest at rest, and what the model does there; or which other it does as."""
+def _at_rest(at: int, rules: Sequence[Rule], signals: Signals) -> list[str]:
+    """Where a rule is the loudest at rest, and what the model does there; or which other it does as."""
+    rule = rules[at]
     if not rule.here:
-        return ["never at rest"]
-    like = next((other.label for other in others if answer_alike(rule, other)), None)
+        return [_never_strongest(at, rules, signals)]
+    like = next((other.label for other in rules[:at] if answer_alike(rule, other)), None)
     said = []
     for point in rule.here:
         output = signals[0][point.output]
@@ -163,6 +164,13 @@ def _at_rest(rule: Rule, others: Sequence[Rule], signals: Signals) -> list[str]:
         does = f"as {like}" if like else f"gain {gain}" + (f", 63 % after {times} s" if times else "")
         said.append(f"at rest {near(point, output)}: {does}")
     return said
+
+
+def _never_strongest(at: int, rules: Sequence[Rule], signals: Signals) -> str:
+    """How loudly at most a rule speaks at the operating points of the others, and where."""
+    loudest = max((p for rule in rules for p in rule.here), key=lambda p: float(p.shares[at]))
+    share = number(100.0 * float(loudest.shares[at]))
+    return f"never the strongest at rest, at most {share} % {near(loudest, signals[0][loudest.output])}"
 
 
 def answer_alike(rule: Rule, other: Rule) -> bool:

@@ -3,8 +3,8 @@
 At the minimum of the simulation error the estimate is a nonlinear least-squares one, so that its covariance
 is the sandwich (J'J)^-1 J'RJ (J'J)^-1 with the exact sensitivities J and the residual's own correlation R
 (Soderstrom and Stoica, 1989, section 7.5): simulation errors are never white. What every run started from was
-estimated too and is projected out. What a model cannot express (too few rules) is not in these intervals; the
-held-out comparison is there for that.
+estimated too and is projected out. What a model cannot express is not in these intervals; the held-out
+comparison is there for that, and `flysid.model.rules.lack_of_fit` at operating points.
 
 The choice of what a hidden state means leaves directions of the consequents that no output shows; they are
 held where they are. Gains, time constants of rules and the free run do not hang on that choice, single
@@ -14,17 +14,11 @@ What hangs on the numbers in a curved way is taken to first order. Memberships a
 bent valleys of the simulation error: draws from the distribution would leave the valley at its ends, always
 to the same side of the run, and call a free run unsure that every refit agrees on (2 to 120 times too wide on
 the plants of `bench.ts_bands`, where small steps agree with this band to 2 %).
-
-Noise and wind know nothing of where the model is. Where errors of the free run still depend on what it
-simulates, rules, lags or a state are missing: they are regressed on polynomials of the simulated output and
-the inputs, and on these times the output's rate; by how much the regression exceeds what errors of their own
-colour would show by chance is the factor by which physicists widen the errors of measurements that disagree
-(Birge, 1932, Physical Review 40).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -41,11 +35,11 @@ from flysid.model.rules.kernel import Parameters
 from flysid.model.rules.likely_start import LikelyStart
 from flysid.model.rules.refit import as_problem
 from flysid.model.rules.rule_model import RuleModel
-from flysid.model.start import estimate_start, start_window
+from flysid.model.start import estimate_start
 from flysid.model.threads import on_one_thread
 
-_NUDGE = float(np.cbrt(np.finfo(float).eps))  # of a coordinate, for central differences
-_DEGREE = 3
+NUDGE = float(np.cbrt(np.finfo(float).eps))
+"""Of a coordinate, for central differences."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,12 +51,14 @@ class Uncertainty:
     model : the model, as fitted.
     body, problem : its numbers in the coordinates that the covariance is given in.
     covariance : (P, P) of `body.vector()`: consequent coordinates, centres, log widths.
+    starts : (S, moving, n) what every run of the problem starts from.
     """
 
     model: RuleModel
     body: Body
     problem: Problem
     covariance: FloatArray
+    starts: FloatArray
 
     @cached_property
     def consequent_errors(self) -> FloatArray:
@@ -123,8 +119,8 @@ class Uncertainty:
 
     def _slopes(self, of: Callable[[RuleModel], FloatArray]) -> FloatArray:
         """(..., P) derivatives of a figure to all consequent coordinates, by central differences."""
-        steps = _NUDGE * np.eye(self.body.a.size, self.body.size)  # no rule's own figures hang on memberships
-        slopes = [(of(self._move(step)) - of(self._move(-step))) / (2.0 * _NUDGE) for step in steps]
+        steps = NUDGE * np.eye(self.body.a.size, self.body.size)  # no rule's own figures hang on memberships
+        slopes = [(of(self._move(step)) - of(self._move(-step))) / (2.0 * NUDGE) for step in steps]
         return np.stack(slopes, axis=-1)
 
     def _product(self, J: FloatArray, K: FloatArray) -> FloatArray:
@@ -167,7 +163,7 @@ def uncertainty(model: RuleModel, train: Dataset) -> Uncertainty:
     covariance = np.zeros((body.size, body.size))
     known = _covariance([J[:, :, chosen] for J in slopes], [e for _, e in found])
     covariance[np.ix_(chosen, chosen)] = known
-    return Uncertainty(model, body, problem, covariance)
+    return Uncertainty(model, body, problem, covariance, starts)
 
 
 def _shorten(runs: Sequence[FloatArray]) -> tuple[FloatArray, ...]:
@@ -218,63 +214,3 @@ def steep(gram: FloatArray) -> FloatArray:
     values, vectors = np.linalg.eigh(gram / np.outer(size, size))
     steep = values > VANISHING * values[-1]
     return np.asarray(vectors[:, steep] / np.sqrt(values[steep]) / size[:, None])
-
-
-def scale_factor(model: RuleModel, train: Dataset) -> float:
-    """By which standard errors from noise alone are too small, at least 1.
-
-    The root of a chi square over its degrees of freedom: the Wald statistic of all terms of the regression,
-    with the covariance of the errors' own autoregression.
-    """
-    runs = list(_follow(model, train))
-    if not runs:
-        return 1.0
-    square = 0.0
-    freedom = 0
-    for output in range(len(train.outputs)):
-        features = [_features(u, run[:, output]) for u, run, _ in runs]
-        errors = [left[:, output] for _, _, left in runs]
-        root = steep(np.asarray(sum(x.T @ x for x in features)))
-        seen = np.asarray(sum((x @ root).T @ e for x, e in zip(features, errors, strict=True)))
-        noise, variance = noise_model(errors)
-        chance = variance * coloured_gram([x @ root for x in features], noise)
-        square += float(seen @ np.linalg.pinv(chance) @ seen)
-        freedom += len(seen)
-    return float(np.sqrt(max(1.0, square / freedom)))
-
-
-def _follow(model: RuleModel, data: Dataset) -> Iterator[tuple[FloatArray, FloatArray, FloatArray]]:
-    """Inputs, free run and what it leaves of every segment, behind the samples that start it, normalised."""
-    n_y = len(data.outputs)
-    signals = np.vstack([np.hstack([s.y, s.u]) for s in data.segments])
-    mean = signals.mean(axis=0)
-    spread = signals.std(axis=0)
-    scale = np.where(spread > 0.0, spread, 1.0)
-    rows = 0
-    for s in data.segments:
-        window = start_window(model.n_init, len(s), model.dt_s)
-        if len(s) <= 2 * window or rows > CONFIDENCE_ROWS:
-            continue
-        run = model.run_from_measured(s.u, s.y[:window])[window:]
-        rows += len(run)
-        yield (
-            (s.u[window:] - mean[n_y:]) / scale[n_y:],
-            (run - mean[:n_y]) / scale[:n_y],
-            (s.y[window:] - run) / scale[:n_y],
-        )
-
-
-def _features(u: FloatArray, run: FloatArray) -> FloatArray:
-    """(N, p) powers of a simulated output, with every input's, and up to one less times its rate."""
-    rate = np.gradient(run)
-    columns = []
-    for degree, times in ((_DEGREE, np.ones_like(run)), (_DEGREE - 1, rate)):
-        own = [times * run**a for a in range(degree + 1)]
-        mixed = [
-            times * run**a * given**b
-            for given in u.T
-            for b in range(1, degree + 1)
-            for a in range(degree + 1 - b)
-        ]
-        columns += [*own, *mixed]
-    return np.stack(columns, axis=1)

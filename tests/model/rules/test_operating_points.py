@@ -25,7 +25,7 @@ DRAG = PLANTS["vehicle with drag and a lagging actuator"]
 @pytest.fixture(scope="module")
 def flown() -> tuple[FittedTS, Dataset]:
     """A vehicle with quadratic drag, its orders given."""
-    data = DRAG.dataset((1, 2, 3), 1400, 0.02)[0]
+    data = DRAG.dataset(tuple(range(6)), 700, 0.02)[0]
     return TS(na=2, nb=2, nk=1, antecedents=["y(k-1)"], most_rules=4).fit(data), data
 
 
@@ -99,9 +99,7 @@ def test_one_rule_is_said_once_with_its_dead_time(delay: int) -> None:
     assert point.dead_s[0] == pytest.approx(0.05 * delay)
     assert ("dead time of 0.15 s" in sentence) == (delay == 3)
     assert point.reached_s[0] == pytest.approx(reached, rel=0.03)
-    assert "(" not in sentence  # no other model was grown: noise alone is no interval
-    sure = operating_points(SteadyMap(model.layout, model.parameters), data, model.uncertainty(data))[0]
-    assert sure.gain_interval[0, 0] < 2.0 < sure.gain_interval[1, 0]
+    assert point.gain_interval[0, 0] < 2.0 < point.gain_interval[1, 0]
     assert sentence.startswith("  * One unit more of u adds ")
     assert "strongest" not in str(model)
     assert "One rule, as asked." in str(model)
@@ -122,43 +120,6 @@ def test_an_integrating_process_has_no_places() -> None:
     model = TS(rules=1, na=1, nb=1, nk=1).fit(Dataset.from_arrays(u, y, 0.05))
     assert model.operating_points == ()
     assert "[integrates]" in str(model)
-
-
-def test_a_larger_model_that_says_otherwise_widens_the_intervals(flown: tuple[FittedTS, Dataset]) -> None:
-    model, data = flown
-    numbers = SteadyMap(model.layout, model.parameters)
-    sure = model.uncertainty(data)
-    theta = model.parameters.theta.copy()
-    theta[:, :, model.layout.orders.na : -1] *= 1.2
-    other = SteadyMap(model.layout, model.parameters._replace(theta=theta))
-    for alone, wider in zip(
-        operating_points(numbers, data, sure), operating_points(numbers, data, sure, other), strict=True
-    ):
-        assert alone.gain == pytest.approx(wider.gain)
-        assert _width(wider.gain_interval) > 1.5 * _width(alone.gain_interval)
-    for point in operating_points(numbers, data):
-        assert np.isnan(point.gain_interval).all()
-
-
-def test_where_another_model_agrees_by_chance_it_may_err_as_much_as_elsewhere(
-    flown: tuple[FittedTS, Dataset],
-) -> None:
-    """Two blends of rules wind about the truth and cross: on two inputs an eighth of places missed."""
-    model, data = flown
-    numbers = SteadyMap(model.layout, model.parameters)
-    sure = model.uncertainty(data)
-    theta = model.parameters.theta.copy()
-    theta[0, :, model.layout.orders.na : -1] *= 1.3  # one rule, at one end
-    other = SteadyMap(model.layout, model.parameters._replace(theta=theta))
-    wider = operating_points(numbers, data, sure, other)
-    for alone, told in zip(operating_points(numbers, data, sure), wider, strict=True):
-        assert _width(told.gain_interval) > 1.5 * _width(alone.gain_interval)
-    widths = [_width(told.gain_interval) for told in wider]
-    assert max(widths) < 1.3 * min(widths)
-
-
-def _width(interval: FloatArray) -> float:
-    return float(np.log(interval[1, 0] / interval[0, 0]))
 
 
 def test_a_condition_on_an_input_without_lags_of_its_own() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,7 @@ from flysid.model.base import OperatingPoint, Rule, write_document
 from flysid.model.rules.linguistics import labels, pieces
 from flysid.model.rules.memberships import Partition
 from flysid.model.rules.operating_words import answers_alike, answers_like, sentences
-from flysid.model.rules.phrases import condition_in_words, equation, gains, in_words
+from flysid.model.rules.phrases import condition_in_words, equation, gains, in_words, meanings
 from flysid.model.rules.vocabulary import Axis, number
 
 V_X = Axis("v_x(k-1)", "m/s", -2.0, 2.1)
@@ -284,6 +285,18 @@ def point(level: float, gain: list[float], reached: list[float], wide: float) ->
     return OperatingPoint(
         0, np.array([level]), none, g, g * ends, t, t * ends, none, none, none, np.array([0.7, 0.3])
     )
+
+
+def test_rules_that_are_nowhere_the_strongest_at_rest_are_told_apart() -> None:
+    """Of two such rules "never at rest" was said, which they are not: they are in the blend."""
+    slow = replace(point(0.1, [0.1], [0.8], 1.1), shares=np.array([0.6, 0.3, 0.1]))
+    fast = replace(point(1.5, [0.3], [1.8], 1.1), shares=np.array([0.95, 0.01, 0.04]))
+    plain = rule([[0.1]])
+    told = meanings([replace(plain, here=(slow,)), plain, plain], ([V], [TILT]))
+    assert told[1].endswith("never the strongest at rest, at most 30 % near v_x = 0.1 m/s")
+    assert told[2].endswith("never the strongest at rest, at most 10 % near v_x = 0.1 m/s")
+    (_, other) = meanings([replace(plain, here=(fast,)), plain], ([V], [TILT]))
+    assert other.endswith("at most 1 % near v_x = 1.5 m/s")
 
 
 def test_several_inputs_share_a_sentence_and_their_time() -> None:
