@@ -43,6 +43,13 @@ def slug(name: str, taken: Collection[str] = ()) -> str:
     )
 
 
+def why_unread(error: OSError | ValueError) -> str:
+    """Why a text file could not be read, without its path, which an error names beside it."""
+    if isinstance(error, UnicodeDecodeError):
+        return "not a text file in UTF-8"
+    return getattr(error, "strerror", None) or str(error)
+
+
 @contextmanager
 def writing_to(path: Path) -> Iterator[None]:
     """Turn the system's refusal to write into a WriteError that names the path."""

@@ -14,6 +14,7 @@ import numpy as np
 
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, UsageError
+from flysid.model.arguments import check_inputs
 from flysid.model.rules.clustering import cluster, project
 from flysid.model.rules.fitted import FittedTS, finish
 from flysid.model.rules.free_run_error import Body, Problem, antecedent_range
@@ -22,6 +23,7 @@ from flysid.model.rules.operating_points import describe
 from flysid.model.rules.regressor_layout import Layout, Orders, parse_antecedents, runs_of, scaling
 from flysid.model.rules.stages import ordered
 from flysid.model.threads import on_one_thread
+from flysid.showing import counted
 
 # of the step, Jang's heuristic rules
 
@@ -67,6 +69,7 @@ class ANFIS:
         DataError : no segment is long enough, a signal that never moves, fewer samples than numbers.
         """
         self._check()
+        check_inputs(len(train.inputs))
         layout = self._layout(train)
         learner = _Learner.of(layout, train, self.rules)
         judge = learner if validation is None else learner.on(validation)
@@ -80,8 +83,8 @@ class ANFIS:
                 best_error = error
                 best_epoch = epoch
         notes = (
-            f"{self.rules} rules were asked for; memberships and consequents were learned in turn one step "
-            f"ahead (ANFIS), epoch {best_epoch} of {self.epochs} was the best.",
+            f"{counted(self.rules, 'rule')}, as asked; memberships and consequents were learned in turn "
+            f"one step ahead (ANFIS), epoch {best_epoch} of {self.epochs} was the best.",
             "The free run was not used for the choice: validate it before you rely on a simulation.",
         )
         found = finish(ordered(best_started(learner.problem, best)), train, notes)
@@ -123,7 +126,7 @@ class _Learner:
         unknowns = rules * len(layout.regressors)
         if sum(len(W) - layout.depth for W in runs) <= unknowns:
             raise DataError(
-                f"too few samples for {rules} rules of {len(layout.regressors)} numbers",
+                f"too few samples for {counted(rules, 'rule')} of {len(layout.regressors)} numbers",
                 hint="record longer, or ask for fewer rules or lower orders",
             )
         problem = _problem(layout, runs)

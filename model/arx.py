@@ -17,7 +17,8 @@ from itertools import product
 import numpy as np
 
 from flysid.dataset import Dataset, FloatArray
-from flysid.errors import DataError, FitError, UsageError
+from flysid.errors import FitError, UsageError
+from flysid.model.arguments import check_rows
 from flysid.model.freerun import Difference
 from flysid.model.gram import LeastSquares
 from flysid.model.linear.data import CHOICE_ROWS, Parts, Scaling, as_tuple, judging_window
@@ -124,14 +125,8 @@ class _LeastSquaresFit:
 
     def _check_rows(self) -> None:
         """Raise DataError where the data hold no more equations than there are unknowns."""
-        depth = self.choice.lags(self.n_y).depth
-        rows = sum(max(len(x) - depth, 0) for x in self.parts.train.segments)
         numbers = self.n_y * self.choice.na + sum(self.choice.nb) + self.settings.offset
-        if rows <= numbers:
-            raise DataError(
-                f"{len(self.parts.train)} samples are too few for {numbers} coefficients per output",
-                hint="record longer, or ask for lower orders",
-            )
+        check_rows(self.parts.train, self.choice.lags(self.n_y).depth, numbers)
 
     def _fix(self) -> OrderChoice:
         s = self.settings

@@ -281,17 +281,26 @@ def load(path: str | Path) -> Fitted:
     check_version(document.get("version"), MODEL_VERSION, "model file", path)
     structure = all_structures().get(str(document.get("structure")))
     if structure is None:
-        raise StoreError(f"unknown model structure {document.get('structure')!r}", path=path)
+        raise StoreError(
+            f"unknown model structure {document.get('structure')!r}",
+            path=path,
+            hint="upgrade flysid, or install the package that adds this structure",
+        )
     try:
         model = structure.from_dict(document)
         try_out(model)
     except StoreError as error:
         raise StoreError(error.message, hint=error.hint or "fit again", path=path) from error
     except Exception as error:  # whatever a forged file breaks is the file's fault
-        raise StoreError(
-            f"damaged model file: {type(error).__name__}: {error}"[:300], path=path, hint="fit again"
-        ) from error
+        raise StoreError(f"damaged model file: {_fault(error)}"[:300], path=path, hint="fit again") from error
     return model
+
+
+def _fault(error: Exception) -> str:
+    """What is wrong with a document that a model could not be made of, without Python's own words."""
+    if isinstance(error, KeyError):
+        return f"it has no {error}"
+    return str(error) if isinstance(error, ValueError) else "a value is not of the type that it should be"
 
 
 def _read_document(path: Path) -> dict[str, Any]:

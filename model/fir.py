@@ -17,11 +17,11 @@ import numpy as np
 
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import FitError, UsageError
+from flysid.model.arguments import check_inputs
 from flysid.model.freerun import Difference
 from flysid.model.linear.data import Parts, Scaling, as_tuple
 from flysid.model.linear.difference_equation import FittedLinear
 from flysid.model.linear.orders import grid_gram
-from flysid.model.linear.settings import check_inputs
 from flysid.model.noise import noise_model
 from flysid.model.regressors import LagTerms
 from flysid.model.stream import Source

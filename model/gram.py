@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from flysid.dataset import FloatArray
-from flysid.errors import DataError
+from flysid.model.arguments import none_longer
 from flysid.model.regressors import CHUNK_ROWS
 from flysid.model.stream import Block, Blocks, windows
 
@@ -201,10 +201,7 @@ def lagged_triangle(
     """
     gram = lagged_gram(windows(blocks(), depth), depth)
     if len(gram) == 1:
-        raise DataError(
-            f"no segment is longer than the model's depth of {depth} samples",
-            hint="choose smaller orders or delays, or bring longer segments",
-        )
+        raise none_longer(depth)
     pick = range(len(gram) - 1) if pick is None else pick
     rows = round(float(gram[-1, -1]))
     factor = np.append(np.repeat(scale, depth + 1)[list(pick)], 1.0)

@@ -94,7 +94,10 @@ def _columns(settings: IV, data: Source) -> SignalRoles:
     references = tuple(i for i, name in enumerate(names) if name in settings.reference)
     inputs = tuple(i for i in range(len(names)) if i not in references)
     if not inputs:
-        raise UsageError("every input is a reference: none is left for the model")
+        raise UsageError(
+            "every input is a reference: none is left for the model",
+            hint="name as references what drives the loop, not what enters the plant",
+        )
     return SignalRoles(inputs, references)
 
 

@@ -26,7 +26,7 @@ import numpy as np
 
 from flysid.dataset import Dataset, FloatArray, Signal
 from flysid.errors import DataError, UsageError
-from flysid.model.arguments import as_columns, as_record
+from flysid.model.arguments import as_columns, as_record, check_start
 from flysid.model.base import Rule, write_document
 from flysid.model.capabilities import Coefficient
 from flysid.model.documents import array_of, head_of, signals_of, with_null
@@ -48,6 +48,7 @@ from flysid.model.rotorcraft.rotor_axis import (
 )
 from flysid.model.start import FreeRuns
 from flysid.model.threads import on_one_thread
+from flysid.showing import counted
 
 Kind = Literal["auto", "rate", "acceleration"]
 ACCELERATIONS = ("m/s/s", "m/s^2", "m/s²", "m/s2", "g")
@@ -324,8 +325,7 @@ class FittedMultirotor(FreeRuns):
             first = np.zeros((1, n_y))
         else:
             first = as_columns(y0, n_y, "y0")[:1]
-            if len(first) < min(1, len(u)):
-                raise UsageError("a simulation starts from 1 measured output, not 0")
+            check_start(len(first), min(1, len(u)))
         if not len(u):
             return np.zeros((0, n_y))
         x, volts = self._driven(u)
@@ -384,7 +384,7 @@ class FittedMultirotor(FreeRuns):
         return np.ones((len(np.asarray(y)), 1))
 
     def __str__(self) -> str:
-        lines = [f"physical model, {self.n_parameters} parameters, sample time {self.dt_s:g} s"]
+        lines = [f"physical model, {counted(self.n_parameters, 'parameter')}, sample time {self.dt_s:g} s"]
         for i, output in enumerate(self.outputs):
             kind = "a rate" if self.integrates[i] else "an acceleration"
             lines += ["", f"{output.name}, {kind}", *(f"  {f}" for f in self.figures(i))]

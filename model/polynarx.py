@@ -37,6 +37,7 @@ from flysid.model.narx.term_search import (
 from flysid.model.selection import clearly_better
 from flysid.model.shared import fit_key, once
 from flysid.model.threads import on_one_thread
+from flysid.showing import counted
 
 LAGS = 2
 """Of the smallest plant that has a speed of its own: a mass, a spring and a damper."""
@@ -129,7 +130,9 @@ class PolyNARX:
         first = search.first()
         if first is None:
             return None
-        notes.append(f"Linear start of {len(first.terms)} terms: held-out free-run RMSE {first.rmse}.")
+        notes.append(
+            f"Linear start of {counted(len(first.terms), 'term')}: held-out free-run RMSE {first.rmse}."
+        )
         chosen = proven(search, prune(search, grown(search, first, self.most_terms, notes), notes), notes)
         return _Found(search, chosen, tuple(notes))
 

@@ -13,7 +13,8 @@ from typing import Protocol
 import numpy as np
 
 from flysid.dataset import Dataset, FloatArray, Segment, Signal
-from flysid.errors import DataError, UsageError
+from flysid.errors import UsageError
+from flysid.model.arguments import none_longer
 
 CHUNK_ROWS = 16_384
 
@@ -156,9 +157,5 @@ def usable_segments(data: Dataset, depth: int) -> tuple[Segment, ...]:
     """
     usable = tuple(s for s in data.segments if len(s) > depth)
     if not usable:
-        longest = max((len(s) for s in data.segments), default=0)
-        raise DataError(
-            f"no segment is longer than the model's depth of {depth} samples (the longest has {longest})",
-            hint="choose smaller orders or delays, or bring longer segments",
-        )
+        raise none_longer(depth, max((len(s) for s in data.segments), default=0))
     return usable

@@ -17,7 +17,7 @@ import numpy as np
 
 from flysid.dataset import FloatArray, Segment
 from flysid.model.polynomials import VANISHING
-from flysid.showing import Table, as_html, first_lines
+from flysid.showing import Table, as_html, counted, first_lines
 
 if TYPE_CHECKING:
     from flysid.model.base import Fitted
@@ -168,7 +168,7 @@ class FreeRuns:
 
     def _repr_html_(self: Fitted) -> str:
         rows = [(r.label, r.condition, r.conclusion) for r in self.rules()]
-        title = f"{self.structure}, {self.n_parameters} parameters, sample time {self.dt_s:g} s"
+        title = f"{self.structure}, {counted(self.n_parameters, 'parameter')}, sample time {self.dt_s:g} s"
         return as_html(Table(title, ("rule", "if", "then"), rows))
 
     def plot_step(self: Fitted, output: int = 0, ax: Any = None) -> Any:

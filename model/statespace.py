@@ -16,10 +16,11 @@ import numpy as np
 
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import FitError, UsageError
+from flysid.model.arguments import check_inputs
 from flysid.model.detrend import Trend, check_trend, detrend
 from flysid.model.linear.data import CHOICE_ROWS, Parts, as_tuple, judging_window
 from flysid.model.linear.output_error import find_delays
-from flysid.model.linear.settings import check_hint, check_inputs
+from flysid.model.linear.settings import check_hint
 from flysid.model.linear.stability import unstable_words
 from flysid.model.selection import block_errors
 from flysid.model.shared import fit_key, once

@@ -20,7 +20,7 @@ import numpy as np
 
 from flysid.dataset import Dataset, FloatArray, Signal
 from flysid.errors import DataError, UsageError
-from flysid.model.arguments import as_columns, as_record
+from flysid.model.arguments import as_columns, as_record, check_inputs, never_changes, no_samples
 from flysid.model.base import Rule, write_document
 from flysid.model.documents import head_of, signals_of
 from flysid.model.rule_tables import Row, if_then, parameters
@@ -32,6 +32,7 @@ from flysid.model.rules.phrases import condition_in_words, equation, in_words
 from flysid.model.start import FreeRuns
 from flysid.model.stream import Source, blocks_of
 from flysid.model.threads import on_one_thread
+from flysid.showing import counted
 
 _PIECE = 2048  # rows at a time: arrays that large stay in the cache, and cost no new memory
 
@@ -86,11 +87,13 @@ class StaticTS:
         del validation
         self._check()
         n_u = len(train.inputs)
+        check_inputs(n_u)
         survey = _Survey.of(train)
         partition = self._partition(survey, n_u)
         if survey.rows <= self.rules * (n_u + 1):
             raise DataError(
-                f"{self.rules} rules of {n_u + 1} numbers need more than the {survey.rows} samples there are",
+                f"{counted(self.rules, 'rule')} of {n_u + 1} numbers: more samples are needed than there are "
+                f"({survey.rows})",
                 hint="ask for fewer rules, or record longer",
             )
         found = fit_consequents(lambda: _pieces(partition, train), self.consequents, self.ridge)
@@ -105,8 +108,8 @@ class StaticTS:
             support=_support(partition, train),
             output_limits=np.array([2.0 * y_low - y_high, 2.0 * y_high - y_low]),
             notes=(
-                f"{len(partition)} rules were asked for, from {self.method} clusters of inputs and outputs "
-                f"in {survey.rows} samples.",
+                f"{counted(len(partition), 'rule')}, as asked, from {self.method} clusters of inputs and "
+                f"outputs in {survey.rows} samples.",
                 *self._on_consequents(found),
                 "The model has no memory: whatever depends on the past of the input is not in it.",
             ),
@@ -249,7 +252,8 @@ class FittedStaticTS(FreeRuns):
 
     def __str__(self) -> str:
         """The rules in words."""
-        title = f"Static Takagi-Sugeno model, {len(self.partition)} rules, {self.n_parameters} parameters"
+        rules = counted(len(self.partition), "rule")
+        title = f"Static Takagi-Sugeno model, {rules}, {self.n_parameters} parameters"
         return in_words(title, self.rules(), self.notes, (self.outputs, self.inputs))
 
     def table(self, output: int = 0) -> tuple[Row, ...]:
@@ -318,15 +322,12 @@ class _Survey:
             highs.append(piece.max(axis=0))
             at += len(piece)
         if not at:
-            raise DataError("there are no samples to fit", hint="record longer, or loosen the recipe's cuts")
+            raise no_samples()
         low = np.min(lows, axis=0)
         high = np.max(highs, axis=0)
         for j, signal in enumerate(data.inputs):
             if low[j] == high[j]:
-                raise DataError(
-                    f"the input {signal.name} never moves: its effect cannot be seen",
-                    hint="excite it in flight, or take it out of the recipe",
-                )
+                raise never_changes("input", signal.name)
         return cls(at, low, high, np.vstack(kept))
 
 

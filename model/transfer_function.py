@@ -22,6 +22,7 @@ import numpy as np
 
 from flysid.dataset import Dataset
 from flysid.errors import UsageError
+from flysid.model.arguments import check_inputs
 from flysid.model.detrend import Trend, check_trend, detrend
 from flysid.model.frequency.assemble import OneTransfer, assemble, runner
 from flysid.model.frequency.continuous_transfer import ContinuousTransfer
@@ -32,9 +33,10 @@ from flysid.model.linear.data import Parts, judging_window
 from flysid.model.linear.difference_equation import FittedLinear
 from flysid.model.linear.difference_equation import from_dict as linear_from_dict
 from flysid.model.linear.output_error import ORDER_LOSS, WORSE_FIT
-from flysid.model.linear.settings import check_hint, check_inputs
+from flysid.model.linear.settings import check_hint
 from flysid.model.selection import block_errors, simplest
 from flysid.model.threads import on_one_thread
+from flysid.showing import counted
 
 Auto = Literal["auto"]
 
@@ -62,7 +64,7 @@ class FittedTF(FittedLinear):
         return self.transfers[output * (len(self.transfers) // len(self.outputs)) + source]
 
     def __str__(self) -> str:
-        lines = [f"TF model, {self.n_parameters} parameters, sample time {self.dt_s:g} s"]
+        lines = [f"TF model, {counted(self.n_parameters, 'parameter')}, sample time {self.dt_s:g} s"]
         for transfer in self.transfers:
             lines += ["", str(transfer)]
         return "\n".join([*lines, "", *(f"- {note}" for note in self.notes)])
@@ -182,7 +184,10 @@ class TF:
         if self.n_init is not None and self.n_init < 1:
             raise UsageError(f"n_init must be at least 1, not {self.n_init}")
         if self.band is not None and not 0.0 < self.band[0] < self.band[1]:
-            raise UsageError(f"no band: {self.band!r}", hint="lowest and highest frequency in rad/s")
+            low, high = self.band
+            raise UsageError(
+                f"no band: {low:g} to {high:g} rad/s", hint="the lowest frequency first, above 0"
+            )
         forms(n_u, self.poles, self.zeros, self.dead_time_s, self.stable)
 
     def _output(self, train: Dataset, validation: Dataset | None) -> tuple[OneTransfer, str]:

@@ -11,6 +11,7 @@ import numpy as np
 from flysid.dataset import FloatArray
 from flysid.errors import UsageError
 from flysid.model.polynomials import ComplexArray
+from flysid.showing import counted
 
 Hold = Literal["zero", "first", "none"]
 
@@ -159,8 +160,12 @@ def is_determined(rational: Rational, covariance: FloatArray, seen: tuple[float,
 
 def check_form(form: Form, n_u: int) -> None:
     """Raise UsageError for orders that cannot be."""
-    if form.poles < 0 or len(form.zeros) != n_u or len(form.dead_time_s) != n_u:
-        raise UsageError(f"{form} for {n_u} inputs", hint="zeros and dead times: one number per input")
+    if form.poles < 0:
+        raise UsageError(f"poles must be a whole number of at least 0, not {form.poles}")
+    if len(form.zeros) != n_u or len(form.dead_time_s) != n_u:
+        raise UsageError(
+            f"{form} for {counted(n_u, 'input')}", hint="zeros and dead times: one number per input"
+        )
     if any(not 0 <= m <= form.poles for m in form.zeros):
         raise UsageError(
             f"{form}: a transfer function has no more zeros than poles",

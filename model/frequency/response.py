@@ -23,6 +23,7 @@ import numpy.typing as npt
 
 from flysid.dataset import Dataset, FloatArray, Signal
 from flysid.errors import DataError, UsageError
+from flysid.model.arguments import no_samples
 from flysid.model.detrend import Trend, detrend
 from flysid.model.frequency.local_polynomial import local_response
 from flysid.model.frequency.spectra import multitaper_response, welch_response
@@ -221,7 +222,10 @@ def split_references(data: Dataset, reference: Sequence[str]) -> tuple[Dataset, 
     found = tuple(j for j, name in enumerate(names) if name in reference)
     kept = [j for j in range(len(names)) if j not in found]
     if not kept:
-        raise UsageError("every input is a reference: none is left for the model")
+        raise UsageError(
+            "every input is a reference: none is left for the model",
+            hint="name as references what drives the loop, not what enters the plant",
+        )
     if len(found) < len(kept):
         left = ", ".join(names[j] for j in kept)
         count = f"{len(found)} reference{'s' if len(found) > 1 else ''}"
@@ -237,7 +241,7 @@ def _records(data: Dataset, order: Sequence[int], output: int) -> list[FloatArra
     """(N, n_u + 1) per segment: inputs in this order and the output about their means over all segments."""
     found = [np.column_stack([s.u[:, list(order)], s.y[:, output]]) for s in data.segments if len(s)]
     if not found:
-        raise DataError("there are no samples", hint="check the recipe and the splits")
+        raise no_samples()
     mean = np.concatenate(found).mean(axis=0)
     return [r - mean for r in found]
 

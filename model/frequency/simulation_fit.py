@@ -37,6 +37,7 @@ from flysid.model.frequency.response import MeasuredResponse
 from flysid.model.frequency.sampling import sampled_response
 from flysid.model.polynomials import DB, ComplexArray
 from flysid.model.refine import levenberg_marquardt
+from flysid.showing import counted
 
 ACCEPTABLE = 100.0
 PHASE_WEIGHT = 0.01745
@@ -236,7 +237,7 @@ def fit_response(
     problem = _problem(measured, form, (weighting, hold, bands))
     if 2 * len(problem.x) <= form.count:
         raise DataError(
-            f"{len(problem.x)} trustworthy frequencies are too few for {form.count} parameters",
+            f"trustworthy frequencies: {len(problem.x)}, too few for {counted(form.count, 'parameter')}",
             hint="choose lower orders, or excite a wider band",
         )
     starts = [(float(np.sum(problem.residuals(t)[0] ** 2)), t) for t in problem.starts()]
@@ -346,6 +347,12 @@ def picked_points(
         inside = measured.trusted(source) > 0.0
     inside = inside & np.isfinite(measured.error[:, source]) & (np.abs(measured.response[:, source]) > 0.0)
     if np.count_nonzero(inside) < 3:
+        if band is not None:
+            low, high = measured.omega[[0, -1]]
+            raise DataError(
+                f"fewer than three frequencies were measured from {band[0]:.3g} to {band[1]:.3g} rad/s",
+                hint=f"another band, or none; these data reach from {low:.3g} to {high:.3g} rad/s",
+            )
         best = int(np.argmax(measured.coherence[:, source]))
         raise DataError(
             f"input {measured.inputs[source].name!r} explains {measured.output.name!r} at too few "

@@ -42,8 +42,9 @@ def grid(lowest: float, dt_s: float, points: int, band: tuple[float, float] | No
     highest = highest_frequency(dt_s)
     low, high = (lowest, highest) if band is None else (max(lowest, band[0]), min(highest, band[1]))
     if not low < high:
+        asked = (lowest, highest) if band is None else band
         raise UsageError(
-            f"no frequency between {low:.3g} and {high:.3g} rad/s can be measured",
-            hint=f"widen the band; these data reach from {lowest:.3g} to {highest:.3g} rad/s",
+            f"no frequency between {asked[0]:.3g} and {asked[1]:.3g} rad/s can be measured",
+            hint=f"another band, or none; these data reach from {lowest:.3g} to {highest:.3g} rad/s",
         )
     return np.asarray(np.geomspace(low, high, points))

@@ -10,6 +10,7 @@ import numpy as np
 
 from flysid.dataset import Dataset, FloatArray, Segment
 from flysid.errors import DataError
+from flysid.model.arguments import never_changes, no_samples
 from flysid.model.freerun import Difference
 from flysid.model.selection import FEWEST, HELD_OUT
 from flysid.model.simulation_error import Record
@@ -51,10 +52,7 @@ class Scaling:
         kinds = ["output"] * n_y + ["input"] * len(data.inputs)
         for kind, signal, value, centre in zip(kinds, (*data.outputs, *data.inputs), size, mean, strict=True):
             if not value > 1e-12 * max(abs(float(centre)), 1e-300):
-                raise DataError(
-                    f"{kind} {signal.name!r} never changes: nothing can be learnt from it",
-                    hint="choose segments in which it moves, or leave it out of the recipe",
-                )
+                raise never_changes(kind, signal.name)
         origin = mean if centred else np.zeros_like(mean)
         limits = np.stack([low[:n_y], high[:n_y]])
         return cls(origin[n_y:], origin[:n_y], size[n_y:], size[:n_y], limits)
@@ -138,7 +136,7 @@ class Parts:
         """
         head = data.head(SEARCH_ROWS)
         if not len(head):
-            raise DataError("there are no samples to learn from", hint="check the recipe and the splits")
+            raise no_samples()
         return cls(head, head, Scaling.of(data, centred=centred))
 
     @classmethod
@@ -150,7 +148,7 @@ class Parts:
         DataError : no samples, or a signal that never changes.
         """
         if not len(train):
-            raise DataError("there are no samples to learn from", hint="check the recipe and the splits")
+            raise no_samples()
         return cls(train, validation, Scaling.of(train, centred=centred))
 
     @classmethod

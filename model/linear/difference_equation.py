@@ -20,7 +20,7 @@ import numpy as np
 from flysid.dataset import FloatArray, Signal
 from flysid.errors import UsageError
 from flysid.filters import apply_filter
-from flysid.model.arguments import as_columns
+from flysid.model.arguments import as_columns, check_start
 from flysid.model.base import Rule, write_document
 from flysid.model.capabilities import Coefficient, FrequencyResponse
 from flysid.model.control_form import ControlForm, control_of_difference
@@ -105,8 +105,7 @@ class FittedLinear(FreeRuns):
             return saturate(self._from_rest(u), self.output_limits)
         n = self.n_init
         y0 = as_columns(y0, len(self.outputs), "y0")
-        if len(y0) < min(n, len(u)):
-            raise UsageError(f"a simulation starts from {n} measured outputs, not {len(y0)}")
+        check_start(len(y0), min(n, len(u)))
         du = u - self.u_origin
         dy = y0[:n] - self.y_origin
         if len(u) <= n:

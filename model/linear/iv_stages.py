@@ -13,7 +13,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from flysid.dataset import FloatArray
-from flysid.errors import DataError, FitError
+from flysid.errors import FitError
+from flysid.model.arguments import none_longer
 from flysid.model.freerun import Difference
 from flysid.model.gram import lagged_gram
 from flysid.model.linear.data import SEARCH_ROWS, Parts, as_tuple, shorten
@@ -161,10 +162,7 @@ class _Signals:
         """
         full = lagged_gram(windows(self._rows(image, prefilter), depth), depth)
         if len(full) == 1:
-            raise DataError(
-                f"no segment is longer than the model's depth of {depth + len(prefilter)} samples",
-                hint="choose smaller orders or delays, or bring longer segments",
-            )
+            raise none_longer(depth + len(prefilter))
         return full
 
     def _rows(self, image: Path | None, prefilter: FloatArray) -> Iterator[Block]:

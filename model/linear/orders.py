@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from flysid.dataset import FloatArray
-from flysid.errors import DataError
+from flysid.model.arguments import none_longer
 from flysid.model.gram import LeastSquares, Triangle, lagged_gram, lagged_triangle, residuals_of, solve
 from flysid.model.regressors import LagTerms, RegressorTransform
 from flysid.model.stream import Source, blocks_of, windows
@@ -99,10 +99,7 @@ def grid_gram(data: Source, lags: LagTerms, transform: RegressorTransform | None
     origin, scale = _units(lags, transform)
     full = lagged_gram(windows(blocks_of(data, origin)(), lags.depth), lags.depth)
     if len(full) == 1:
-        raise DataError(
-            f"no segment is longer than the model's depth of {lags.depth} samples",
-            hint="choose smaller orders or delays, or bring longer segments",
-        )
+        raise none_longer(lags.depth)
     pick = _columns(lags)
     factor = np.append(np.repeat(scale, lags.depth + 1)[pick], 1.0)
     found: FloatArray = full[np.ix_([*pick, -1], [*pick, -1])] / np.outer(factor, factor)

@@ -277,7 +277,7 @@ def choose_orders(parts: Parts, candidates: Sequence[Sequence[OutputOrders]]) ->
     if not tried:
         raise FitError(
             "no stable output-error model was found",
-            hint="fit with refine=False, give lower orders, or check the data for gaps and feedback",
+            hint="give lower orders, or check the data for gaps and feedback",
         )
     if len(tried) == 1:
         return tried[0].fits, ""

@@ -10,8 +10,10 @@ import numpy as np
 
 from flysid.dataset import Dataset
 from flysid.errors import UsageError
+from flysid.model.arguments import check_inputs
 from flysid.model.detrend import Trend, check_trend, detrend
 from flysid.model.stream import OnDisk, Source
+from flysid.showing import counted
 
 Auto: TypeAlias = Literal["auto"]
 
@@ -58,15 +60,6 @@ class PolynomialSettings:
         return detrend(train, self.trend), None if validation is None else detrend(validation, self.trend)
 
 
-def check_inputs(n_u: int) -> None:
-    """Raise UsageError where there is no input."""
-    if n_u == 0:
-        raise UsageError(
-            "the dataset has no input",
-            hint="name an input in the recipe",
-        )
-
-
 def check_orders(settings: PolynomialSettings, n_u: int) -> None:
     """Raise UsageError for orders that cannot be."""
     check_inputs(n_u)
@@ -76,9 +69,10 @@ def check_orders(settings: PolynomialSettings, n_u: int) -> None:
             continue
         values = tuple(np.atleast_1d(np.asarray(value, dtype=object)))
         if not all(isinstance(v, (int, np.integer)) and v >= 0 for v in values):
-            raise UsageError(f"{name} must be whole numbers of at least 0, not {value!r}")
+            least = "a whole number" if name == "na" else "whole numbers"
+            raise UsageError(f"{name} must be {least} of at least 0, not {value!r}")
         if (name == "na" or not isinstance(value, int)) and len(values) != (1 if name == "na" else n_u):
-            raise UsageError(f"{name} has {len(values)} numbers for {n_u} inputs")
+            raise UsageError(f"{name} has {counted(len(values), 'number')} for {counted(n_u, 'input')}")
     check_hint(settings.nk_hint, n_u)
     if settings.n_init is not None and settings.n_init < 1:
         raise UsageError(f"n_init must be at least 1, not {settings.n_init}")
@@ -87,4 +81,6 @@ def check_orders(settings: PolynomialSettings, n_u: int) -> None:
 def check_hint(nk_hint: Sequence[int], n_u: int, name: str = "nk_hint") -> None:
     """Raise UsageError unless there is none or one whole number of at least 0 per input."""
     if len(nk_hint) not in (0, n_u) or not all(isinstance(k, int) and k >= 0 for k in nk_hint):
-        raise UsageError(f"{name}={nk_hint!r}", hint=f"give () or {n_u} whole numbers, one per input")
+        raise UsageError(
+            f"{name}={nk_hint!r}", hint=f"give () or {counted(n_u, 'whole number')}, one per input"
+        )

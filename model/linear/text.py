@@ -11,6 +11,7 @@ from flysid.dataset import FloatArray, Signal
 from flysid.model.linear.uncertainty import DifferenceModel, response_of
 from flysid.model.polynomials import Z95, ComplexArray, modes_of, nearly_cancelled, polynomial_text
 from flysid.model.regressors import lagged_name
+from flysid.showing import counted
 
 
 class LinearText(DifferenceModel, Protocol):
@@ -93,7 +94,8 @@ EQUATIONS = {
 def describe(model: LinearText) -> str:
     """Several lines: polynomials with intervals, poles, figures, choices."""
     lines = [
-        f"{model.structure.upper()} model, {model.n_parameters} parameters, sample time {model.dt_s:g} s"
+        f"{model.structure.upper()} model, {counted(model.n_parameters, 'parameter')}, "
+        f"sample time {model.dt_s:g} s"
     ]
     meant = "oe" if model.structure == "arx" and model.noise is not None else model.structure  # refined
     if meant in EQUATIONS:

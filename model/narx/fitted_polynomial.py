@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 
 from flysid.dataset import Dataset, FloatArray, Signal
-from flysid.errors import UsageError
-from flysid.model.arguments import as_columns, as_record
+from flysid.model.arguments import as_columns, as_record, check_start
 from flysid.model.base import Rule, write_document
 from flysid.model.capabilities import Coefficient
 from flysid.model.documents import array_of, head_of, signals_of, with_null
@@ -30,7 +29,7 @@ from flysid.model.narx.polynomial_terms import (
 from flysid.model.polynomials import Z95
 from flysid.model.rules.recursion import companion
 from flysid.model.start import FreeRuns
-from flysid.showing import significant
+from flysid.showing import counted, significant
 
 MOST_LAG = 100_000
 
@@ -142,8 +141,7 @@ class FittedPolyNARX(FreeRuns):
             u = np.concatenate([np.zeros((n, u.shape[1])), u])
             return self._run(u, np.zeros((n, len(self.outputs))))[n:]
         y0 = as_columns(y0, len(self.outputs), "y0")
-        if len(y0) < min(n, len(u)):
-            raise UsageError(f"a simulation starts from {n} measured outputs, not {len(y0)}")
+        check_start(len(y0), min(n, len(u)))
         return self._run(u, y0[: min(n, len(u))])
 
     def _run(self, u: FloatArray, y0: FloatArray) -> FloatArray:
@@ -258,8 +256,8 @@ class FittedPolyNARX(FreeRuns):
     def __str__(self) -> str:
         count = sum(t.is_linear for t in self.terms)
         lines = [
-            f"polynomial NARX model, {count} linear and {len(self.terms) - count} nonlinear terms, "
-            f"sample time {self.dt_s:g} s",
+            f"polynomial NARX model, {count} linear and "
+            f"{counted(len(self.terms) - count, 'nonlinear term')}, sample time {self.dt_s:g} s",
             "",
             *(self.equation(i) for i in range(len(self.outputs))),
         ]

@@ -19,6 +19,7 @@ import numpy as np
 from flysid.dataset import FloatArray
 from flysid.errors import DataError, UsageError
 from flysid.model.polynomials import ROUNDING
+from flysid.showing import counted
 
 Method = Literal["gustafson-kessel", "fuzzy-c-means", "subtractive"]
 
@@ -56,7 +57,10 @@ def cluster(X: FloatArray, rules: int, method: Method = "gustafson-kessel", *, s
     rows = X[:: max(1, -(-len(X) // MOST_SAMPLES))]
     distinct = len(np.unique(rows, axis=0))
     if distinct < rules:
-        raise DataError(f"{rules} rules were asked for, but the data hold {distinct} distinct samples")
+        raise DataError(
+            f"{counted(rules, 'rule')} asked for, but the data hold {counted(distinct, 'distinct sample')}",
+            hint="ask for fewer rules, or bring data that vary more",
+        )
     spread = rows.std(axis=0)
     spread[spread == 0] = 1.0
     shift = rows.mean(axis=0)

@@ -16,6 +16,7 @@ import numpy as np
 
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, FitError
+from flysid.model.arguments import check_inputs, check_rows
 from flysid.model.base import Fitted
 from flysid.model.linear.settings import check_hint
 from flysid.model.rules import edits
@@ -53,6 +54,7 @@ from flysid.model.rules.state_systems import (
 )
 from flysid.model.selection import FEWEST, parts_to_choose_on
 from flysid.model.start import START_SHARE
+from flysid.showing import counted
 from flysid.split import MIN_FLIGHTS
 
 SWEEP = "Validation free-run error by number of rules"
@@ -178,10 +180,14 @@ def over_states(settings: RuleSettings, train: Dataset, validation: Dataset | No
 def lag_starts(settings: RuleSettings, train: Dataset, validation: Dataset | None) -> Search:
     """The data split, and linear models of several orders."""
     check(settings)
+    check_inputs(len(train.inputs))
     check_hint(settings.nk_hint, len(train.inputs))
     check_hint(settings.nk_least, len(train.inputs), "nk_least")
     choices = order_choices(settings, len(train.inputs))
     named = named_antecedents(settings, choices, train)
+    if settings.na != "auto":
+        fewest = choices[0]
+        check_rows(train, fewest.depth, len(train.outputs) * fewest.na + sum(fewest.nb) + 1)
     deepest = _deepest(settings, train) if len(choices) > 1 else 0
     least = max(deepest, *(o.depth for o in choices), *(a.depth for a in named), 0) + FEWEST
     long = len(train) >= settings.search.short
@@ -200,6 +206,7 @@ def lag_starts(settings: RuleSettings, train: Dataset, validation: Dataset | Non
 def state_starts(settings: RuleSettings, train: Dataset, validation: Dataset | None) -> Search:
     """Linear systems, and the data split as they need it."""
     check(settings)
+    check_inputs(len(train.inputs))
     scaled = scaling(train)
     systems = linear_systems(settings, train, validation, scaled)
     least = max(s.orders.depth for s in systems) + 2 * max(map(len, systems)) + FEWEST
@@ -243,7 +250,7 @@ def _context(
     longest = max((len(s) for s in train.segments), default=0)
     if longest < least:
         raise DataError(
-            f"the longest segment has {longest} samples; this model needs {least}",
+            f"the longest segment has {counted(longest, 'sample')}; this model needs {least}",
             hint="record longer, allow longer gaps, or ask for lower orders or fewer states",
         )
     s = settings.search
@@ -322,8 +329,9 @@ def select(found: Search) -> Search:
     chosen = replace(found, at=at, chosen=models[at], stage=ordered(models[at].stage))
     away = ", ".join(str(m.stage.rules) for m in models if not m.stable)
     if away:
+        noun = "rule" if away == "1" else "rules"
         chosen = chosen.said(
-            f"Left out, because their output left its limits under bounded random inputs: {away} rules."
+            f"Left out, because their output left its limits under bounded random inputs: {away} {noun}."
         )
     orders = models[at].stage.layout.orders
     if not chosen.stage.layout.hidden and orders != models[0].stage.layout.orders:

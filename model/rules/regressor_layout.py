@@ -21,6 +21,7 @@ import numpy as np
 
 from flysid.dataset import Dataset, FloatArray, Segment, Signal
 from flysid.errors import DataError, UsageError
+from flysid.model.arguments import never_changes, no_samples
 from flysid.model.polynomials import ROUNDING
 from flysid.model.regressors import lagged_name
 from flysid.model.rules.kernel import Lags
@@ -222,15 +223,12 @@ def scaling(train: Dataset) -> tuple[FloatArray, FloatArray]:
     DataError : no samples, or a signal that never moves.
     """
     if not train.segments or not len(train):
-        raise DataError("there are no samples to fit", hint="record longer, or loosen the recipe's cuts")
+        raise no_samples()
     W = np.vstack([np.hstack([s.y, s.u]) for s in train.segments])
     for column, signal in enumerate(train.outputs + train.inputs):
         if np.ptp(W[:, column]) == 0:
             kind = "output" if column < len(train.outputs) else "input"
-            raise DataError(
-                f"the {kind} {signal.name} never moves: nothing can be learned from it",
-                hint="excite it in flight, or take it out of the recipe",
-            )
+            raise never_changes(kind, signal.name)
     return W.mean(axis=0), W.std(axis=0)
 
 

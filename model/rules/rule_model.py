@@ -17,7 +17,7 @@ import numpy as np
 
 from flysid.dataset import FloatArray, Signal
 from flysid.errors import UsageError
-from flysid.model.arguments import as_columns, as_record
+from flysid.model.arguments import as_columns, as_record, check_start
 from flysid.model.base import OperatingPoint, Rule, write_document
 from flysid.model.documents import head_of, points_as_json
 from flysid.model.noise import output_error_ahead
@@ -31,6 +31,7 @@ from flysid.model.rules.phrases import condition_in_words, equation, in_words, p
 from flysid.model.rules.recursion import Recursion, drop_held, time_constant
 from flysid.model.rules.regressor_layout import Layout
 from flysid.model.start import FreeRuns, searched_start, start_window
+from flysid.showing import counted
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -108,8 +109,7 @@ class RuleModel(FreeRuns):
             W = self.run(u)
             return self.outputs_of(W)[len(W) - len(u) :]
         given = as_columns(y0, self.layout.n_y, "y0")[: self.n_init]
-        if len(given) < min(self.n_init, len(u)):
-            raise UsageError(f"{len(given)} measured samples; the model starts from {self.n_init}")
+        check_start(len(given), min(self.n_init, len(u)))
         given = given[: len(u)]
         if len(u) <= self.n_init:
             return np.array(given)
@@ -335,11 +335,12 @@ class RuleModel(FreeRuns):
     def __str__(self) -> str:
         """The rules and how they were chosen, in words."""
         count = len(self.parameters.theta)
-        rules = f"{count} rule{'s' if count > 1 else ''}"
+        rules = counted(count, "rule")
         layout = self.layout
         title = f"Takagi-Sugeno model, {rules}, {layout.orders}"
         if self.structure == "ts_ss":
-            title = f"Takagi-Sugeno state-space model, {rules}, {layout.n} states ({layout.hidden} hidden)"
+            states = f"{counted(layout.n, 'state')} ({layout.hidden} hidden)"
+            title = f"Takagi-Sugeno state-space model, {rules}, {states}"
         title += f", {self.n_parameters} parameters"
         signals = self.outputs, self.inputs
         return in_words(title, self.rules(), self.notes, signals, sentences(self.operating_points, signals))

@@ -41,6 +41,7 @@ from flysid.model.rules.stages import Stage
 from flysid.model.selection import FEWEST, simplest
 from flysid.model.shared import digest, once
 from flysid.model.subspace.order_search import ROWS_PER_UNKNOWN
+from flysid.showing import counted
 
 _STRESS = 1000  # steps of each kind of stress
 
@@ -99,7 +100,7 @@ def order_choices(settings: RuleSettings, inputs: int) -> list[Orders]:
 def _per_input(value: int | Sequence[int], inputs: int, name: str) -> tuple[int, ...]:
     numbers = (int(value),) * inputs if isinstance(value, int | np.integer) else tuple(map(int, value))
     if len(numbers) != inputs:
-        raise UsageError(f"{name} has {len(numbers)} numbers for {inputs} inputs")
+        raise UsageError(f"{name} has {counted(len(numbers), 'number')} for {counted(inputs, 'input')}")
     return numbers
 
 

@@ -33,6 +33,7 @@ from flysid.model.rules.search_settings import RuleSettings
 from flysid.model.rules.stages import Stage
 from flysid.model.statespace import StateSpace
 from flysid.model.subspace.fitted_model import FittedStateSpace
+from flysid.showing import counted
 
 _OE_STATES = (2, 3)  # orders of output-error models: rules may use a state that a linear model does not
 _HIDDEN_LIMIT = 12.0  # spreads that a hidden state may reach
@@ -93,7 +94,7 @@ def best_state_space(
         return None
     if np.abs(model.poles).max(initial=0.0) > 1.0 + ROUNDING:  # of what integrates one may be on the circle
         return None
-    title = f"the best linear state space ({model.order} states)"
+    title = f"the best linear state space ({counted(model.order, 'state')})"
     return replace(realised_states(model, *scaled), title=title)
 
 

@@ -14,6 +14,7 @@ from flysid.model.documents import array_of
 from flysid.model.polynomials import Z95, ComplexArray, modes_of
 from flysid.model.subspace.fitted_model import FittedStateSpace
 from flysid.model.subspace.fitted_model import from_dict as state_space_from
+from flysid.showing import counted
 
 
 @dataclass(frozen=True)
@@ -118,8 +119,8 @@ class FittedStructured(FittedStateSpace):
 
     def __str__(self) -> str:
         lines = [
-            f"structured state space: {', '.join(self.state_names)}; {self.n_parameters} free terms, "
-            f"sample time {self.dt_s:g} s",
+            f"structured state space: {', '.join(self.state_names)}; "
+            f"{counted(self.n_parameters, 'free term')}, sample time {self.dt_s:g} s",
             *(f"  {d}" for d in self.derivatives),
             "eigenvalues (rad/s): "
             + "; ".join(

@@ -33,6 +33,7 @@ import numpy as np
 
 from flysid.dataset import FloatArray, Signal
 from flysid.errors import UsageError
+from flysid.files import why_unread
 
 TABLES = ("F", "G", "H", "D")
 FORMS = 'a number, "NAME", { name = "NAME", start = 1.0 } or { tied = "NAME", factor = -1.0 }'
@@ -118,7 +119,7 @@ class Plan:
         try:
             text = Path(path).read_text("utf-8")
         except (OSError, UnicodeDecodeError) as error:
-            raise UsageError(f"cannot be read: {error}", path=path) from error
+            raise UsageError(f"cannot be read: {why_unread(error)}", path=path) from error
         return cls.parse(text, str(path))
 
     @classmethod

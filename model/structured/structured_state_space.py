@@ -118,7 +118,10 @@ class StructuredStateSpace:
         if self.hold not in ("zero", "first", "none"):
             raise UsageError(f"hold is {self.hold!r}", hint="'zero', 'first' or 'none'")
         if self.band is not None and not 0.0 < self.band[0] < self.band[1]:
-            raise UsageError(f"no band: {self.band!r}", hint="lowest and highest frequency in rad/s")
+            low, high = self.band
+            raise UsageError(
+                f"no band: {low:g} to {high:g} rad/s", hint="the lowest frequency first, above 0"
+            )
         if self.n_init is not None and self.n_init < 1:
             raise UsageError(f"n_init must be at least 1, not {self.n_init}")
 

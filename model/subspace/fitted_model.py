@@ -19,7 +19,7 @@ import numpy as np
 
 from flysid.dataset import FloatArray, Signal
 from flysid.errors import UsageError
-from flysid.model.arguments import as_columns
+from flysid.model.arguments import as_columns, check_start
 from flysid.model.base import Rule, write_document
 from flysid.model.capabilities import FrequencyResponse
 from flysid.model.control_form import ControlForm, control_of_states, with_registers
@@ -34,6 +34,7 @@ from flysid.model.start import FreeRuns
 from flysid.model.subspace.covariance_bands import response_of
 from flysid.model.subspace.kalman import ahead, filtered_states, free_states, output_of, resting_state
 from flysid.model.subspace.triangle import Realisation
+from flysid.showing import counted
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -104,8 +105,7 @@ class FittedStateSpace(FreeRuns):
             rest = resting_state(system, -self.u_origin, -self.y_origin)
             return self.limited(output_of(system, free_states(system, du, rest), du))
         y0 = as_columns(y0, len(self.outputs), "y0")
-        if len(y0) < min(n, len(du)):
-            raise UsageError(f"a simulation starts from {n} measured outputs, not {len(y0)}")
+        check_start(len(y0), min(n, len(du)))
         if len(du) <= n:
             return np.array(y0[: len(du)])
         du = self.late(du)
@@ -263,7 +263,7 @@ class FittedStateSpace(FreeRuns):
     def _conclusion(self) -> str:
         modes = "; ".join(str(m) for m in modes_of(self.poles, self.dt_s))
         names = ", ".join(s.name for s in self.outputs)
-        return f"{names}: {self.order} states ({modes}), steady gain {'; '.join(self._gains())}"
+        return f"{names}: {counted(self.order, 'state')} ({modes}), steady gain {'; '.join(self._gains())}"
 
     def late(self, du: FloatArray, before: FloatArray | None = None) -> FloatArray:
         """The inputs as they enter; what came before the first sample is `before`, the mean when None."""

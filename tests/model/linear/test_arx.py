@@ -160,7 +160,7 @@ def test_data_that_cannot_answer() -> None:
         ARX().fit(Dataset.from_arrays(np.ones(50), y, 0.1))
     with pytest.raises(DataError, match="'y' never changes"):
         ARX().fit(Dataset.from_arrays(y, np.ones(50), 0.1))
-    with pytest.raises(DataError, match="longer than the model's depth of 30 samples"):
+    with pytest.raises(DataError, match="longer than the 30 samples"):
         ARX(na=30, nb=1, nk=1).fit(Dataset.from_arrays(y[:20], y[:20] ** 2, 0.1))
     with pytest.raises(DataError):
         ARX().fit(Dataset.from_arrays(y, y, 0.1).with_segments([]))

@@ -112,5 +112,5 @@ def test_the_triangle_of_lags_is_that_of_the_plain_rows(spread: float, method: s
 
 
 def test_no_segment_long_enough_is_said() -> None:
-    with pytest.raises(DataError, match="no segment is longer than the model's depth of 5 samples"):
+    with pytest.raises(DataError, match="no segment is longer than the 5 samples"):
         lagged_triangle(lambda: [(0, np.ones((2, 5)))], 5, np.ones(2))

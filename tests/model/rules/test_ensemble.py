@@ -100,6 +100,6 @@ def test_members_that_fail_are_counted() -> None:
 
 def test_a_reason_comes_with_one_hint() -> None:
     data = Dataset.from_arrays(np.ones(300), np.arange(300.0), 0.1)
-    with pytest.raises(FitError, match="never moves") as caught:
+    with pytest.raises(FitError, match="never changes") as caught:
         Ensemble(StaticTS(rules=2), members=2).fit(data)
     assert str(caught.value).count("Try:") == 1

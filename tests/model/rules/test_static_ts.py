@@ -86,7 +86,7 @@ def test_json_round_trip_and_table(tmp_path: Path) -> None:
 
 def test_bad_input_is_named() -> None:
     u, y = bent()
-    with pytest.raises(DataError, match="never moves"):
+    with pytest.raises(DataError, match="never changes"):
         StaticTS().fit(Dataset.from_arrays(np.ones(100), np.arange(100.0), 0.1))
     with pytest.raises(UsageError, match="rules"):
         StaticTS(rules=0).fit(Dataset.from_arrays(u, y, 0.1))

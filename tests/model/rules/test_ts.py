@@ -165,7 +165,7 @@ def test_an_antecedent_that_stands_still_is_named(name: str) -> None:
 
 def test_bad_input_is_named() -> None:
     u, y = second_order(400, 1)
-    with pytest.raises(DataError, match="u never moves"):
+    with pytest.raises(DataError, match="'u' never changes"):
         TS().fit(Dataset.from_arrays(np.ones(400), y, DT))
     with pytest.raises(DataError, match="longest segment"):
         TS().fit(Dataset.from_arrays(u[:8], y[:8], DT))
