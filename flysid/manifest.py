@@ -181,9 +181,7 @@ def check_data_folder(data: str | Path) -> Path:
             hint=f"flysid doctor {data}; or flysid ingest {data} -o DATA first",
         )
     if not data.is_dir():
-        raise UsageError(
-            "no such folder", path=data, hint="make it with: flysid ingest LOG... -o " + data.name
-        )
+        raise UsageError("no such folder", path=data, hint=f"make it with: flysid ingest LOG... -o {data}")
     if not (data / DATA_FILE).is_file():
         raise UsageError(
             "not an ingested folder: it has no " + DATA_FILE,

@@ -37,7 +37,7 @@ _CREDENTIALS = {
 
 def is_address(text: str | Path) -> bool:
     """Whether a text names an object store, not a path."""
-    return str(text).partition("://")[0] in SCHEMES and "://" in str(text)
+    return "://" in str(text)
 
 
 @dataclass(frozen=True)

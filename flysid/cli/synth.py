@@ -95,6 +95,8 @@ def command(
 ) -> None:
     """Simulate flights, write the logs that the vehicles would have written, and print their paths."""
     order = read_order(**options)
+    if live is not None and output is not None:
+        raise UsageError("-o and --live are mutually exclusive", hint="leave out one of them")
     if live is not None:
         from flysid.ingest.synth.live import Pace, fly_live
 
@@ -203,7 +205,7 @@ def parse_dropout(text: str) -> tuple[float, float]:
     try:
         start, length = (float(part) for part in text.split(":"))
     except ValueError:
-        raise UsageError(f"no drop-out {text!r}", hint="START:LENGTH in seconds, e.g. 20:5") from None
+        raise UsageError(f"no dropout {text!r}", hint="START:LENGTH in seconds, e.g. 20:5") from None
     return start, length
 
 

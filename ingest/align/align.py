@@ -8,6 +8,7 @@ conditions) hold is there a segment; short ones are dropped and counted.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -19,6 +20,7 @@ from flysid.datasetfile import write_dataset
 from flysid.errors import DataError, RecipeError
 from flysid.flight import Flight
 from flysid.ingest.align import resample
+from flysid.ingest.align.allowed import CHOOSE_AGAIN
 from flysid.ingest.align.clocks import align_clocks
 from flysid.ingest.align.conditions import condition_spans
 from flysid.ingest.align.doubts import doubts
@@ -28,6 +30,7 @@ from flysid.ingest.align.report import AlignReport, FlightReport, SignalReport
 from flysid.ingest.align.resample import RecordedSignal, Span
 from flysid.ingest.align.signals import FlightLog, Loaded, Log, find_source, load_signal, missing
 from flysid.ingest.align.vehicle import vehicle_of
+from flysid.showing import counted
 from flysid.stretch import FloatArray
 
 MIN_SAMPLES = 20
@@ -145,7 +148,7 @@ def check_excitation(data: Dataset) -> None:
                 stays = f"{signal.name!r} stays at {low:.6g} {signal.unit}".rstrip()
                 count = len(data.segments)
                 raise DataError(
-                    f"channel {data.name!r} has no excitation: {'input' if kind == 'u' else 'output'} {stays}"
+                    f"channel {data.name!r}: no excitation: {'input' if kind == 'u' else 'output'} {stays}"
                     + (f" in all {count} segments" if count > 1 else ""),
                     hint="fly steps, doublets or a sweep on this axis, or choose another channel",
                 )
@@ -409,13 +412,20 @@ def _too_short(report: AlignReport, min_samples: int) -> DataError:
     if never and all(f.reason or not f.total_s or not f.short_segments for f in report.flights):
         return DataError(
             f"channel {report.channel!r}: {'; '.join(never)}",
-            hint="choose flights that meet it, or remove the condition from a recipe of your own",
+            hint="choose flights that meet it, or remove the condition from a recipe of your own"
+            if any(note.startswith("condition ") for note in never)
+            else CHOOSE_AGAIN,
         )
-    reasons = "; ".join(dict.fromkeys([*(f.reason for f in report.flights if f.reason), *never]))
+    lost = Counter[str]()
+    for signal in (s for f in report.flights for s in f.signals):
+        lost[signal.name] += signal.non_finite
+    not_finite = [f"{counted(count, 'sample')} of {name} not finite" for name, count in lost.items() if count]
+    why = [*(f.reason for f in report.flights if f.reason), *never, *not_finite]
+    reasons = "; ".join(dict.fromkeys(why))
     short = sum(f.short_segments for f in report.flights)
+    dropped = f"; {short} shorter {'one was' if short == 1 else 'ones were'} dropped" if short else ""
     return DataError(
-        f"channel {report.channel!r}: no segment of {min_samples} samples at {report.rate_hz:.4g} Hz; "
-        f"{short} shorter {'one was' if short == 1 else 'ones were'} dropped"
-        + (f" ({reasons})" if reasons else ""),
-        hint="fly longer without pauses in the log, or lower min_segment_s in the recipe",
+        f"channel {report.channel!r}: no segment of {min_samples} samples at {report.rate_hz:.4g} Hz"
+        f"{dropped}" + (f" ({reasons})" if reasons else ""),
+        hint="fly longer without pauses in the log, or lower min_segment_s in a recipe of your own",
     )

@@ -8,6 +8,8 @@ from dataclasses import dataclass, field
 from flysid.ingest.align import resample
 from flysid.ingest.align.resample import Span
 
+CHOOSE_AGAIN = "choose what the log has, or leave out --mode or --between"
+
 
 @dataclass(frozen=True)
 class Allowed:

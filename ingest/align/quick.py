@@ -25,6 +25,7 @@ from flysid.showing import first_of
 _ELEMENT = re.compile(r"^(.+?)(\[\d+\])?$")
 _PLAIN = re.compile(r"[^A-Za-z0-9_]+")
 _OWN = (TIME, BOOT, RECEIVED)
+QUICK = "quick"  # the name of a recipe that is made of fields, which nobody has named
 SHOWN = 12
 
 
@@ -98,8 +99,9 @@ def quick_recipe(
     RecipeError : no inputs or outputs; a field is nowhere, or in several streams.
     """
     if not inputs or not outputs:
+        lacking = f"no {'output' if inputs else 'input'} is named" if inputs or outputs else ""
         raise RecipeError(
-            "neither a recipe nor fields are given",
+            lacking or "neither a recipe nor fields are given",
             hint=f"--from FIELD --to FIELD, or --recipe; fields: {first_of(_fields(logs), SHOWN)}",
         )
     words = [*inputs, *outputs]
@@ -107,7 +109,7 @@ def quick_recipe(
     names = _distinct([places[word] for word in words])
     driven = [names[places[word]] for word in dict.fromkeys(inputs)]
     recipe = {
-        "name": "quick",
+        "name": QUICK,
         "description": f"{', '.join(inputs)} to {', '.join(outputs)}",
         "signals": {
             names[places[word]]: _signal(places[word], "zero" if word in inputs else "linear", row_period_s)
@@ -156,7 +158,7 @@ def find_field(logs: Sequence[Log], word: str) -> StreamField:
             return found[0]
     known = _fields(logs)
     near = difflib.get_close_matches(word, [*known, *(k.rpartition(".")[2] for k in known)], n=3)
-    hint = ", ".join(dict.fromkeys(near)) or f"fields: {first_of(known, SHOWN)}"
+    hint = ", ".join(dict.fromkeys(near)) or f"one of {first_of(known, SHOWN)}"
     raise RecipeError(f"no log has a field {word!r}", hint=hint)
 
 

@@ -25,6 +25,7 @@ from __future__ import annotations
 
 import dataclasses
 import difflib
+import re
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -280,7 +281,7 @@ def parse_recipe(document: Mapping[str, Any], where: str = "") -> Recipe:
     try:
         recipe = msgspec.convert(document, Recipe)
     except msgspec.ValidationError as error:
-        raise RecipeError(f"wrong value: {error}", path=where) from error
+        raise RecipeError(_in_words(str(error)), path=where) from error
     _check_sense(recipe, where)
     return recipe
 
@@ -301,6 +302,31 @@ def recipe_text(name: str) -> tuple[str, str]:
         raise RecipeError(f"cannot be read: {error.strerror}", path=name) from error
     except UnicodeDecodeError as error:
         raise RecipeError("not a text file in UTF-8", path=name, byte=error.start) from error
+
+
+_KINDS = {
+    "array": "a list",
+    "bool": "true or false",
+    "float": "a number",
+    "int": "a whole number",
+    "object": "a table",
+    "str": "text",
+}
+
+
+def _in_words(told: str) -> str:
+    """What msgspec says of a wrong value, in TOML's words."""
+    said, _, place = told.partition(" - at ")
+    place = place.strip("`").removeprefix("$").removeprefix(".").replace("[...]", ".NAME")
+    at = f" in [{place}]" if place else ""
+    if lacking := re.fullmatch("Object missing required field `(.+)`", said):
+        return f"{lacking[1]!r} is missing{at}"
+    if kinds := re.fullmatch("Expected `(.+)`, got `(.+)`", said):
+        wanted, got = (
+            " or ".join(_KINDS.get(k, k) for k in one.split(" | ") if k != "null") for one in kinds.groups()
+        )
+        return f"{place or 'a recipe'} must be {wanted}, not {got}"
+    return f"wrong value: {said}{at}"
 
 
 def _nearest(name: str, known: Sequence[str]) -> str:
@@ -347,6 +373,10 @@ def _entries(value: object, container: str) -> list[tuple[str, object]]:
     return [("", value)] if container == "one" else []
 
 
+def _unknown_unit(unit: str, name: str, where: str) -> RecipeError:
+    return RecipeError(f"unknown unit {unit!r} of {name!r}", path=where, hint="e.g. deg, rad, m/s, m, deg/s")
+
+
 def _check_sense(recipe: Recipe, where: str) -> None:
     """What types cannot say: names refer to something, units are known, numbers are positive."""
     if recipe.rate_hz != "auto" and not 0 < recipe.rate_hz < 1e6:
@@ -377,9 +407,7 @@ def _check_sense(recipe: Recipe, where: str) -> None:
     named: list[tuple[str, SignalSpec | Condition]] = [*recipe.signals.items()]
     for name, spec in [*named, *((c.name, c) for c in recipe.conditions)]:
         if not is_known(spec.unit):
-            raise RecipeError(
-                f"unknown unit {spec.unit!r} of {name!r}", path=where, hint="e.g. deg, rad, m/s, m, deg/s"
-            )
+            raise _unknown_unit(spec.unit, name, where)
         if not spec.sources:
             raise RecipeError(f"{name!r} has no sources", path=where)
         for source in spec.sources:
@@ -426,7 +454,7 @@ def _check_source(source: Source, name: str, where: str) -> None:
         verb = "needs" if transform.needs_yaw else "has no use for"
         raise RecipeError(f"transform {source.transform!r} of {name!r} {verb} a yaw source", path=where)
     if not is_known(source.unit):
-        raise RecipeError(f"unknown unit {source.unit!r} of {name!r}", path=where)
+        raise _unknown_unit(source.unit, name, where)
     if source.row_period_s is not None and not 0 < source.row_period_s < float("inf"):
         raise RecipeError(f"row_period_s of {name!r} must be positive, not {source.row_period_s}", path=where)
     if not abs(source.lag_s) < 1e6:

@@ -292,7 +292,9 @@ def _matrix(source: Source, table: pa.Table) -> FloatArray:
     for name in source.fields:
         values = column_values(table, name)
         if values.dtype.kind not in "fiub":
-            raise RecipeError(f"{source.stream}.{name} does not hold numbers")
+            raise RecipeError(
+                f"{source.stream}.{name} does not hold numbers", hint="choose a field of numbers"
+            )
         columns = values.astype(np.float64) * field_scale(schema_of(table, name))
         parts.append(columns if columns.ndim > 1 else columns[:, None])
     matrix = np.concatenate(parts, axis=1)
@@ -370,7 +372,9 @@ def _by_rows(source: Source, table: pa.Table) -> IntArray:
     times = int_values(table[TIME])
     numbered = (table.schema.metadata or {}).get(b"time_source") == ROW_NUMBER.encode()
     if numbered and source.row_period_s is None:
-        raise RecipeError("the table has no time column", hint="--dt SECONDS, or row_period_s in the recipe")
+        raise RecipeError(
+            "the table has no column that can be its time", hint="--dt SECONDS, or row_period_s in the recipe"
+        )
     if not numbered and source.row_period_s is not None:
         raise RecipeError("the log tells the time", hint="leave out --dt, or row_period_s in the recipe")
     return times if source.row_period_s is None else np.round(times * source.row_period_s).astype(np.int64)

@@ -129,12 +129,27 @@ def count_zeros(view: memoryview) -> int:
     return len(view)
 
 
+def _no_file(path: Path) -> FormatError:
+    """What is there instead of a file."""
+    if path.is_dir():
+        return FormatError(
+            "a folder, not a log", path=path, hint=f"flysid ingest {path} -o DATA reads all its logs"
+        )
+    if path.exists():
+        return FormatError("a pipe, socket or device, not a file", path=path, hint="give a log file")
+    if path.is_symlink():
+        return FormatError(
+            f"a link to {path.readlink()}, which is not there", path=path, hint="give the log itself"
+        )
+    return FormatError("no such file", path=path, hint="check its name and folder")
+
+
 @contextmanager
 def map_file(path: Path) -> Iterator[memoryview]:
     """The bytes of a file, memory-mapped. Raises FormatError where it is not a readable regular file."""
     try:
         if not path.is_file():
-            raise FormatError("not a regular file", path=path, hint="give a log file")
+            raise _no_file(path)
         with path.open("rb") as file:
             if path.stat().st_size == 0:
                 raise FormatError(

@@ -136,6 +136,15 @@ def _refuse_unknown(head: bytes, name: str) -> FormatError:
             hint="where it begins later, --format tlog or navdata; read are unencrypted UDP and TCP, over "
             "Ethernet, raw IP, loopback or Linux cooked capture",
         )
+    lower = name.lower()
+    kinds = [fmt.title for fmt in all_formats().values() if lower.endswith(fmt.suffixes)]
+    if kinds:
+        return FormatError(
+            f"its name says {kinds[0]}, its content does not",
+            path=name,
+            byte=0,
+            hint="check that the download or copy finished, and that it is a log",
+        )
     return FormatError(
         "not a flight log that flysid knows",
         path=name,
@@ -153,7 +162,7 @@ def format_of(log: OpenLog, limits: Limits) -> Format:
             "nothing but zeros",
             path=log.name,
             byte=0,
-            hint="the log was lost before it was written; copy it again",
+            hint="copy it from the vehicle again; if it is zeros there, too, it was never written",
         )
     return detect(log.head, log.name)
 

@@ -22,7 +22,7 @@ from flysid.ingest.align.vehicle import vehicle_named
 from flysid.ingest.formats.base import Limits
 from flysid.ingest.formats.opening import identify, locate, open_log
 from flysid.ingest.formats.registry import format_of
-from flysid.ingest.lake.finding import FoundLogs
+from flysid.ingest.lake.finding import FoundLogs, reason_of
 from flysid.ingest.lake.workers import Bounds, LostWorker, memory_reason, run_bounded
 from flysid.manifest import FLIGHTS, stamp_of
 from flysid.progress import part, tell
@@ -155,7 +155,7 @@ def _sorted_out(
         elif found.sha256 in known:
             settled.append(Result(found.path, known[found.sha256], unchanged=True))
         elif found.sha256 in waiting:
-            settled.append(Result(found.path, reason="the same content as another log of this run"))
+            settled.append(Result(found.path, reason=f"the same content as {waiting[found.sha256].path}"))
         else:
             waiting[found.sha256] = found
     return sorted(waiting.values(), key=lambda job: -job.size), settled
@@ -209,7 +209,7 @@ def hash_one(path: Path, limits: Limits) -> Job | Result:
     except MemoryError:
         return Result(path, reason=NO_MEMORY)
     except (FormatError, OSError) as error:
-        return Result(path, reason=getattr(error, "message", None) or str(error))
+        return Result(path, reason=reason_of(error))
 
 
 def ingest_one(job: Job, data: Path, limits: Limits, replace: bool, vehicle_in: str = "") -> Result:
@@ -231,9 +231,7 @@ def ingest_one(job: Job, data: Path, limits: Limits, replace: bool, vehicle_in: 
         raise WriteError(error.message, hint=need + error.hint, path=error.path) from error
     except MemoryError:
         return Result(job.path, reason=NO_MEMORY)
-    except FlysidError as error:
-        return Result(job.path, reason=error.advice)
-    except OSError as error:
-        return Result(job.path, reason=f"cannot be read: {error.strerror}")
+    except (FlysidError, OSError) as error:
+        return Result(job.path, reason=reason_of(error))
     except Exception as error:  # noqa: BLE001 - a reader's own fault must not cost the other logs
         return Result(job.path, reason=f"internal error, please report: {type(error).__name__}: {error}")

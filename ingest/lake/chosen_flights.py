@@ -159,7 +159,7 @@ def _vehicle_named(lake: Lake, part: str) -> str:
     raise UsageError(
         f"{part!r} names {len(found)} vehicles" if found else f"no vehicle {part!r} in these flights",
         path=lake.address or lake.folder,
-        hint="; ".join((found or names)[:SHOWN]) or "the logs do not name their vehicle",
+        hint="; ".join((found or names)[:SHOWN]) or "leave out --vehicle: the logs do not name theirs",
     )
 
 

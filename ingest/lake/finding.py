@@ -21,7 +21,7 @@ from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from flysid.errors import FormatError, UsageError
+from flysid.errors import FlysidError, FormatError, UsageError
 from flysid.ingest.formats.common.zip_members import read_archive
 from flysid.ingest.formats.opening import begins_archive, head_of, is_archive, names_log, own_name
 from flysid.ingest.formats.recognised import TEXT, kind_of, packing_of, stranger
@@ -85,7 +85,8 @@ def find_logs(given: Sequence[str | Path], bounds: Bounds | None = None) -> Foun
         raise UsageError(
             NOTHING,
             path=", ".join(str(path) for path in search.unread),
-            hint="suffixes looked for: " + " ".join(sorted(known_suffixes()))
+            hint="name the log itself; in a folder, names of logs end in "
+            + " ".join(sorted(known_suffixes()))
             if taken_in is None
             else f"this is an ingested folder: 'flysid ls {taken_in}' lists its flights",
         )
@@ -101,7 +102,7 @@ def _expand(item: str) -> list[Path]:
         found = sorted(glob.glob(item, recursive=True))
         if found:
             return [Path(name) for name in found]
-        raise UsageError("the pattern matches nothing", path=item)
+        raise UsageError("the pattern matches nothing", path=item, hint="ls shows what is there")
     raise UsageError(
         "no such file or folder", path=item, hint="'flysid ingest LOG... -o DATA' makes a folder of flights"
     )
@@ -212,7 +213,7 @@ class _LogSearch:
         elif kind and kind != TEXT:
             self._pass(path, kind)
         elif packing := packing_of(head):
-            self._fail(path, f"uses a compression method that is not supported ({packing}); unpack it first")
+            self._fail(path, f"packed as {packing}, which is not read; unpack it first")
         elif confidence_of(head, name) >= SURE:
             self.paths[path] = None
         elif kind:
@@ -243,6 +244,6 @@ def _inside_of(path: Path) -> _LogSearch:
     return inside
 
 
-def reason_of(error: FormatError | OSError) -> str:
-    """Why a file could not be read, in a few words."""
-    return error.message if isinstance(error, FormatError) else f"cannot be read: {error.strerror}"
+def reason_of(error: FlysidError | OSError) -> str:
+    """Why a file could not be read, and what to try."""
+    return error.advice if isinstance(error, FlysidError) else f"cannot be read: {error.strerror}"

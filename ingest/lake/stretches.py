@@ -228,8 +228,9 @@ def _in_modes(log: Log, modes: Sequence[str]) -> Allowed:
     said = " or ".join(modes)
     if any(spans.values()):
         return Allowed(spans, (f"only in {said}, as asked",))
-    flown = ", ".join(dict.fromkeys(change.text for change in changes)) or "does not say"
-    return Allowed(spans, never=(f"mode {said} never holds: the log has {flown}",))
+    flown = ", ".join(dict.fromkeys(change.text for change in changes))
+    told = f"the modes of the log are {flown}" if flown else "the log states no modes"
+    return Allowed(spans, never=(f"mode {said} never holds: {told}",))
 
 
 def _without_mishaps(log: Log) -> Allowed:

@@ -17,7 +17,7 @@ from flysid.dataset import FloatArray
 from flysid.errors import RecipeError, UsageError
 from flysid.flight import BOOT, RECEIVED, TIME, field_scale, field_unit
 from flysid.flightwriter import float_values
-from flysid.ingest.align.allowed import Allowed
+from flysid.ingest.align.allowed import CHOOSE_AGAIN, Allowed
 from flysid.ingest.align.recipe import Recipe
 from flysid.ingest.align.resample import GAP_PERIODS, period_ns
 from flysid.ingest.align.signals import Log, Samples, load_signal
@@ -175,7 +175,7 @@ def lay_out(log: Log, panels: Sequence[Sequence[Curve]], allowed: Allowed = Allo
     UsageError : nothing of the curves lies in it.
     """
     if allowed.never:
-        raise UsageError(allowed.never[0], path=log.name, hint="leave out --mode, or name one of these")
+        raise UsageError(allowed.never[0], path=log.name, hint=CHOOSE_AGAIN)
     curves = [curve for panel in panels for curve in panel]
     offsets = _boot_offsets([curve.boots for curve in curves])
     drawn = tuple(tuple(_trace(_kept(curve, allowed), offsets) for curve in panel) for panel in panels)
@@ -239,7 +239,8 @@ def _nothing(pattern: str, log: Log, *, most: int = 8) -> UsageError:
     names = [f"{s.rpartition('/')[2]}.{c}" for s, c in _columns(log)]
     streams = list(dict.fromkeys(name.partition(".")[0] for name in names))
     inside = [n for n in names if n.partition(".")[0] == pattern.partition(".")[0]]
-    near = inside or difflib.get_close_matches(pattern, [*names, *streams], n=5, cutoff=0.4) or streams
+    near = inside or difflib.get_close_matches(pattern, [*names, *streams], n=5, cutoff=0.4)
+    near = near or (names if len(names) <= most else streams)
     return UsageError(f"no numeric field {pattern!r} in the log", path=log.name, hint=first_of(near, most))
 
 

@@ -121,12 +121,18 @@ class Order:
         plan_named(self.plan)
         if not 1.0 <= self.duration_s <= 86400.0:
             raise UsageError(f"a flight of {self.duration_s:g} s", hint="between 1 s and 86400 s")
-        if not (0.0 <= self.noise < np.inf and 0.0 < self.amplitude < np.inf):
-            raise UsageError("noise must not be negative, the amplitude must be positive")
-        if self.seed < 0 or any(start < 0 or length <= 0 for start, length in self.dropouts_s):
-            raise UsageError(
-                "seeds and the starts of drop-outs must not be negative, lengths must be positive"
-            )
+        if not 0.0 <= self.noise < np.inf:
+            raise UsageError(f"a noise of {self.noise:g} m/s", hint="0 or more")
+        if not 0.0 < self.amplitude < np.inf:
+            raise UsageError(f"{self.amplitude:g} times the plan's amplitudes", hint="a factor above 0")
+        if self.seed < 0:
+            raise UsageError(f"a seed of {self.seed}", hint="0 or more")
+        for start, length in self.dropouts_s:
+            if not 0.0 <= start < self.duration_s or length <= 0.0:
+                raise UsageError(
+                    f"a dropout at {start:g} s of {length:g} s in a flight of {self.duration_s:g} s",
+                    hint="a start inside the flight, a length above 0 s",
+                )
         if not 1 <= self.fleet <= 250:
             raise UsageError(f"a fleet of {self.fleet}", hint="1 to 250 vehicles")
         if (self.wind_m_s or self.gusts or self.without or self.changes) and not VEHICLES[self.plant].effects:

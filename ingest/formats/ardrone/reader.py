@@ -357,7 +357,12 @@ def read(view: memoryview, name: str, limits: Limits) -> Parts:
         rows_seen += part.table.num_rows
         yield part
     if not rows_seen:
-        raise FormatError("no navdata packet with a valid checksum", path=name, byte=0)
+        raise FormatError(
+            "no navdata packet with a valid checksum",
+            path=name,
+            byte=0,
+            hint="check that this is a log of an AR.Drone's navdata",
+        )
     return Summary(decoder.tally.freeze(), _clocks(decoder), _about(capture, decoder.tally))
 
 

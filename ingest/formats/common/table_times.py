@@ -27,8 +27,8 @@ TIME_UNITS_NS: Mapping[str, int] = {
 }
 GUESSED = ("s", "ms", "us", "ns")  # minutes and hours are stated or told
 UNUSED = (
-    "called a time, and none that can be used: numbers or stamps that rise, in at least half of the rows; "
-    "rows count as 1 s each"
+    "named like a time, and not used as one: its values do not rise, or fewer than half of the rows have "
+    "one; rows count as 1 s each"
 )
 MOSTLY = 0.9  # of the steps of a time go forwards, or none
 MOVING = 0.25  # of them go forwards: several rows may share a time, but not many

@@ -87,7 +87,12 @@ def read(view: memoryview, name: str, limits: Limits) -> Parts:
         reader.tally.truncated |= lines.is_cut
         reader.tally.skip(lines.end, lines.stop, lines.fault)
     if not count:
-        raise FormatError("no line is a message of mavlogdump", path=name, byte=0)
+        raise FormatError(
+            "no line is a message of mavlogdump",
+            path=name,
+            byte=0,
+            hint="write it with: mavlogdump.py --format json",
+        )
     for source, rejected in reader.time.outliers.items():
         reader.tally.time_outliers[_stream(reader, source)] += rejected
     for source, late in reader.time.out_of_order.items():

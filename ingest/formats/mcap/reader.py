@@ -91,6 +91,7 @@ def read(view: memoryview, name: str, limits: Limits) -> Parts:
             "no message in this MCAP file can be read" + (f": {why.reason}" if why else ""),
             path=name,
             byte=why.start if why else 0,
+            hint="check that this is an MCAP file, and that the download or copy finished",
         )
     return Summary(damage, topics.clocks(), {**reader.info, **topics.notes()})
 

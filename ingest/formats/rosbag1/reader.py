@@ -71,7 +71,10 @@ def read(view: memoryview, name: str, limits: Limits) -> Parts:
     yield from gather(_messages(view, reader, tally), topics, limits.batch_bytes, view, lambda: reader.place)
     if not reader.seen:
         raise FormatError(
-            "no record in this bag can be read", path=name, byte=0, hint="is the copy complete?"
+            "no record in this bag can be read",
+            path=name,
+            byte=0,
+            hint="check that the download or copy finished",
         )
     return Summary(tally.freeze(), topics.clocks(), topics.notes())
 

@@ -48,7 +48,7 @@ def read(view: memoryview, name: str, limits: Limits) -> Parts:
         raise FormatError(
             "no table of messages in this SQLite file",
             path=name,
-            hint="is it a ROS 2 bag, and is the copy complete?",
+            hint="check that this is a ROS 2 bag, and that the download or copy finished",
         )
     return Summary(tally.freeze(), topics.clocks(), {**bag.info, **topics.notes()})
 

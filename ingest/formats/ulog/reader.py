@@ -320,7 +320,12 @@ def read(view: memoryview, name: str, limits: Limits) -> Parts:
     FormatError : it is not a ULog, or nothing in it can be read.
     """
     if len(view) < FILE_HEAD_BYTES or bytes(view[:4]) != MAGIC[:4]:
-        raise FormatError("not a ULog: the header is missing or cut", path=name, byte=0)
+        raise FormatError(
+            "not a ULog: the header is missing or cut",
+            path=name,
+            byte=0,
+            hint="check that the download or copy finished",
+        )
     tally = Tally()
     reader = UlogReader(view, limits, tally)
     yield from reader.parts()

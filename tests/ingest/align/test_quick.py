@@ -49,7 +49,7 @@ def test_a_table_becomes_a_channel_with_its_units(tmp_path: Path) -> None:
 def test_rows_without_a_time_need_their_period_and_others_refuse_it(tmp_path: Path) -> None:
     flight = table(tmp_path / "a.csv", "u,y", timed=False)
     assert align([flight], recipe_of(flight, "u", "y", dt=4.0), "y").dataset.dt_s == 4.0
-    with pytest.raises(RecipeError, match="no time column") as error:
+    with pytest.raises(RecipeError, match="no column that can be its time") as error:
         align([flight], recipe_of(flight, "u", "y"), "y")
     assert "--dt" in error.value.hint
     timed = table(tmp_path / "b.csv", "time,u,y")

@@ -97,7 +97,7 @@ def test_a_mode_lasts_until_the_next_and_one_never_flown_is_named() -> None:
     assert Stretches(modes=("loiter",)).allowed(modes).spans == {0: [(START + 20 * S, START + 40 * S)]}
     never = Stretches(modes=("ACRO",)).allowed(modes)
     assert never.spans == {0: []}
-    assert never.never == ("mode ACRO never holds: the log has STABILIZE, LOITER",)
+    assert never.never == ("mode ACRO never holds: the modes of the log are STABILIZE, LOITER",)
 
 
 def test_a_failsafe_is_left_out_until_it_ends_and_a_crash_for_good() -> None:

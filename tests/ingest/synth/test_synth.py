@@ -136,7 +136,7 @@ def test_noise_is_on_the_velocities_only(recording: Recording) -> None:
         ({"duration_s": float("nan")}, "flight of nan s"),
         ({"noise": -1.0}, "noise"),
         ({"amplitude": float("inf")}, "amplitude"),
-        ({"dropouts_s": ((1.0, 0.0),)}, "drop-outs"),
+        ({"dropouts_s": ((1.0, 0.0),)}, "a dropout at 1 s of 0 s"),
     ],
 )
 def test_orders_that_cannot_be_flown_are_refused(changes: dict[str, object], message: str) -> None:
@@ -163,7 +163,7 @@ def test_the_command_prints_paths_and_overwrites_only_when_told(tmp_path: Path) 
     [
         (["--plan", "multisin"], "no flight plan 'multisin'"),
         (["--format", "csv"], "no format 'csv'"),
-        (["--dropout", "20"], "no drop-out '20'"),
+        (["--dropout", "20"], "no dropout '20'"),
     ],
 )
 def test_wrong_usage_is_named(extra: list[str], message: str, tmp_path: Path) -> None:
