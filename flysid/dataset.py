@@ -136,8 +136,8 @@ class Dataset:
             shape = (segment.u.shape[1], segment.y.shape[1])
             if shape != (len(self.inputs), len(self.outputs)):
                 raise DataError(
-                    f"a segment has {shape[0]} inputs and {shape[1]} outputs; "
-                    f"the dataset has {len(self.inputs)} and {len(self.outputs)}"
+                    f"a segment has {_signal_counts(*shape)}; "
+                    f"the dataset has {_signal_counts(len(self.inputs), len(self.outputs))}"
                 )
 
     @classmethod
@@ -163,7 +163,7 @@ class Dataset:
         us = _as_segments(u)
         ys = _as_segments(y)
         if len(us) != len(ys):
-            raise UsageError(f"u has {len(us)} segments and y has {len(ys)}")
+            raise UsageError(f"u has {counted(len(us), 'segment')} and y has {len(ys)}")
         segments = tuple(
             Segment(ui, yi, flight=f"segment-{i}") for i, (ui, yi) in enumerate(zip(us, ys, strict=True))
         )
@@ -287,9 +287,13 @@ def _as_segments(values: npt.ArrayLike | Sequence[npt.ArrayLike]) -> list[FloatA
     return [np.asarray(values, dtype=np.float64)]
 
 
+def _signal_counts(inputs: int, outputs: int) -> str:
+    return f"{counted(inputs, 'input')} and {counted(outputs, 'output')}"
+
+
 def _signals(given: Sequence[Signal | str] | None, count: int, letter: str) -> tuple[Signal, ...]:
     if given is None:
         return tuple(Signal(letter if count == 1 else f"{letter}{i + 1}") for i in range(count))
     if len(given) != count:
-        raise UsageError(f"{len(given)} names for {count} signals")
+        raise UsageError(f"{counted(len(given), 'name')} for {counted(count, 'signal')}")
     return tuple(s if isinstance(s, Signal) else Signal(s) for s in given)

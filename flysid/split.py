@@ -16,6 +16,7 @@ import numpy.typing as npt
 
 from flysid.copies import find_copy
 from flysid.errors import DataError, StoreError, UsageError
+from flysid.showing import counted
 from flysid.stretch import FloatArray, Stretch
 
 By = Literal["auto", "flight", "time"]
@@ -157,8 +158,8 @@ def plan_split(
     if not train or not test:
         raise DataError(
             f"too little data to hold out {100.0 * holdout:.0f} % by {way}: "
-            f"{sum(len(s.y) for s in data.segments)} samples in {len(data.segments)} segments",
-            hint="add flights, or shorten the guard",
+            f"{sum(len(s.y) for s in data.segments)} samples in {counted(len(data.segments), 'segment')}",
+            hint="add flights, or longer ones",
         )
     refuse_copies(data, train, test)
     return _split_of(data, way, seed, holdout, guard if way == "time" else 0.0, (train, test))

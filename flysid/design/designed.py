@@ -17,6 +17,7 @@ from flysid.design.gain_search import Bounds
 from flysid.design.law import TUNED, Gains, LoopParts
 from flysid.design.loopfigures import Laws, figures
 from flysid.errors import StoreError, UsageError
+from flysid.showing import counted
 
 FORMAT = "flysid-design"
 VERSION = 1
@@ -130,7 +131,7 @@ class Axis:
         """For people: gains and what they mean."""
         low, high = self.band_hz
         told = [
-            f"{self.channel}: {self.input} -> {self.output}, {len(self.plants)} plants; "
+            f"{self.channel}: {self.input} -> {self.output}, {counted(len(self.plants), 'plant')}; "
             f"known from {low:.2f} to {high:.2f} Hz"
         ]
         noise = f"1 {self.units[1]} of noise moves {self.input} by at most {{:.3g}} {self.units[0]}"

@@ -18,6 +18,7 @@ from flysid.errors import UsageError
 from flysid.model.base import Fitted
 from flysid.model.capabilities import LinearModel, LocallyLinear
 from flysid.model.polynomials import Z95
+from flysid.showing import counted
 
 SPEEDS = (0.05, 0.25, 0.5, 0.75, 0.95)
 """Quantiles of the output at which a model of rules is linearised."""
@@ -94,7 +95,8 @@ def plants_of(models: Mapping[str, Fitted], train: Dataset, band: tuple[float, f
     """
     if len(train.inputs) != 1 or len(train.outputs) != 1:
         raise UsageError(
-            f"the channel {train.name!r} has {len(train.inputs)} inputs and {len(train.outputs)} outputs",
+            f"the channel {train.name!r} has {counted(len(train.inputs), 'input')} and "
+            f"{counted(len(train.outputs), 'output')}",
             hint="a loop is designed for one input and one output",
         )
     omega = grid(train.dt_s)
@@ -108,8 +110,8 @@ def plants_of(models: Mapping[str, Fitted], train: Dataset, band: tuple[float, f
                 found[name] = response
     if not found:
         raise UsageError(
-            f"no model of {train.name!r} has a stable linear picture",
-            hint="fit one: flysid fit --model oe",
+            f"no model of {train.name!r} is stable",
+            hint="fit one: flysid fit DATA --recipe R --models oe -o RUN",
         )
     return PlantSet(train.dt_s, omega, tuple(found), np.array(list(found.values())), tuple(dropped))
 

@@ -13,6 +13,7 @@ from flysid.loops.blackbox_loops import LARGEST_SHARE
 from flysid.model.base import Fitted
 from flysid.model.capabilities import LinearModel
 from flysid.model.frequency.response import measure_response
+from flysid.showing import counted
 from flysid.validate.compare_models import compare
 from flysid.validate.run import HeldOut
 from flysid.validate.trials import FREE_RUN
@@ -81,7 +82,8 @@ def identify(item: HeldOut, limit: float | None) -> Identified:
 def _check_units(train: Dataset) -> None:
     if len(train.inputs) != 1 or len(train.outputs) != 1:
         raise DataError(
-            f"{len(train.inputs)} inputs and {len(train.outputs)} outputs are not a single loop",
+            f"{counted(len(train.inputs), 'input')} and {counted(len(train.outputs), 'output')} "
+            "are not a single loop",
             hint="choose a channel from one tilt to one velocity",
         )
     if train.outputs[0].unit != SPEED:

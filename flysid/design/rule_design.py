@@ -16,6 +16,7 @@ from flysid.design.rule_plants import RuleLaw, rule_plant
 from flysid.errors import DataError, UsageError
 from flysid.model.base import kind_of
 from flysid.progress import tell
+from flysid.showing import counted
 from flysid.validate.run import Run, held_out
 
 FORMAT = "flysid-rule-gains"
@@ -45,7 +46,7 @@ class RuleAxis:
         u, v = self.units
         return [
             f"{self.channel}: gains for {len(self.law.gains)} rules of {self.model!r} over "
-            f"{self.law.plant.order} measured states, proved",
+            f"{counted(self.law.plant.order, 'measured state')}, proved",
             f"  at worst: Ms {self.ms:.2f}, peak {self.peak:.2f}, squared error of a step "
             f"{self.tracking:.2f} m^2 s, 1 {v} of noise moves the input by {self.noise:.3g} {u}",
             f"  the input stays inside its limit from errors of position up to {self.law.reach_m:.1f} m",

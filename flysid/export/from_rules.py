@@ -9,6 +9,7 @@ from flysid.export.program import Memberships, Program
 from flysid.model.rules.fitted import FittedTS
 from flysid.model.rules.kernel import Lags
 from flysid.model.static_ts import FittedStaticTS
+from flysid.showing import counted
 
 
 def program_of_rules(model: FittedTS) -> Program:
@@ -19,7 +20,7 @@ def program_of_rules(model: FittedTS) -> Program:
     hidden = tuple(s for s in layout.signals if s not in (*model.outputs, *model.inputs))
     count = len(parameters.theta)
     return Program(
-        title=f"Takagi-Sugeno model, {count} rule{'s' if count > 1 else ''}",
+        title=f"Takagi-Sugeno model, {counted(count, 'rule')}",
         dt_s=model.dt_s,
         inputs=model.inputs,
         outputs=model.outputs,
@@ -54,7 +55,7 @@ def static_program(model: FittedStaticTS) -> Program:
     count = len(p)
     far = np.abs(model.output_limits).max() * 1e6 + 1.0
     return Program(
-        title=f"Static Takagi-Sugeno model, {count} rule{'s' if count > 1 else ''}",
+        title=f"Static Takagi-Sugeno model, {counted(count, 'rule')}",
         dt_s=model.dt_s,
         inputs=model.inputs,
         outputs=model.outputs,

@@ -8,6 +8,7 @@ from flysid.export.program import Operation, Place, Program, Worked
 from flysid.model.narx.fitted_polynomial import FittedPolyNARX
 from flysid.model.narx.polynomial_terms import Factor
 from flysid.model.rules.kernel import Lags
+from flysid.showing import counted
 
 
 def polynomial_program(model: FittedPolyNARX) -> Program:
@@ -36,7 +37,7 @@ def polynomial_program(model: FittedPolyNARX) -> Program:
     columns, lags = np.array(regressors, dtype=np.int64).T
     none = np.zeros(0, dtype=np.int64)
     return Program(
-        title=f"Polynomial NARX model, {len(model.terms)} terms",
+        title=f"Polynomial NARX model, {counted(len(model.terms), 'term')}",
         dt_s=model.dt_s,
         inputs=model.inputs,
         outputs=model.outputs,

@@ -255,8 +255,9 @@ class SerialLink(StreamLink):
     def __init__(self, target: Target) -> None:
         super().__init__(target)
         if not Path(target.place).exists():
-            there = ", ".join(sorted(map(str, Path("/dev").glob("tty[AU]*")))) or "none that looks like one"
-            raise UsageError(f"no serial port {target.place}", hint=f"there are: {there}")
+            there = ", ".join(sorted(map(str, Path("/dev").glob("tty[AU]*"))))
+            hint = f"one of {there}" if there else "connect it; no /dev/ttyUSB, ttyACM or ttyAMA is there"
+            raise UsageError(f"no serial port {target.place}", hint=hint)
         self._handle = self._opened()
 
     def _opened(self) -> int:

@@ -8,6 +8,7 @@ from typing import Literal
 
 from flysid.loops.judged import Judged
 from flysid.loops.margins import Figure, Margins
+from flysid.showing import counted
 
 HEADINGS = ("AXIS", "GAINS", "FLIGHTS", "CROSSOVER, Hz", "PHASE, deg", "GAIN, dB", "Ms", "BANDWIDTH, Hz")
 Best = Literal["phase_deg", "bandwidth_hz"]
@@ -65,5 +66,5 @@ def _best(known: Sequence[tuple[Judged, Margins]], name: Best, words: str, form:
         return f"{words}: not determined"
     best, top = max(figures, key=lambda pair: pair[1].value)
     near = sum(1 for judged, figure in figures if judged is not best and figure.high >= top.low)
-    rest = f", no clear difference to {near} of {len(figures) - 1} others" if near else ", clearly"
+    rest = f", no clear difference to {near} of {counted(len(figures) - 1, 'other')}" if near else ", clearly"
     return f"{words} at {_gains(best)}: {top.said(form, unit)}{rest}"

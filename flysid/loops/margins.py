@@ -94,7 +94,7 @@ def trusted_band(loop: Loop, *, lowest_hz: float = 1.5) -> tuple[float, float]:
     last = first + int(wrong[0]) - 1 if len(wrong) else len(known) - 1
     if last - first <= POWERS:  # no more lines than `smooth` has coefficients
         raise DataError(
-            f"the plant is known between {loop.f[first]:.0f} and {loop.f[last]:.0f} Hz alone",
+            f"the plant is known between {loop.f[first]:.0f} and {loop.f[last]:.0f} Hz only",
             hint="fly quick stick movements on this axis, a minute of them, in calm air",
         )
     return float(loop.f[first]), float(loop.f[last])

@@ -55,7 +55,7 @@ def predict(flights: Sequence[Loop], controller: Controller) -> Prediction:
     """
     if len(flights) < 3:
         raise DataError(
-            f"{len(flights)} flights are too few to estimate the scatter between flights",
+            f"too few flights to estimate the scatter between them: {len(flights)}",
             hint="give three flights or more",
         )
     f = flights[0].f

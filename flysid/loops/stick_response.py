@@ -22,6 +22,7 @@ import numpy.typing as npt
 
 from flysid.dataset import FloatArray
 from flysid.errors import DataError
+from flysid.showing import counted
 
 ComplexArray = npt.NDArray[np.complex128]
 OVERLAP = 0.5
@@ -82,7 +83,8 @@ class Loop:
         if sum(len(b) for b in blocks) < LEAST_BLOCKS:
             block_s = window_s * (1.0 + (TOGETHER - 1) * (1.0 - OVERLAP))
             raise DataError(
-                f"the flight is too short to identify a loop: {sum(len(b) for b in blocks)} blocks of "
+                f"the flight is too short to identify a loop: "
+                f"{counted(sum(len(b) for b in blocks), 'block')} of "
                 f"{block_s:g} s without gaps, {LEAST_BLOCKS} are needed",
                 hint="fly half a minute with stick movements",
             )

@@ -29,6 +29,7 @@ from flysid.outside.sampled import (
     side_by_side,
 )
 from flysid.outside.stored import CLASS
+from flysid.showing import counted
 
 NAMES: Mapping[str, tuple[str, ...]] = {
     "ts": ("ts", "dt", "dt_s"),
@@ -143,7 +144,8 @@ def linear_model(fields: Mapping[str, Any], like: Like, source: str) -> FittedSt
     _, b, c, d = matrices
     if (b.shape[1], len(c)) != (len(like.inputs), len(like.outputs)):
         raise UsageError(
-            f"the model has {b.shape[1]} input(s) and {len(c)} output(s), the data {like.words}",
+            f"the model has {counted(b.shape[1], 'input')} and {counted(len(c), 'output')}, "
+            f"the data {like.words}",
             hint="name the channel that it is a model of: CHANNEL/LABEL=FILE",
         )
     ins = match(like.inputs, parts.words("inputname"), parts.words("inputunit"), "input")
@@ -327,7 +329,7 @@ def _offsets(parts: _Parts, name: str, count: int) -> FloatArray:
     if value is None:
         return np.zeros(count)
     if value.size != count:
-        raise UsageError(f"{name} has {value.size} number(s), not {count}")
+        raise UsageError(f"{name} has {counted(value.size, 'number')}, not {count}")
     return value.reshape(count)
 
 

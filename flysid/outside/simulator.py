@@ -16,7 +16,7 @@ import numpy as np
 
 from flysid.dataset import FloatArray, Signal
 from flysid.errors import UsageError
-from flysid.model.arguments import as_columns, as_record
+from flysid.model.arguments import as_columns, as_record, check_start
 from flysid.model.base import Rule
 from flysid.model.freerun import saturate
 from flysid.model.noise import output_error_ahead
@@ -101,8 +101,7 @@ class Simulated(FreeRuns):
             return self._run(u, self.simulator.start)
         n = self.n_init
         y0 = as_columns(y0, len(self.outputs), "y0")
-        if len(y0) < min(n, len(u)):
-            raise UsageError(f"a simulation starts from {n} measured outputs, not {len(y0)}")
+        check_start(len(y0), min(n, len(u)))
         if len(u) <= n:
             return np.array(y0[: len(u)])
         run = self.run_from_measured(u, y0[:n])

@@ -15,6 +15,7 @@ import numpy as np
 
 from flysid.errors import FormatError, UsageError
 from flysid.outside.matlab_text import Call, read_matlab_text
+from flysid.showing import counted
 
 MAX_FILE_BYTES = 64 << 20
 CLASS = "class"
@@ -111,7 +112,7 @@ def _text(content: bytes) -> Mapping[str, Any]:
         raise FormatError(f"{call.name}() is not known", hint=f"one of {', '.join(ARGUMENTS)}")
     names = ARGUMENTS[call.name]
     if len(call.arguments) > len(names):
-        raise FormatError(f"{call.name}() takes {len(names)} arguments, not {len(call.arguments)}")
+        raise FormatError(f"{call.name}() takes {counted(len(names), 'argument')}, not {len(call.arguments)}")
     fields = dict(zip(names, call.arguments, strict=False)) | {CLASS: call.name}
     if call.name == "idpoly" and "a" in fields and len(call.arguments) == 1:
         raise FormatError("a time series has no inputs", hint="save a model with inputs")

@@ -21,6 +21,7 @@ from flysid.plan.multisines import (
     shared_out,
     sum_of_lines,
 )
+from flysid.showing import counted
 
 Kind = Literal["multisine", "chirp", "doublets"]
 
@@ -185,7 +186,7 @@ def _check(
         raise UsageError(f"{seconds:g} s at {rate_hz:g} Hz is not a flight")
     if high >= 0.5 * rate_hz:
         raise UsageError(
-            f"the band goes to {high:g} Hz; {rate_hz:g} rows a second show less than {0.5 * rate_hz:g} Hz",
+            f"the band goes to {high:g} Hz; {rate_hz:g} Hz of rows show less than {0.5 * rate_hz:g} Hz",
             hint=f"--rate {5 * high:g}, or a band that ends below {0.5 * rate_hz:g} Hz",
         )
     if seconds * rate_hz > MOST_SAMPLES:
@@ -199,8 +200,9 @@ def _lines(axes: int, band_hz: tuple[float, float], seconds: float) -> list[Line
     lines = np.arange(first, math.floor(high * seconds + 1e-9) + 1)
     enough = max(CYCLES / low, (LINES_AN_AXIS * axes + 1) / (high - low))
     if first < CYCLES or len(lines) < LINES_AN_AXIS * axes:
+        of_axes = "1 axis" if axes == 1 else f"{axes} axes"
         raise UsageError(
-            f"{seconds:g} s are too short: {len(lines)} frequencies for {axes} axes between {low:g} and "
+            f"{seconds:g} s is too short: {len(lines)} frequencies for {of_axes} between {low:g} and "
             f"{high:g} Hz, the lowest {low * seconds:.2g} times",
             hint=f"--seconds {math.ceil(enough)}, fewer axes at once, or a band that begins higher",
         )
@@ -218,7 +220,7 @@ def _chirp(time_s: FloatArray, band_hz: tuple[float, float], peak: float) -> Flo
     length = len(time_s) * (time_s[1] - time_s[0]) if len(time_s) > 1 else 0.0
     if length < 2 * CYCLES / low:
         raise UsageError(
-            f"{length:g} s an axis are too short for a sweep from {low:g} Hz",
+            f"{length:g} s an axis is too short for a sweep from {low:g} Hz",
             hint=f"{2 * CYCLES / low:g} s for every axis, or a band that begins higher",
         )
     swell = np.minimum(1.0, time_s * low)
@@ -232,7 +234,8 @@ def _doublets(time_s: FloatArray, band_hz: tuple[float, float], peak: float) -> 
     starts = np.arange(pulse_s, time_s[-1] - 4.0 * pulse_s if len(time_s) else 0.0, 4.0 * pulse_s)
     if len(starts) < CYCLES:
         raise UsageError(
-            f"room for {len(starts)} doublets of {2 * pulse_s:.2g} s an axis; {CYCLES} are the least",
+            f"room for {counted(len(starts), 'doublet')} of {2 * pulse_s:.2g} s an axis; "
+            f"{CYCLES} are the least",
             hint=f"{math.ceil((4 * CYCLES + 6) * pulse_s)} s for every axis, or a band that begins higher",
         )
     shapes = [manoeuvres.doublet(time_s, s, pulse_s, peak * (-1) ** k) for k, s in enumerate(starts)]

@@ -24,6 +24,7 @@ from flysid.fleet.models.common_grid import Sampling
 from flysid.fleet.models.groups import Response, fit_group, response_of
 from flysid.fleet.models.scatter import PER_NUMBER, Scatter, Tail, pool, tail_of
 from flysid.fleet.models.triangles import Triangle
+from flysid.showing import counted
 
 Question = Literal["changed", "unlike"]
 
@@ -108,7 +109,8 @@ def judge_channel(
     """
     if len(sampling.inputs) != 1 or len(sampling.outputs) != 1:
         raise DataError(
-            f"channel {channel!r} has {len(sampling.inputs)} inputs and {len(sampling.outputs)} outputs",
+            f"channel {channel!r} has {counted(len(sampling.inputs), 'input')} and "
+            f"{counted(len(sampling.outputs), 'output')}",
             hint="responses are compared from one input to one output",
         )
     useful = [p for p in parts if p.triangle.rows]

@@ -180,7 +180,7 @@ def test_a_prediction_for_other_gains_holds_on_another_vehicle_of_the_kind() -> 
 
 def test_two_flights_do_not_tell_how_flights_differ() -> None:
     loop = Loop.of([fly(Vehicle(), PID, 30.0, 1)])
-    with pytest.raises(DataError, match="2 flights are too few"):
+    with pytest.raises(DataError, match="too few flights"):
         predict([loop, loop], PID)
 
 
