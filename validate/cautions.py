@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 
 from flysid.feedback import BIASED, REMEDY
 from flysid.ingest.align.doubts import Doubt
+from flysid.showing import counted
 from flysid.validate.caution import Caution, Comparisons, Diagnoses, heads, join
 from flysid.validate.caution_data import in_the_data
 from flysid.validate.caution_models import (
@@ -89,7 +90,8 @@ def _diverged(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterator[Cautio
             if score.diverged:
                 first = min(score.diverged, key=lambda s: s.diverged_s or 0.0)
                 said.setdefault((name in heads(c), name), []).append(
-                    f"{channel}, in {len(score.diverged)} of {len(score.segments)} held-out segments, "
+                    f"{channel}, in {len(score.diverged)} of "
+                    f"{counted(len(score.segments), 'held-out segment')}, "
                     f"first at t = {first.diverged_s:.1f} s ({one_line(c.segments[first.segment])})"
                 )
     for (headline, name), where in said.items():
@@ -348,7 +350,7 @@ def _unused(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterator[Caution]
     if short:
         yield Caution(
             "note",
-            f"{short} held-out segment{'s' if short > 1 else ''} too short to score "
+            f"{counted(short, 'held-out segment')} too short to score "
             f"{'were' if short > 1 else 'was'} left out.",
             "log without gaps, or hold out longer segments.",
             0.7,

@@ -244,7 +244,7 @@ def _name(models: Sequence[Fitted]) -> dict[str, Fitted]:
 
 def _baseline(models: Mapping[str, Fitted], wanted: str | None) -> str:
     if wanted is not None and wanted not in models:
-        raise UsageError(f"the baseline {wanted!r} is not among the models {sorted(models)}")
+        raise UsageError(f"the baseline {wanted!r} is not among the models: {', '.join(sorted(models))}")
     return wanted or (FIRST if FIRST in models else next(iter(models)))
 
 

@@ -16,6 +16,7 @@ from flysid.copies import find_copy
 from flysid.dataset import Dataset, FloatArray, Segment, Signal
 from flysid.datasetfile import DatasetFile, Entry
 from flysid.errors import DataError
+from flysid.showing import counted
 from flysid.split import (
     BLOCKS,
     MIN_FLIGHTS,
@@ -153,7 +154,7 @@ def plan_on_disk(file: DatasetFile, *, holdout: float, by: By = "auto", seed: in
     if not train or not test:
         raise DataError(
             f"too little data to hold out {100.0 * holdout:.0f} % by {way}: {len(file)} samples in "
-            f"{len(entries)} segments",
+            f"{counted(len(entries), 'segment')}",
             hint="add flights, or longer ones",
         )
     _refuse_copies(file, train, test)

@@ -9,6 +9,7 @@ from typing import Protocol, TypeVar
 from flysid.dataset import Dataset
 from flysid.errors import DataError, FitError
 from flysid.files import write_atomically
+from flysid.ingest.align.quick import QUICK
 from flysid.model.base import Fitted
 from flysid.model.capabilities import HasOperatingPoints, LinearModel
 from flysid.model.rules import phrases as words
@@ -46,7 +47,8 @@ def nothing_done(recipe: str, done: str, why: Mapping[str, str]) -> DataError:
         said.setdefault(cause.lstrip(": "), []).append(name)
         hints |= {hint: None} if hint else {}
     reasons = "; ".join(f"{', '.join(names)}: {cause}" for cause, names in said.items())
-    return DataError(f"no channel of recipe {recipe!r} could be {done}: {reasons}", hint="; ".join(hints))
+    of_recipe = "" if recipe == QUICK else f" of recipe {recipe!r}"
+    return DataError(f"no channel{of_recipe} could be {done}: {reasons}", hint="; ".join(hints))
 
 
 class FitsTo(Protocol[S]):

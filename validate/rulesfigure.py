@@ -58,7 +58,7 @@ def draw_rules(model: OfRules, segment: Segment, output: int = 0, signal: int = 
 
     if not (hasattr(model, "memberships") and hasattr(model, "rule_outputs")):
         raise UsageError(
-            f"a {model.structure} model has no rules to draw", hint="fit flysid.TS or flysid.StaticTS"
+            f"no rules to draw: the model is {model.structure!r}", hint="fit flysid.TS or flysid.StaticTS"
         )
     if not (0 <= output < len(model.outputs) and 0 <= signal < len(model.inputs)):
         raise UsageError(f"the model has no output {output} or no input {signal}", hint="they count from 0")

@@ -229,7 +229,9 @@ def open_run(folder: str | Path) -> Run:
     folder = Path(folder)
     if not folder.is_dir():
         raise UsageError(
-            "no such run folder", path=folder, hint="make one with 'flysid fit DATA --recipe R -o RUN'"
+            "a file, not a run folder" if folder.exists() else "no such run folder",
+            path=folder,
+            hint="make one with 'flysid fit DATA --recipe R -o RUN'",
         )
     path = folder / RUN_FILE
     if not path.exists():

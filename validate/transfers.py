@@ -21,7 +21,12 @@ from flysid.ingest.lake.lake import Lake
 from flysid.model.detrend import Trend
 from flysid.model.frequency.controller_inverse import LoopView, view_loop
 from flysid.model.frequency.loop_figures import LoopFigure, broken_loop, command_figures, loop_figures
-from flysid.model.frequency.response import MeasuredResponse, measure_response, split_references
+from flysid.model.frequency.response import (
+    GOOD_COHERENCE,
+    MeasuredResponse,
+    measure_response,
+    split_references,
+)
 from flysid.model.polynomials import DB, Z95, ComplexArray
 from flysid.model.transfer_function import TF, FittedTF
 from flysid.progress import tell
@@ -92,11 +97,12 @@ class ChannelTransfers:
         )
         if band is None:
             highest = measured.coherence[:, source].max()
-            return f"{of or 'the coherence'} is nowhere above 0.6 (at most {highest:.2f})"
+            where = "at too few frequencies" if highest > GOOD_COHERENCE else "nowhere"
+            return f"{of or 'the coherence'} is above {GOOD_COHERENCE:g} {where} (at most {highest:.2f})"
         return (
             f"trust it from {band[0]:.3g} to {band[1]:.3g} rad/s "
             f"({band[0] / 2 / np.pi:.2g} to {band[1] / 2 / np.pi:.2g} Hz), where "
-            f"{of or 'the coherence'} is above 0.6"
+            f"{of or 'the coherence'} is above {GOOD_COHERENCE:g}"
         )
 
     def is_looped(self, output: int) -> bool:

@@ -79,7 +79,10 @@ def check_models(models: Mapping[str, Fitted], test: Dataset) -> None:
         for side in ("inputs", "outputs"):
             theirs, ours = ([s.name for s in getattr(x, side)] for x in (model, test))
             if theirs != ours:
-                raise UsageError(f"model {name!r} has {side} {theirs}, the data {ours}")
+                raise UsageError(
+                    f"model {name!r} has the {side} {', '.join(theirs)}, the data {', '.join(ours)}",
+                    hint="compare on data of the recipe that it was fitted with",
+                )
 
 
 @dataclass(frozen=True)

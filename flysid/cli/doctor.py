@@ -200,14 +200,17 @@ def lost_text(damage: Damage) -> str:
         parts.append(f"{counted(damage.bytes_skipped, 'byte')} in {counted(damage.region_count, 'place')}")
     if damage.truncated:
         parts.append("end cut off")
+    undecoded = sum(damage.undecoded.values())
+    outliers = sum(damage.time_outliers.values())
+    on_the_link = sum(damage.sequence_gaps.values())
     for count, words in (
-        (damage.bad_checksums, "bad checksums"),
-        (sum(damage.undecoded.values()), "undecoded"),
-        (sum(damage.time_outliers.values()), "bad times"),
-        (sum(damage.sequence_gaps.values()), "on the link"),
+        (damage.bad_checksums, counted(damage.bad_checksums, "bad checksum")),
+        (undecoded, f"{undecoded:,} not decoded"),
+        (outliers, counted(outliers, "rejected time")),
+        (on_the_link, f"{on_the_link:,} on the link"),
     ):
         if count:
-            parts.append(f"{count:,} {words}")
+            parts.append(words)
     parts += [
         f"{count:,} ms dropped" if kind == "ms" else f"{counted(count, kind.removesuffix('s'))} dropped"
         for kind, count in damage.dropouts.items()

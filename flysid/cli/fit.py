@@ -12,7 +12,7 @@ import click
 from flysid.cli import complete
 from flysid.cli.addresses import SOURCE
 from flysid.cli.display import Display, progress_options
-from flysid.cli.output import check_target, cores, explain, say
+from flysid.cli.output import check_target, cores, explain, say, say_left_out
 from flysid.cli.source import (
     READING_OF_A_FIT,
     Words,
@@ -223,7 +223,7 @@ def _say_what_was_fitted(run: Run, quiet: bool) -> None:
         for line in transfer_lines(run, channel):
             say(line, quiet)
     for name, why in run.skipped.items():
-        explain(f"channel {name} skipped: {why.removeprefix(f'channel {name!r}: ')}")
+        say_left_out(name, why)
 
 
 def _is_dataset(data: Path) -> bool:

@@ -6,6 +6,7 @@ import click
 
 from flysid.cli.display import Display, progress_options
 from flysid.cli.output import say
+from flysid.showing import counted
 
 
 @click.command("compact")
@@ -22,5 +23,5 @@ def command(lake: str, quiet: bool, display: Display) -> None:
 
     with display.shown():
         done = compact(open_lake(lake))
-    written = f"{done.written:,} tables of a month"
-    say(f"{written} written, {done.unchanged:,} as before; {done.rows:,} rows, {done.parts:,} parts", quiet)
+    written = f"tables of a month: {done.written:,} written, {done.unchanged:,} as before"
+    say(f"{written}; {counted(done.rows, 'row')}, {counted(done.parts, 'part')}", quiet)

@@ -10,7 +10,7 @@ import click
 
 from flysid.cli.display import Display, progress_options
 from flysid.cli.fleet_data import FleetData, fleet_data_options
-from flysid.cli.output import align_columns, check_target, say
+from flysid.cli.output import align_columns, check_target, say, say_left_out
 from flysid.showing import counted
 
 if TYPE_CHECKING:
@@ -81,7 +81,7 @@ def command(
                 write_atomically(output / MODELS, text.encode())
         click.echo(text if as_json else "\n".join(table(fitted)), nl=not as_json)
         for name, why in fitted.skipped.items():
-            say(f"channel {name} skipped: {why}")
+            say_left_out(name, why)
         unfit = [group for group in fitted.groups if group.reason]
         for group in unfit:
             say(f"{name_of(group.key)}, {group.channel}: {group.reason}")

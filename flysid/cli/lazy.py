@@ -32,7 +32,7 @@ class LazyVerbs(click.Group):
         parent: str = "",
         **settings: Any,
     ) -> None:
-        super().__init__(*args, **settings)
+        super().__init__(*args, **{"subcommand_metavar": "VERB [ARGS]..."} | settings)
         self.verbs = verbs
         self._modules = modules
         self._steps = steps or {"Commands": tuple(verbs)}

@@ -46,7 +46,7 @@ def losses(damage: Damage, *, most_regions: int = 12) -> list[str]:
     if damage.truncated:
         lines.append("the file ends inside a record")
     for label, counts in (
-        ("of unknown layout", damage.undecoded),
+        ("not decoded", damage.undecoded),
         ("with rejected times", damage.time_outliers),
     ):
         if counts:

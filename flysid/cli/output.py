@@ -62,6 +62,11 @@ def explain(text: str, quiet: bool = False) -> None:
         click.echo(fold(printable(text)), err=True)
 
 
+def say_left_out(channel: str, why: str, done: str = "skipped") -> None:
+    """That a channel was skipped or not judged, and why; a reason may begin with the channel's name."""
+    explain(f"channel {channel} {done}: {why.removeprefix(f'channel {channel!r}: ')}")
+
+
 def say_passed_over(files: Sequence[PassedOver], quiet: bool) -> None:
     """One line about the files that are not logs: how many of each kind, and the first of them by name."""
     if not files:
@@ -121,7 +126,7 @@ def chosen_form(flags: Mapping[str, bool]) -> str:
 def finish(judgement: Judgement, condition: str | None, report: Path | None, quiet: bool) -> int:
     """The words that end a comparison, and the exit code: 4 a check failed, 3 a channel was not judged."""
     for name, why in judgement.skipped.items():
-        explain(f"channel {name} not judged: {why.removeprefix(f'channel {name!r}: ')}")
+        say_left_out(name, why, "not judged")
     if report is not None:
         say(f"report: {report}", quiet)
     failed = judgement.violations(condition) if condition is not None else {}

@@ -96,7 +96,9 @@ def command(
 def _split(source: str, names: Sequence[str], flights: Sequence[str]) -> tuple[str, str | None]:
     """The flight and the stream that are meant: one name is the stream's where there is one flight."""
     if len(names) > 2:
-        raise UsageError(f"{len(names)} names", hint="flysid show LOG [STREAM], or DATA FLIGHT [STREAM]")
+        raise UsageError(
+            f"{len(names)} names are too many", hint="flysid show LOG [STREAM], or DATA FLIGHT [STREAM]"
+        )
     if len(names) == 2:
         return names[0], names[1]
     if len(names) == 1 and not (len(flights) == 1 and not flights[0].startswith(names[0])):

@@ -15,7 +15,7 @@ import click
 
 from flysid.cli import complete
 from flysid.cli.output import say
-from flysid.errors import FlysidError, FormatError, RecipeError, UsageError
+from flysid.errors import FlysidError, FormatError, RecipeError, UsageError, WriteError
 
 if TYPE_CHECKING:
     from flysid.ingest.lake.chosen_flights import Selection
@@ -303,11 +303,14 @@ def opened_flights(
 
 @contextmanager
 def _naming(source: Path, place: Path) -> Iterator[None]:
-    """An error in the block names the logs as the user did, not the folder that they were read into."""
+    """An error in the block names the logs as the user did, not the folder that they were read into.
+
+    But where that folder cannot be written to.
+    """
     try:
         yield
     except FlysidError as error:
-        if error.path == str(place):
+        if error.path == str(place) and not isinstance(error, WriteError):
             error.path = str(source)
         raise
 
@@ -376,7 +379,11 @@ def _taken_in(logs: Path, place: Path, words: Words, quiet: bool, share: float) 
     told = Limits(time_unit=words.time_unit, format=words.format)
     with part(0.0, share):
         results = list(ingest_logs(find_logs([logs]), place, limits=told))
+    skipped = [result for result in results if result.skipped]
+    if len(skipped) == len(results) == 1:
+        reason, _, hint = skipped[0].reason.partition("; try: ")
+        raise FormatError(reason, path=skipped[0].path, hint=hint)
     report(results, quiet)
-    if all(result.skipped for result in results):
-        raise FormatError("nothing could be read", path=logs, hint=f"flysid doctor {logs}")
+    if len(skipped) == len(results):
+        raise FormatError("nothing could be read", path=logs, hint="what the reasons above name")
     return place

@@ -10,7 +10,7 @@ import click
 
 from flysid.cli.addresses import SOURCE
 from flysid.cli.display import Display
-from flysid.cli.output import check_target, printable, say
+from flysid.cli.output import check_target, printable, say, say_left_out
 from flysid.cli.source import Words, open_source, say_mixed_gains, selection_options, words_options
 
 if TYPE_CHECKING:
@@ -80,6 +80,6 @@ def command(
         draw_steps(found, plot)
         say(f"step responses: {plot}", quiet)
     for name, reason in skipped.items():
-        say(f"channel {name} skipped: {reason}")
+        say_left_out(name, reason)
     asked = any(name.split(" of ")[0] in channels for name in skipped)
     return 3 if asked or not found else 0

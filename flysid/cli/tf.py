@@ -11,7 +11,7 @@ import click
 from flysid.cli import complete
 from flysid.cli.addresses import SOURCE
 from flysid.cli.display import Display, progress_options
-from flysid.cli.output import ExitCode, align_columns, check_target, say
+from flysid.cli.output import ExitCode, align_columns, check_target, say, say_left_out
 from flysid.cli.source import (
     Words,
     lost_on_the_way,
@@ -170,7 +170,7 @@ def command(
         draw_bode(found, plot)
         say(f"Bode plot: {plot}", quiet)
     for name, why in skipped.items():
-        say(f"channel {name} skipped: {why}")
+        say_left_out(name, why)
     if condition is not None:
         from flysid.validate.condition import matching_channels
         from flysid.validate.transfers import figures_document

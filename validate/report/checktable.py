@@ -10,6 +10,7 @@ import numpy as np
 
 from flysid.dataset import FloatArray
 from flysid.model.capabilities import Coefficient
+from flysid.showing import counted
 from flysid.validate.caution_models import COLLINEAR
 from flysid.validate.checks import Checks
 from flysid.validate.comparison import Comparison
@@ -96,7 +97,7 @@ def _find_divergence(name: str, c: Comparison) -> CheckFinding:
         return CheckFinding("–")
     score = c.entry(horizon=FREE_RUN).models[name]
     if not score.diverged:
-        return CheckFinding(f"in none of {len(score.segments)} segments", True)
+        return CheckFinding(f"in none of {counted(len(score.segments), 'segment')}", True)
     said = ", ".join(f"{one_line(c.segments[s.segment])} at {s.diverged_s:.1f} s" for s in score.diverged[:5])
     return CheckFinding(f"in {len(score.diverged)} of {len(score.segments)}: {said}", False)
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from flysid.showing import significant
+from flysid.showing import counted, significant
 from flysid.validate.comparison import Comparison, Pair
 from flysid.validate.intervals import Scope
 from flysid.validate.verdict import Verdict
@@ -321,7 +321,7 @@ def basis(comparisons: Mapping[str, Comparison], train_s: float | None) -> str:
         name = contender_words(pairs) if pairs else name_model(first.contender)
         model = _introduce(name, one_line(first.contender).upper())
         against = f"{model} against {against}"
-    held = f"{segments} held-out segment{'s' if segments != 1 else ''} ({duration(seconds)})"
+    held = f"{counted(segments, 'held-out segment')} ({duration(seconds)})"
     words = f"{against[0].upper()}{against[1:]} on {held}"
     if train_s:
         words += f" after training on {duration(train_s)}"
