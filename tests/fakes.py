@@ -53,14 +53,20 @@ class FirstOrder:
         return y
 
     def _quickly(self, u: FloatArray, y: FloatArray) -> FloatArray:
-        """As `step` by `step`, in Python's own numbers: a twentieth of the time."""
+        """As `step` by `step`, in Python's own numbers, which take a small part of the time."""
         a = self.a
         c = self.c
         limit = self.limit
         value = float(y[self.n_init - 1, 0])
-        for k, driven in enumerate((self.b * u[self.n_init - 1 : -1, 0]).tolist(), self.n_init):
-            value = min(max(a * value + driven + c, -limit), limit)
-            y[k, 0] = value
+        values = []
+        for driven in (self.b * u[self.n_init - 1 : -1, 0]).tolist():
+            value = a * value + driven + c
+            if value > limit:
+                value = limit
+            elif value < -limit:
+                value = -limit
+            values.append(value)
+        y[self.n_init :, 0] = values
         return y
 
     def predict(self, u: FloatArray, y: FloatArray, k: int = 1) -> FloatArray:

@@ -43,6 +43,7 @@ def plant(u: FloatArray) -> FloatArray:
     return y
 
 
+@cache
 def data(n_u: int = 1, n_y: int = 1, *, samples: int = 400, noise: float = 0.02, seed: int = 0) -> Dataset:
     """Two segments of the plant under random steps, with measurement noise and offsets."""
     rng = np.random.default_rng(seed)

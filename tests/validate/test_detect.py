@@ -23,11 +23,12 @@ def flown(
     n = round(seconds / MODEL.dt_s)
     u = np.repeat(rng.standard_normal((n // 20 + 1, 1)), 20, axis=0)[:n]
     slow = 0.0
-    y = np.zeros((n, 1))
-    for k in range(1, n):
-        slow = 0.98 * slow + drift * rng.standard_normal()
-        y[k] = MODEL.a * y[k - 1] + MODEL.b * u[k - 1] + noise * rng.standard_normal() + slow + offset
-    return Segment(u, y)
+    y = [0.0]
+    chance = rng.standard_normal((n - 1, 2)).tolist()
+    for driven, (gust, error) in zip((MODEL.b * u[:-1, 0]).tolist(), chance, strict=True):
+        slow = 0.98 * slow + drift * gust
+        y.append(MODEL.a * y[-1] + driven + noise * error + slow + offset)
+    return Segment(u, np.array(y)[:, None])
 
 
 def alarms(segment: Segment, limits: object) -> int:

@@ -16,31 +16,36 @@ from flysid.model.rules.consequents import refit_consequents
 from flysid.model.rules.fitted import FittedTS
 from flysid.model.static_ts import StaticTS
 
-WHOLE = experiment(known_model(), 1)
-
 
 @pytest.fixture(scope="module")
 def model() -> FittedTS:
     return known_model()
 
 
+@pytest.fixture(scope="module")
+def whole(model: FittedTS) -> Dataset:
+    return experiment(model, 1)
+
+
 @pytest.fixture
-def stored(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> DatasetFile:
+def stored(whole: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> DatasetFile:
     monkeypatch.setattr(datasetfile, "ROWS_PER_GROUP", 333)
-    write_dataset(tmp_path / "data.parquet", WHOLE)
+    write_dataset(tmp_path / "data.parquet", whole)
     return open_dataset(tmp_path / "data.parquet")
 
 
-def test_dynamic_consequents_from_disk_are_those_from_memory(model: FittedTS, stored: DatasetFile) -> None:
+def test_dynamic_consequents_from_disk_are_those_from_memory(
+    model: FittedTS, stored: DatasetFile, whole: Dataset
+) -> None:
     disk = refit_consequents(model, stored)
-    memory = refit_consequents(model, WHOLE)
+    memory = refit_consequents(model, whole)
     assert disk.consequents == pytest.approx(memory.consequents, rel=1e-9)
     assert "1499 samples" in disk.notes[-1]
 
 
-def test_they_are_the_least_squares_solution(model: FittedTS) -> None:
-    [segment] = WHOLE.segments
-    fitted = refit_consequents(model, WHOLE)
+def test_they_are_the_least_squares_solution(model: FittedTS, whole: Dataset) -> None:
+    [segment] = whole.segments
+    fitted = refit_consequents(model, whole)
     W = model.layout.stack(segment.u, segment.y)
     phi = model.firing(segment.u, segment.y)[1:]
     X = np.column_stack([W[:-1, 0], W[:-1, 1], np.ones(len(W) - 1)])
@@ -50,10 +55,12 @@ def test_they_are_the_least_squares_solution(model: FittedTS) -> None:
 
 
 @pytest.mark.parametrize("method", ["gustafson-kessel", "subtractive"])
-def test_a_static_model_from_disk_is_that_from_memory(stored: DatasetFile, method: str) -> None:
+def test_a_static_model_from_disk_is_that_from_memory(
+    stored: DatasetFile, whole: Dataset, method: str
+) -> None:
     settings = StaticTS(rules=3, method=method)  # type: ignore[arg-type]
     disk = settings.fit(stored)
-    memory = settings.fit(WHOLE)
+    memory = settings.fit(whole)
     assert disk.consequents == pytest.approx(memory.consequents, rel=1e-9)
     assert np.array_equal(disk.partition.centre, memory.partition.centre)
     assert np.array_equal(disk.output_limits, memory.output_limits)
