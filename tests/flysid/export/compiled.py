@@ -21,7 +21,7 @@ WARNINGS = (
 )
 NAME = "plant"
 HARNESS = """
-#include "plant.h"
+#include "plant.c"
 void run(const {real} *u, {real} *y, long rows, const {real} *memory);
 void run(const {real} *u, {real} *y, long rows, const {real} *memory)
 {{
@@ -71,8 +71,7 @@ def run_in_c(
     }
     (folder / "harness.c").write_text(HARNESS.format(**words))
     library = folder / f"plant-{abs(hash((tuple(flags), memory is None, single)))}.so"
-    sources = folder / "plant.c", folder / "harness.c"
-    gcc(*WARNINGS, *flags, "-shared", "-fPIC", "-o", library, *sources, "-lm")
+    gcc(*WARNINGS, *flags, "-shared", "-fPIC", "-o", library, folder / "harness.c", "-lm")
     given = np.ascontiguousarray(u, dtype=kind)
     start = np.ascontiguousarray([] if memory is None else memory, dtype=kind)
     found = np.empty((len(u), len(program.outputs)), dtype=kind)
