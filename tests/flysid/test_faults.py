@@ -50,10 +50,9 @@ def test_kill_during_ingest_then_the_same_command_again(tmp_path: Path, write: W
         (lambda folder: full_disks(folder, ["96k"]), 1),
         (read_only_disks, 1),
         (lambda folder: limited(folder, ["-f 8"]), 1),
-        (lambda folder: full_disks(folder, ["96k"], write=write_newer_logs), 1),
         (lambda folder: limited(folder, ["-f 8"], write=write_newer_logs), 1),
     ],
-    ids=["full disk", "read-only disk", "ulimit", "full disk, newer formats", "ulimit, newer formats"],
+    ids=["full disk", "read-only disk", "ulimit", "ulimit, newer formats"],
 )
 def test_no_room_is_named_and_nothing_partial_shows(
     tmp_path: Path, trials: Callable[[Path], Outcome], refused: int

@@ -22,7 +22,8 @@ def test_a_start_may_be_estimated_from_more_rows_than_any_fixed_number(estimator
 
 @pytest.mark.parametrize("label", structures() | defaults())
 def test_one_sample_and_ten_are_named_or_fitted(label: str) -> None:
+    """With one thing unusual at a time; the soak has all that they combine to."""
     estimator = (structures() | defaults())[label]
-    outcome = fits_of_sizes(label, estimator, [s for s in sizes() if s.samples <= 10])
+    outcome = fits_of_sizes(label, estimator, [s for s in sizes() if s.samples <= 10 and s.unusual <= 1])
     assert outcome.failures == []
     assert outcome.raised > 0 or label in ("mean", "persistence", "line")
