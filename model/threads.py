@@ -12,11 +12,14 @@ import inspect
 from collections.abc import Callable
 from contextlib import nullcontext
 from contextvars import ContextVar
-from typing import ParamSpec, TypeVar
+from typing import TYPE_CHECKING, ParamSpec, TypeVar
 
 import numpy as np
 
 from flysid.errors import FitError, UsageError
+
+if TYPE_CHECKING:
+    from threadpoolctl import ThreadpoolController
 
 _limited = ContextVar("limited", default=False)
 P = ParamSpec("P")
@@ -38,14 +41,12 @@ def on_one_thread(fit: Callable[P, R]) -> Callable[P, R]:
 
     @functools.wraps(fit)
     def limited(*args: P.args, **kwargs: P.kwargs) -> R:
-        from threadpoolctl import threadpool_limits
-
         for at, name in of_data:
             if name in kwargs or at < len(args):
                 _refuse_arrays(kwargs[name] if name in kwargs else args[at])
 
         within = _limited.get()
-        limits = nullcontext() if within else threadpool_limits(limits=1, user_api="blas")
+        limits = nullcontext() if within else _blas().limit(limits=1)
         with limits, np.errstate(over="ignore", invalid="ignore"):
             token = _limited.set(True)
             try:
@@ -59,6 +60,15 @@ def on_one_thread(fit: Callable[P, R]) -> Callable[P, R]:
                 _limited.reset(token)
 
     return limited
+
+
+@functools.cache
+def _blas() -> ThreadpoolController:
+    """NumPy's and SciPy's; found once: to look through all that is loaded takes longer than a small fit."""
+    import scipy.linalg  # noqa: F401 - brings its own
+    from threadpoolctl import ThreadpoolController
+
+    return ThreadpoolController().select(user_api="blas")
 
 
 def _refuse_arrays(data: object) -> None:
