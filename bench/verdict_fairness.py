@@ -135,10 +135,10 @@ def nonlinear_dynamics(kind: str, rng: np.random.Generator) -> Callable[[FloatAr
     if kind == "dead band":
         return lambda u: dynamics(np.sign(u) * np.maximum(np.abs(u) - size, 0.0))
     drag = rng.uniform(1.0, 3.0)
-    return lambda u: _with_drag(u, drag)
+    return lambda u: fly_with_drag(u, drag)
 
 
-def _with_drag(u: FloatArray, drag: float) -> FloatArray:
+def fly_with_drag(u: FloatArray, drag: float) -> FloatArray:
     y = np.zeros(len(u))
     for k in range(1, len(u)):
         y[k] = y[k - 1] + DT_S * (3.0 * u[k - 1] - 0.3 * y[k - 1] - drag * y[k - 1] * abs(y[k - 1]))
@@ -190,14 +190,7 @@ def judged(plant: Plant, rng: np.random.Generator, seed: int, contender: str = "
     began = time.process_time()
     train = flights(plant, TRAIN, rng, "t")
     test = flights(plant, TEST, rng, "h")
-    late = dead_times(train)
-    delays = delays_to_try(late, 1), least_delays(late, 1)
-    linear = linear_rivals(*delays)
-    with sharing():
-        choice = choose_baseline(train, linear)
-        models: dict[str, Fitted] = {n: linear[n].fit(train) for n in dict.fromkeys(("arx", choice.label))}
-        base = confirm(choice, models, train).label
-        models["ts"] = CONTENDERS[contender](*delays).fit(train)
+    models, base = fit_as_flysid(train, contender=contender)
     pair = compare(models, test, horizons=[FREE_RUN], baseline=base).verdict["y"]
     many = flights(plant, FRESH, rng, "f")
     fresh = compare(models, many, horizons=[FREE_RUN], baseline=base).verdict["y"]
@@ -216,6 +209,22 @@ def judged(plant: Plant, rng: np.random.Generator, seed: int, contender: str = "
         fresh.change_pct,
         seconds,
     )
+
+
+def fit_as_flysid(
+    train: Dataset, base: str | None = None, contender: str = "ts"
+) -> tuple[dict[str, Fitted], str]:
+    """ARX, the best linear model or that of a label, and TS, as `flysid fit` makes them; the baseline."""
+    late = dead_times(train)
+    delays = delays_to_try(late, 1), least_delays(late, 1)
+    linear = linear_rivals(*delays)
+    with sharing():
+        choice = choose_baseline(train, linear)
+        labels = dict.fromkeys(("arx", base or choice.label))
+        models: dict[str, Fitted] = {n: linear[n].fit(train) for n in labels}
+        base = base or confirm(choice, models, train).label
+        models["ts"] = CONTENDERS[contender](*delays).fit(train)
+    return models, base
 
 
 def exact_interval(count: int, of: int) -> tuple[float, float]:

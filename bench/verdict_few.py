@@ -8,26 +8,29 @@ of 0.9 and 1.1 on flights whose gain is 1 +- 0.1): how often one is called bette
 `python -m bench.verdict_few rotation [plants [seed]]`: six flights of 60 s in all, every one left out once,
 and everything fitted anew in every fold: ARX and TS of two rules on plants that are linear, and on nonlinear
 ones where a perfect model errs 20 % less than the best linear one, or half as much. How often TS is called
-better or worse, and how often the interval holds what both models, fitted to all six, do on 60 fresh flights.
+better or worse, and how often the interval holds what the models compared do on 60 fresh flights: those of
+the split, as `flysid fit` has them, and models of all six flights.
+`python -m bench.verdict_few searched [plants [seed]]`: the same with orders, baseline and rules as `flysid
+fit` searches for them, for the models of the split.
 """
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.signal import lfilter
 from scipy.special import stdtrit
 
-from bench.verdict_fairness import DT_S, Plant, flights, linear_plant, nonlinear_plant
+from bench.verdict_fairness import DT_S, Plant, fit_as_flysid, flights, linear_plant, nonlinear_plant
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import FlysidError
 from flysid.model.arx import ARX
 from flysid.model.base import Fitted
 from flysid.model.ts import TS
-from flysid.split import plan_folds
+from flysid.split import plan_folds, plan_split
 from flysid.validate.compare_models import Turn, compare
 from flysid.validate.comparison import Pair
 from flysid.validate.intervals import change
@@ -103,7 +106,7 @@ def _quantile(values: FloatArray) -> float:
 
 @dataclass(frozen=True)
 class Judged:
-    """What rotation said of one plant, and what both models do on fresh flights."""
+    """What rotation said of the models of one plant, and what these do on fresh flights."""
 
     pair: Pair
     truth: float | None
@@ -113,50 +116,81 @@ class Judged:
         return self.pair.ci95 is not None and self.pair.ci95[0] <= (self.truth or 0.0) <= self.pair.ci95[1]
 
 
-def rotated(plant: Plant, rng: np.random.Generator) -> Judged:
-    """Six flights, each left out once."""
+Fits = Callable[[Dataset, str | None], tuple[dict[str, Fitted], str]]
+"""Training data, and the baseline where it is known -> models, and the baseline."""
+
+
+def judge_in_turn(plant: Plant, rng: np.random.Generator, fits: Fits, *, of_all: bool) -> dict[str, Judged]:
+    """Six flights, each left out once, for the models of the split, and of all flights."""
     data = flights(plant, IN_ALL, rng, "t", ROWS)
-    turns = [Turn(_fits(train), test) for train, test in (s.apply(data) for s in plan_folds(data, 5))]
     fresh = flights(plant, FRESH, rng, "f", ROWS)
-    models = _fits(data)
-    pair = compare(models, fresh, horizons=[FREE_RUN], turns=turns).verdict["y"]
-    return Judged(pair, compare(models, fresh, horizons=[FREE_RUN]).verdict["y"].change_pct)
+    fitted = {"split": plan_split(data).apply(data)[0]} | ({"all six": data} if of_all else {})
+    models, base = fits(fitted["split"], None)
+    compared = {"split": models} | ({"all six": fits(data, base)[0]} if of_all else {})
+    folds = [
+        (fits(train, base)[0], train, test) for train, test in (s.apply(data) for s in plan_folds(data, 5))
+    ]
+    found = {}
+    for name, some in compared.items():
+        known = fitted[name].flights
+        turns = [
+            Turn(own, test, train.with_segments([s for s in train.segments if s.flight in known]))
+            for own, train, test in folds
+        ]
+        pair = compare(some, fresh, horizons=[FREE_RUN], baseline=base, turns=turns).verdict["y"]
+        truth = compare(some, fresh, horizons=[FREE_RUN], baseline=base).verdict["y"]
+        found[name] = Judged(pair, truth.change_pct)
+    return found
 
 
-def _fits(train: Dataset) -> dict[str, Fitted]:
+def two_rules(train: Dataset, base: str | None) -> tuple[dict[str, Fitted], str]:
+    """ARX of order 3, and TS of two rules over two lags."""
     linear = ARX(na=3, nb=3, nk=1).fit(train)
-    return {"arx": linear, "ts": TS(rules=2, na=2, nb=2, nk=1).fit(train)}
+    return {"arx": linear, "ts": TS(rules=2, na=2, nb=2, nk=1).fit(train)}, base or "arx"
 
 
-def rotation(plants: int, seed: int) -> Iterator[str]:
-    """A line per kind of plant."""
+def rotation(plants: int, seed: int, fits: Fits = two_rules, *, of_all: bool = True) -> Iterator[str]:
+    """A line per kind of plant and models compared."""
     for kind, gain in (("linear", 1.0), ("a fifth better", 0.8), ("half", 0.5)):
-        found: list[Judged] = []
+        found: dict[str, list[Judged]] = {}
         for i in range(plants):
             rng = np.random.default_rng((seed, i))
             plant = linear_plant(rng) if kind == "linear" else nonlinear_plant(rng, gain)
             try:
-                found.append(rotated(plant, rng))
+                for name, judged in judge_in_turn(plant, rng, fits, of_all=of_all).items():
+                    found.setdefault(name, []).append(judged)
             except FlysidError as error:
                 print(f"{kind}, plant {i}: {error}", file=sys.stderr)
-        verdicts = [str(j.pair.verdict) for j in found]
-        judged = [j for j in found if j.truth is not None and j.pair.ci95 is not None]
-        counts = ", ".join(f"{v} {verdicts.count(v)}" for v in Verdict)
-        width = np.median([np.subtract(*j.pair.ci95[::-1]) for j in judged if j.pair.ci95])
-        truth = np.median([j.truth for j in judged if j.truth is not None])
-        yield (
-            f"{kind}: {counts} of {len(found)}; holds the truth {sum(j.held for j in judged)} of "
-            f"{len(judged)}; median truth {truth:+.0f} %, width {width:.0f} %"
-        )
+        yield from (f"{kind}, models of {name}: {_counts(those)}" for name, those in found.items())
+
+
+def searched(plants: int, seed: int) -> Iterator[str]:
+    """A line per kind of plant."""
+    yield from rotation(plants, seed, fit_as_flysid, of_all=False)
+
+
+def _counts(found: list[Judged]) -> str:
+    verdicts = [str(j.pair.verdict) for j in found]
+    judged = [j for j in found if j.truth is not None and j.pair.ci95 is not None]
+    counts = ", ".join(f"{v} {verdicts.count(v)}" for v in Verdict)
+    width = np.median([np.subtract(*j.pair.ci95[::-1]) for j in judged if j.pair.ci95])
+    truth = np.median([j.truth for j in judged if j.truth is not None])
+    wrong = sum(j.pair.verdict is Verdict.BETTER and (j.truth or 0.0) > 0.0 for j in judged)
+    return (
+        f"{counts} of {len(found)}; better where it is worse {wrong}; holds the truth "
+        f"{sum(j.held for j in judged)} of {len(judged)}; median truth {truth:+.0f} %, width {width:.0f} %"
+    )
 
 
 def main() -> None:
     """Print the lines of the trial asked for."""
     kind = sys.argv[1] if len(sys.argv) > 1 else "equal"
-    count = int(sys.argv[2]) if len(sys.argv) > 2 else (20 if kind == "rotation" else 200)
+    trials: dict[str, Callable[[int, int], Iterator[str]]]
+    trials = {"equal": equal, "evenly": evenly, "rotation": rotation, "searched": searched}
+    count = int(sys.argv[2]) if len(sys.argv) > 2 else (20 if trials[kind] in (rotation, searched) else 200)
     seed = int(sys.argv[3]) if len(sys.argv) > 3 else 4242
     print(f"{kind}, {count} each, seed {seed}")
-    for line in {"equal": equal, "evenly": evenly, "rotation": rotation}[kind](count, seed):
+    for line in trials[kind](count, seed):
         print(line, flush=True)
 
 

@@ -19,7 +19,7 @@ from flysid.errors import DataError, UsageError
 from flysid.model.base import Fitted, kind_of
 from flysid.model.linear_choice import FIRST, best_fitted
 from flysid.validate.comparison import Comparison, Entry, ModelInfo, ModelScore, Pair, SegmentScore
-from flysid.validate.intervals import Interval, change, holm
+from flysid.validate.intervals import Interval, change, distance, holm
 from flysid.validate.metrics import pool, resolution_of, scores
 from flysid.validate.shown import ShownComparison
 from flysid.validate.trials import (
@@ -72,8 +72,8 @@ def compare(
         that is no reference, a line last.
     train : training data; with it the mean and persistence stand beside the models, as lines to stay below.
     seen : flights that the models were trained on, besides those of `train`.
-    turns : models fitted to all flights but some, and those; verdicts and changes rest on them where every
-        turn has both models, scores and figures on `models` and `test`.
+    turns : models fitted in the same way to all flights but some, and those; verdicts and changes rest on
+        them where every turn has both models, scores and figures on `models` and `test`.
 
     Raises
     ------
@@ -107,7 +107,7 @@ def compare(
         if horizon == FREE_RUN:
             start_s = max(t.first for t in trials) * test.dt_s
         who = sides if horizon == head else replace(sides, rivals=())
-        entries += _entries((trials, test), _in_turn(turns, horizon), horizon, who)
+        entries += _entries((trials, test), _in_turn(turns, named, horizon), horizon, who)
     comparison = ShownComparison(
         channel=test.name,
         dt_s=test.dt_s,
@@ -272,12 +272,19 @@ def _info(name: str, model: Fitted) -> ModelInfo:
 
 
 @dataclass(frozen=True)
+class _Errors:
+    """Of the models that all parts have, on one output, by model and segment; the flight of each segment."""
+
+    of: Mapping[str, list[FloatArray]]
+    flights: Sequence[str]
+
+
+@dataclass(frozen=True)
 class _Panel:
     """One output at one horizon: what every pair of models is judged on."""
 
-    errors: Mapping[str, list[FloatArray]]
+    errors: _Errors
     models: Mapping[str, ModelScore]
-    flights: Sequence[str]
     resolution: float
     dt_s: float
     still: bool
@@ -285,14 +292,25 @@ class _Panel:
 
 @dataclass(frozen=True, eq=False)
 class Turn:
-    """Models by label, and flights that they have not seen."""
+    """Models by label, flights that they have not seen, and those that the compared models have seen, too."""
 
     models: Mapping[str, Fitted]
     test: Dataset
+    both: Dataset
 
 
+OWN = "turn:"
+"""Before the labels of a turn's models, where the compared ones stand beside them."""
 Judged = tuple[Sequence[StructureTrial], Dataset]
 """Free runs or predictions, and the data that they are of."""
+
+
+@dataclass(frozen=True)
+class _Turned:
+    """A turn's models on what they have not seen; on what both have, they (OWN) and the compared ones."""
+
+    unseen: Judged
+    both: Judged
 
 
 @dataclass(frozen=True)
@@ -307,23 +325,25 @@ class Sides:
     seen: frozenset[str]
 
 
-def _in_turn(turns: Sequence[Turn], horizon: str) -> list[Judged]:
-    """What the models of every turn do with the flights left out, as far as these are long enough."""
-    found: list[Judged] = []
+def _in_turn(turns: Sequence[Turn], models: Mapping[str, Fitted], horizon: str) -> list[_Turned]:
+    """What the models of every turn do, as far as its flights are long enough."""
+    found: list[_Turned] = []
     for turn in turns:
         with suppress(DataError):
-            found.append((run_trials(turn.models, turn.test, horizon), turn.test))
+            unseen = run_trials(turn.models, turn.test, horizon), turn.test
+            every = {**models, **{OWN + name: model for name, model in turn.models.items()}}
+            found.append(_Turned(unseen, (run_trials(every, turn.both, horizon), turn.both)))
     return found
 
 
-def _entries(here: Judged, turns: Sequence[Judged], horizon: str, sides: Sides) -> list[Entry]:
+def _entries(here: Judged, turns: Sequence[_Turned], horizon: str, sides: Sides) -> list[Entry]:
     entries = []
     for j, output in enumerate(here[1].outputs):
         panel = _panel([here], j)
-        rotated = _panel(turns, j) if len(turns) > 1 else None
-        pairs = {name: _pair(panel, rotated, sides, name) for name in panel.models if name != sides.base}
+        rotation = _rotation(turns, j) if len(turns) > 1 else None
+        pairs = {name: _pair(panel, rotation, sides, name) for name in panel.models if name != sides.base}
         rivals = {
-            name: _pair(panel, rotated, replace(sides, base=name), sides.contender)
+            name: _pair(panel, rotation, replace(sides, base=name), sides.contender)
             for name in sides.rivals
             if sides.contender is not None
         }
@@ -331,20 +351,50 @@ def _entries(here: Judged, turns: Sequence[Judged], horizon: str, sides: Sides) 
     return entries
 
 
-def _panel(parts: Sequence[Judged], j: int) -> _Panel:
-    """Of the models that all parts have."""
+@dataclass(frozen=True)
+class _Rotation:
+    """One output at one horizon: every flight by models that have not seen it; and the turns one by one.
+
+    Attributes
+    ----------
+    turns : of every turn the flights left out, and the errors on those that both have seen.
+    """
+
+    panel: _Panel
+    turns: Sequence[tuple[Sequence[str], _Errors]]
+
+    def apart(self, base: str, name: str) -> dict[str, tuple[float, float]]:
+        """How far the models that judge a flight are from those compared (`intervals.distance`)."""
+        found = {}
+        for left_out, both in self.turns:
+            own, compared = ((both.of[who + base], both.of[who + name]) for who in (OWN, ""))
+            found.update(dict.fromkeys(left_out, distance(own, compared, both.flights)))
+        return found
+
+
+def _rotation(turns: Sequence[_Turned], j: int) -> _Rotation:
+    whole = _panel([turn.unseen for turn in turns], j)
+    return _Rotation(whole, [(_errors([t.unseen], j).flights, _errors([t.both], j)) for t in turns])
+
+
+def _errors(parts: Sequence[Judged], j: int) -> _Errors:
     trials = [t for some, _ in parts for t in some]
-    segments = [test.segments[t.segment] for some, test in parts for t in some]
-    flights = [s.flight for s in segments]
     names = [name for name in trials[0].yh if all(name in t.yh for t in trials)]
+    flights = [test.segments[t.segment].flight for some, test in parts for t in some]
+    return _Errors({name: [t.y[:, j] - t.yh[name][:, j] for t in trials] for name in names}, flights)
+
+
+def _panel(parts: Sequence[Judged], j: int) -> _Panel:
+    trials = [t for some, _ in parts for t in some]
+    inputs = [test.segments[t.segment].u for some, test in parts for t in some]
     output = parts[0][1].outputs[j]
+    errors = _errors(parts, j)
     return _Panel(
-        errors={name: [t.y[:, j] - t.yh[name][:, j] for t in trials] for name in names},
-        models={name: _model_score(trials, flights, name, j) for name in names},
-        flights=flights,
+        errors=errors,
+        models={name: _model_score(trials, errors.flights, name, j) for name in errors.of},
         resolution=resolution_of([t.y[:, j] for t in trials], output.resolution),
         dt_s=parts[0][1].dt_s,
-        still=not np.ptp(np.concatenate([s.u for s in segments]), axis=0).any(),
+        still=not np.ptp(np.concatenate(inputs), axis=0).any(),
     )
 
 
@@ -356,17 +406,19 @@ def _model_score(trials: Sequence[StructureTrial], flights: Sequence[str], name:
     return ModelScore(pool([t.y[:, j] for t in trials], [t.yh[name][:, j] for t in trials]), segments)
 
 
-def _pair(panel: _Panel, rotated: _Panel | None, sides: Sides, name: str) -> Pair:
+def _pair(panel: _Panel, rotation: _Rotation | None, sides: Sides, name: str) -> Pair:
     """The pair, judged in turn where every turn has both models."""
     base = sides.base
-    in_turn = rotated is not None and {name, base} <= rotated.models.keys()
-    panel = rotated if rotated is not None and in_turn else panel
+    apart = None
+    if rotation is not None and {name, base} <= rotation.panel.models.keys():
+        panel = rotation.panel
+        apart = rotation.apart(base, name)
     a = panel.models[base]
     b = panel.models[name]
-    ea = panel.errors[base]
-    eb = panel.errors[name]
     lost = bool(a.diverged or b.diverged)
-    found = change(ea, eb, panel.flights, () if in_turn else sides.seen, rotated=in_turn)
+    errors = panel.errors
+    seen = () if apart is not None else sides.seen
+    found = change(errors.of[base], errors.of[name], errors.flights, seen, apart=apart)
     interval = None if lost else found.interval
     evidence = replace(_evidence(a, b, panel.resolution, interval), still=panel.still)
     verdict, reason = decide(evidence)

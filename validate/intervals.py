@@ -10,6 +10,10 @@ errors is added to the squared distance, so that flights in which the models agr
 shown only where t of w shows it too, else the interval reaches to no change. Few w that are spread evenly
 look alike more often than Student's t expects (7 to 8 % with two to five): theirs is asked for.
 
+Where flights are judged in turn, by models that have not seen them, those models are not the compared ones:
+fitted to other flights, they may even have ended in another minimum. How far they are shows on the flights
+that both have seen, as the mean difference of l and of w there, and is taken off.
+
 *These flights*: the held-out parts are of flights that the models trained on, or there is one flight only:
 *this flight* where there is no other, *the held-out flight* where others were trained on.
 The units are 4 to 12 blocks of time, with t on their log ratios (Ibragimov & Mueller 2010), which needs no
@@ -21,8 +25,8 @@ Measured coverage: docs/measured/verdicts.md; why so: docs/adr/0014-verdicts-fro
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field
 from enum import StrEnum
 
 import numpy as np
@@ -76,7 +80,8 @@ class ErrorChange:
     interval : None where an error is zero.
     by_flight : 100 (RMSE_b / RMSE_a - 1) of every flight, by name.
     slow : the errors change slower than these flights last.
-    rotated : every flight was left out once, and judged by models of the others.
+    apart : where every flight was left out once: how far the change of the models of the others, which judged
+        it, is from that of the compared ones, in percent by flight.
     """
 
     scope: Scope
@@ -85,7 +90,12 @@ class ErrorChange:
     interval: Interval | None
     by_flight: dict[str, float]
     slow: bool = False
-    rotated: bool = False
+    apart: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def rotated(self) -> bool:
+        """Every flight was left out once, and judged by models of the others."""
+        return bool(self.apart)
 
 
 def change(
@@ -94,7 +104,7 @@ def change(
     flights: Sequence[str],
     seen: Collection[str] = (),
     *,
-    rotated: bool = False,
+    apart: Mapping[str, tuple[float, float]] | None = None,
 ) -> ErrorChange:
     """The change from the errors of a baseline (ea) to those of a model (eb), one array per segment.
 
@@ -102,16 +112,20 @@ def change(
     ----------
     flights : of every segment.
     seen : flights that the models were trained on; of those that are here, other parts than these.
-    rotated : every flight was left out once, and judged by models of the others.
+    apart : every flight was left out once and judged by models of the others: how far these are from the
+        compared models (`distance`), by flight.
     """
     ea, eb = _scale(ea, eb)
-    logs = flight_logs(ea, eb, flights)
+    rotated = apart is not None
+    off = apart or dict.fromkeys(flights, (0.0, 0.0))
+    logs = {name: value - off[name][0] for name, value in flight_logs(ea, eb, flights).items()}
     by_flight = {name: _percent(value) for name, value in logs.items()}
     lost = not (any(e.any() for e in ea) and any(e.any() for e in eb))
     if len(logs) > 1 and not set(logs) & set(seen):
-        sides = flight_sides(ea, eb, flights).values()
-        found = None if lost else across_flights(list(logs.values()), list(sides), rotated=rotated)
-        return ErrorChange(Scope.ANOTHER, len(logs), 0, found, by_flight, rotated=rotated)
+        sides = [value - off[name][1] for name, value in flight_sides(ea, eb, flights).items()]
+        found = None if lost else across_flights(list(logs.values()), sides, rotated=rotated)
+        fits = {name: _percent(log) for name, (log, _) in (apart or {}).items()}
+        return ErrorChange(Scope.ANOTHER, len(logs), 0, found, by_flight, apart=fits)
     scope = Scope.THESE if len(logs) > 1 else Scope.HELD if set(seen) - set(logs) else Scope.THIS
     if lost:
         return ErrorChange(scope, 0, 0, None, by_flight)
@@ -150,6 +164,24 @@ def flight_sides(
         name: (a - b) / max(2.0 * apart + STILL * (a + b), _TINY)
         for name, (a, b, apart) in _squares(ea, eb, flights).items()
     }
+
+
+def distance(
+    one: tuple[Sequence[FloatArray], Sequence[FloatArray]],
+    other: tuple[Sequence[FloatArray], Sequence[FloatArray]],
+    flights: Sequence[str],
+) -> tuple[float, float]:
+    """How far a pair of models is from another: mean differences of `flight_logs` and of `flight_sides`.
+
+    Parameters
+    ----------
+    one, other : errors of a baseline and of a model, as `change` takes them.
+    """
+    logs, sides = (
+        [float(np.mean(list(of(*_scale(*pair), flights).values()))) for pair in (one, other)]
+        for of in (flight_logs, flight_sides)
+    )
+    return logs[0] - logs[1], sides[0] - sides[1]
 
 
 def _squares(

@@ -339,16 +339,18 @@ def _held_out_channel(run: Run, channel: ChannelRun, data: Dataset | DatasetFile
     split = Split.from_dict(channel.split)
     if isinstance(data, Dataset):
         seen, unseen = split.apply(data)
-        turns = tuple(_turn(run, fold, data) for fold in channel.folds)
+        turns = tuple(_turn(run, fold, data, seen.flights) for fold in channel.folds)
         return HeldOut(channel, models, seen, unseen, seen.flights, turns)
     train, test = parts_of(split, data)
     flights = tuple(dict.fromkeys(train.file.entries[p.segment].flight for p in train.pieces))
     return HeldOut(channel, models, train.head(LOOK_ROWS), test.read(), flights)
 
 
-def _turn(run: Run, fold: FoldRun, data: Dataset) -> Turn:
+def _turn(run: Run, fold: FoldRun, data: Dataset, known: Sequence[str]) -> Turn:
+    """`known`: flights that the run's own models have seen."""
     models = {label: run.model(file) for label, file in fold.models.items()}
-    return Turn(models, Split.from_dict(fold.split).apply(data)[1])
+    train, test = Split.from_dict(fold.split).apply(data)
+    return Turn(models, test, train.with_segments([s for s in train.segments if s.flight in known]))
 
 
 def models_of(run: Run, channel: ChannelRun) -> dict[str, Fitted]:

@@ -95,8 +95,8 @@ def scope_words(pair: Pair) -> list[str]:
         return []
     shown = pair.verdict in (Verdict.BETTER, Verdict.WORSE)
     if pair.basis.rotated:
-        turns = f"models fitted to these {pair.units} flights, judged on flights that they had not seen"
-        return [f"{turns} (each left out once)", *_rare_words(pair, shown), *_pooled_words(pair)]
+        turns = f"each of {pair.units} flights was left out once and judged by models fitted to the others"
+        return [turns, *_refit_words(pair), *_rare_words(pair, shown)]
     if pair.scope is Scope.ANOTHER:
         return [*_few_words(pair, shown), *_rare_words(pair, shown), *_pooled_words(pair)]
     said = []
@@ -118,6 +118,23 @@ def _few_words(pair: Pair, shown: bool) -> list[str]:
     return [
         f"too few flights to generalise to another; on these {pair.units}: lower on {lower}, "
         f"{percent(pair.change_pct)} typically"
+    ]
+
+
+def _refit_words(pair: Pair) -> list[str]:
+    """Where fits to other flights give models that are as far off as matters: they end in several minima."""
+    e = pair.evidence
+    told = abs(e.rmse_model - e.rmse_baseline) >= e.resolution
+    if pair.change_pct is None or pair.ci95 is None or not told:
+        return []
+    whole = 1.0 + pair.change_pct / 100.0
+    changes = [100.0 * (whole * (1.0 + d / 100.0) - 1.0) for d in pair.basis.apart.values()]
+    low, high = min(changes), max(changes)
+    if low >= pair.ci95[0] - MARGIN_PCT and high <= pair.ci95[1] + MARGIN_PCT:
+        return []
+    return [
+        f"fitted to some of these flights, models come out at {percent(low)} to {percent(high)}: what a fit "
+        "finds depends on the flights it is given; try more --effort, or more flights"
     ]
 
 

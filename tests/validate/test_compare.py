@@ -13,7 +13,7 @@ from flysid.dataset import Dataset, Segment, Signal
 from flysid.errors import DataError, UsageError
 from flysid.model.start import estimate_start
 from flysid.validate.cautions import cautions
-from flysid.validate.compare_models import Comparison, across_channels, compare
+from flysid.validate.compare_models import Comparison, Turn, across_channels, compare
 from flysid.validate.diagnostics import diagnose
 from flysid.validate.document import to_json
 from flysid.validate.report import ReportContext, render
@@ -21,6 +21,7 @@ from flysid.validate.tables import to_markdown
 from flysid.validate.terminal import summary, table
 from flysid.validate.trials import free_run, run_trials
 from flysid.validate.verdict import Evidence, Verdict, decide
+from flysid.validate.words import scope_words
 from tests.fakes import FirstOrder, flown
 
 TRUTH = FirstOrder(a=0.9, b=0.1)
@@ -45,6 +46,31 @@ def test_a_better_and_a_worse_model_are_told_apart() -> None:
     assert pair.unit == "flights"
     worse = compare({"arx": TRUTH, "ts": replace(WRONG, structure="ts")}, test)
     assert verdict_of(worse) == "worse"
+
+
+def test_a_rotation_speaks_of_the_compared_models_where_others_ended_elsewhere() -> None:
+    """Two of five flights are judged by models worse than the baseline; the compared one is right."""
+    data = flown(TRUTH, [300] * 5, noise=0.02)
+    test = flown(TRUTH, [300] * 20, noise=0.02, seed=1)
+    lost = replace(TS, b=0.04)
+    turns = []
+    for i, flight in enumerate(data.flights):
+        parts = ([s for s in data.segments if (s.flight == flight) is out] for out in (True, False))
+        unseen, seen = (data.with_segments(some) for some in parts)
+        turns.append(Turn({"arx": WRONG, "ts": lost if i in (1, 3) else TS}, unseen, seen))
+    models = {"arx": WRONG, "ts": TS}
+    pair = compare(models, test, turns=turns).verdict["y"]
+    truth = compare(models, test).verdict["y"].change_pct
+    assert pair.basis.rotated
+    assert pair.units == 5
+    assert pair.verdict == "better"
+    assert pair.ci95 is not None
+    assert truth is not None
+    assert pair.ci95[0] < truth < pair.ci95[1]
+    assert any("what a fit finds depends on the flights it is given" in w for w in scope_words(pair))
+    steady = [replace(t, models=models) for t in turns]
+    alike = compare(models, test, turns=steady).verdict["y"]
+    assert not any("depends on the flights" in w for w in scope_words(alike))
 
 
 def test_change_is_of_a_typical_flight_and_scores_are_pooled() -> None:

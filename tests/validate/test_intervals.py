@@ -14,6 +14,7 @@ from flysid.validate.intervals import (
     across_flights,
     change,
     correlation_length,
+    distance,
     flight_sides,
     holm,
 )
@@ -118,6 +119,28 @@ def test_rotation_stretches_the_interval() -> None:
     rotated = across_flights(logs, [0.5, 0.4, 0.5, 0.4, 0.5, 0.5], rotated=True)
     width = np.log1p(rotated.high_pct / 100) - np.log1p(rotated.low_pct / 100)
     assert width == pytest.approx(1.2 * 2.0 * 2.5705818 * np.std(logs, ddof=1) / np.sqrt(6))
+
+
+def test_models_that_ended_in_another_minimum_are_taken_off() -> None:
+    """The compared model errs 0.6 times the baseline; the ones that judged two of six flights 1.2 times."""
+    rng = np.random.default_rng(4)
+    flights = list("abcdef")
+    ea = [rng.normal(size=400) * (1.0 + 0.1 * i) for i in range(6)]
+    judged_by = dict(zip(flights, (0.6, 1.2, 0.6, 0.6, 1.2, 0.6), strict=True))
+    eb = [judged_by[f] * e for f, e in zip(flights, ea, strict=True)]
+    compared = [0.6 * e for e in ea]
+    apart = {f: distance((ea, [g * e for e in ea]), (ea, compared), flights) for f, g in judged_by.items()}
+    assert apart["b"][0] == pytest.approx(np.log(2.0))
+    assert apart["a"] == (0.0, 0.0)
+    found = change(ea, eb, flights, apart=apart)
+    assert found.rotated
+    assert found.apart["b"] == pytest.approx(100.0)
+    assert found.interval is not None
+    assert found.interval.low_pct == pytest.approx(-40.0)
+    assert found.interval.high_pct == pytest.approx(-40.0)
+    plain = change(ea, eb, flights).interval
+    assert plain is not None
+    assert plain.high_pct >= 0.0
 
 
 @pytest.mark.parametrize("count", [2, 3, 5, 8])

@@ -125,15 +125,16 @@ def test_all_six_flights_are_judged_by_models_that_have_not_seen_them(turned: Ru
         assert not {p.segment for p in split.train} & {p.segment for p in split.test}
         assert set(turn.models) == set(held.models)
         assert turn.models["arx"] != held.models["arx"]
+        assert set(turn.both.flights) == set(held.train.flights) - set(turn.test.flights)
     judgement = judge_run(turned)
     pair = judgement.document["channels"][CHANNEL]["free_run"]["pairs"]["line"]
     assert (pair["scope"], pair["units"], pair["unit"]) == ("another flight", 6, "flights")
     assert len(pair["by_flight"]) == 6
     assert pair["verdict"] == "worse"
-    assert "each left out once" in pair["reason"]
+    assert "each of 6 flights was left out once and judged by models fitted to the others" in pair["reason"]
     page = render(judgement.context)
-    assert "odels fitted to these 6 flights, judged on flights that they had not seen" in page
-    assert "The models shown and saved are those of the split" in page
+    assert "ach of 6 flights was left out once and judged by models fitted to the others" in page
+    assert "How far these are from the models shown and saved, those of the split, is taken off" in page
 
 
 def test_without_rotation_two_flights_are_judged_and_said_to_be_few(judgement: Judgement) -> None:

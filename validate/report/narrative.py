@@ -332,8 +332,9 @@ def basis(comparisons: Mapping[str, Comparison], train_s: float | None) -> str:
         words += ", corrected for several channels (Holm)." if len(pairs) > 1 else "."
     if any(p.basis.rotated for _, p in pairs):
         words += (
-            " The models shown and saved are those of the split. The verdict is for models that were fitted "
-            "in the same way to the other flights."
+            " Each flight was judged by models that were fitted in the same way to the others. How far these "
+            "are from the models shown and saved, those of the split, is taken off: by what both do on "
+            "flights that both have seen."
         )
     return f"{words} {start_words(comparisons)}"
 
