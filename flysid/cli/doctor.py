@@ -80,6 +80,8 @@ def command(
 ) -> int:
     """Check every log: its contents, its losses, and what to log next time.
 
+    Which channels are worth a fit, and around which a loop is closed, flysid ls DATA --suggest tells.
+
     Exit code 3: data was lost, or a log could not be read; 1: no log could be read.
     """
     from flysid.cli.addresses import here
