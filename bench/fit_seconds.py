@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from bench.harness import LOGS
+from bench.harness import LOGS, ROOT
 from flysid.model.threads import on_one_thread
 
 FLYSID = (sys.executable, "-m", "flysid")
@@ -79,7 +79,11 @@ def line(name: str) -> str:
         before = resource.getrusage(resource.RUSAGE_CHILDREN)
         begin = time.perf_counter()
         done = subprocess.run(
-            [*FLYSID, *words, *target, "--quiet"], cwd=folder, capture_output=True, text=True
+            [*FLYSID, *words, *target, "--quiet"],
+            cwd=folder,
+            env={**os.environ, "PYTHONPATH": str(ROOT)},  # this checkout, wherever flysid is installed from
+            capture_output=True,
+            text=True,
         )
         wall = time.perf_counter() - begin
         after = resource.getrusage(resource.RUSAGE_CHILDREN)
