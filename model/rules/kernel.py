@@ -203,7 +203,7 @@ def sweep(X, W, rows, lags, par, basis, own, ring, J, H, g):  # type: ignore[no-
             for r in range(n_rules):
                 phi[r] = 0.0
                 for j in range(n_z):
-                    lean[r, j] = (z[j] - par.centre[r, j]) * inverse[r, j]
+                    lean[r, j] = (z[j] - par.centre[r, j]) / par.width[r, j]  # as exported C does
                     phi[r] -= 0.5 * lean[r, j] * lean[r, j]
                 top = max(top, phi[r])
             total = 0.0
