@@ -58,7 +58,7 @@ def writing_to(path: Path) -> Iterator[None]:
     except MemoryError:  # Arrow's is an ArrowException too; the folder is not at fault
         raise
     except _refusals() as error:
-        reason = getattr(error, "strerror", None) or str(error)
+        reason = getattr(error, "strerror", None) or re.sub(r"^.*\[errno \d+\] ", "", str(error))  # Arrow's
         raise WriteError(f"cannot be written: {reason}", path=path, hint=_remedy(error)) from error
 
 

@@ -108,9 +108,8 @@ def create_data_folder(data: str | Path) -> Path:
     if (data / DATA_FILE).is_file():
         return check_data_folder(data)
     if data.is_file() or (data.is_dir() and not all(_is_own(p) for p in data.iterdir())):
-        raise UsageError(
-            "not an ingested folder, and not empty", path=data, hint="choose another folder with -o"
-        )
+        what = "a file, not a folder" if data.is_file() else "not an ingested folder, and not empty"
+        raise UsageError(what, path=data, hint="choose another folder with -o")
     with writing_to(data):
         (data / FLIGHTS).mkdir(parents=True, exist_ok=True)
         document = f'{{"format": "{DATA_FORMAT}", "version": {VERSION}}}\n'

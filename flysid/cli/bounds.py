@@ -23,7 +23,7 @@ def quantity(text: str, units: dict[str, float]) -> float | None:
     found = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*([a-zA-Z]*)\s*", text)
     if found is None or found[2].upper() not in units or float(found[1]) <= 0:
         raise click.BadParameter(
-            f"{text!r} is not a number with a unit; units: {', '.join(filter(None, units))}"
+            f"{text!r} is not a positive number with a unit; units: {', '.join(filter(None, units))}"
         )
     return float(found[1]) * units[found[2].upper()]
 

@@ -64,7 +64,8 @@ def read_stored(path: Path) -> dict[str, Any]:
     except FormatError as error:
         raise FormatError(error.message, hint=error.hint, path=path) from error
     except Exception as error:  # whatever a damaged file breaks is the file's fault
-        raise FormatError(f"damaged: {type(error).__name__}: {error}"[:200], path=path) from error
+        told = "not JSON" if isinstance(error, json.JSONDecodeError) else str(error)[:200]
+        raise FormatError(f"damaged: {told}", path=path, hint="write it again") from error
     return {str(name).lower(): value for name, value in fields.items()}
 
 

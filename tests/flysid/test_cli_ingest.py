@@ -72,7 +72,7 @@ def test_json_says_what_became_of_every_log(tmp_path: Path, logs: Path) -> None:
         "one.tlog": "ingested",
         "two.bin": "ingested",
     }
-    assert found["empty.tlog"]["reason"] == "the file is empty"
+    assert found["empty.tlog"]["reason"] == "the file is empty; try: check that the download or copy finished"
     assert found["one.tlog"]["damage"]["bytes_skipped"] == 0
 
 
