@@ -4,7 +4,8 @@
 
 For every seed: the demo's twelve flights, its models of both tilts, a design from the published gains of
 tum_ardrone, and trial flights of it. Runs that stand in FOLDER already are used again. Trial vehicles are
-drawn from seeds of their own.
+drawn from seeds of their own. Where the steady wind along an axis is more than the vehicle's full tilt holds,
+no gains keep the position; what became of the others is told apart ("holdable").
 """
 
 from __future__ import annotations
@@ -15,12 +16,13 @@ import time
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 
 from flysid.cli.demo import HOLDOUT, RECIPE, Stages, fly, take_in
 from flysid.design.campaign import Campaign, fly_design
 from flysid.design.designing import Wish, design_run
 from flysid.design.firmware import SCHEMES, Firmware
-from flysid.design.trialflight import Doubtful
+from flysid.design.trialflight import Doubtful, Trial, held_wind_m_s
 from flysid.errors import FlysidError
 from flysid.ingest.lake.lake import open as open_lake
 from flysid.ingest.synth.rigid_body import Vehicle
@@ -30,6 +32,8 @@ from flysid.validate.run import FitSettings, Run, open_run
 CHANNELS = ("longitudinal", "lateral")
 TRIALS_FROM = 900_000
 LAWS = ("present_x2", "next", "goal")
+DRAWN = 10_000
+"""Vehicles of which the share in too much wind is counted; they are not flown."""
 
 
 def run_of(folder: Path, seed: int) -> Run:
@@ -72,8 +76,31 @@ def main(arguments: list[str]) -> int:
         for axis in campaigns[-1].rows:
             for row in campaigns[-1].table(axis):
                 print(f"  {axis} " + " | ".join(row))
+        for axis in campaigns[-1].rows:
+            print_holdable([campaigns[-1]], axis)
     print_all(campaigns)
     return 0
+
+
+def holdable(seed: int, vehicles: int, axis: str) -> npt.NDArray[np.bool_]:
+    """(vehicles,) whether full tilt of each holds the steady wind along the axis."""
+    trials = [Trial.drawn(Doubtful(), seed, i) for i in range(vehicles)]
+    turn = {"x": math.cos, "y": math.sin}[axis]
+    along = [abs(t.wind.speed_m_s * turn(math.radians(t.wind.towards_deg))) for t in trials]
+    return np.array(along) <= [held_wind_m_s(t.vehicle)[axis] for t in trials]
+
+
+def print_holdable(campaigns: list[Campaign], axis: str) -> None:
+    """Of the vehicles in wind that they can hold, and how many are in more."""
+    kept = np.concatenate([holdable(c.seed, c.vehicles, axis) for c in campaigns])
+    told = []
+    for law in LAWS:
+        own, present = (
+            np.array([f[axis].ise for c in campaigns for f in c.flown[name]]) for name in (law, "present")
+        )
+        less, more = (100.0 * np.mean(good[kept]) for good in (own <= 0.8 * present, own > present))
+        told.append(f"{law} {less:.1f} % (worse {more:.1f} %)")
+    print(f"  {axis} holdable, {kept.sum()} of {len(kept)}: >= 20 % less on {'; '.join(told)}")
 
 
 def print_all(campaigns: list[Campaign]) -> None:
@@ -94,6 +121,9 @@ def print_all(campaigns: list[Campaign]) -> None:
                 f"saturated {100.0 * np.mean([r.saturated for r in rows]):.0f} %; "
                 f"lost {sum(r.lost for r in rows)}; blown off {sum(r.blown for r in rows)}"
             )
+        print_holdable(campaigns, axis)
+        share = 100.0 * holdable(TRIALS_FROM, DRAWN, axis).mean()
+        print(f"  {axis}: full tilt holds the steady wind of {share:.1f} % of {DRAWN} drawn vehicles")
 
 
 if __name__ == "__main__":
