@@ -35,7 +35,6 @@ from flysid.model.rules.search_settings import QUARTERS, RuleSettings
 from flysid.model.start import run_from_window, start_window
 
 _FORETOLD = 0.5  # share of the free run's error that its own past must explain
-_RESOLUTION = 1e-3  # of the outputs' spread: a free-run error below leaves nothing to explain
 _MOST_OUTPUTS = 2
 _MOST_SAMPLES = 100_000
 
@@ -158,7 +157,7 @@ def _judge(
 
 
 def hints_at_hidden_state(model: FittedTS, train: Dataset) -> bool:
-    """Whether the free run errs more than the data resolve, in a way that its own past foretells."""
+    """Whether the free run errs at all, in a way that its own past foretells."""
     if len(model.outputs) > _MOST_OUTPUTS or len(train) > _MOST_SAMPLES:
         return False
     errors = free_run_errors(model, train)
@@ -169,7 +168,7 @@ def hints_at_hidden_state(model: FittedTS, train: Dataset) -> bool:
         own = [e[:, j] for e in errors]
         square = float(np.mean(np.concatenate(own) ** 2))
         foreseen = 1.0 - noise_model(own)[1] / square if square > 0 else 0.0
-        if square > (_RESOLUTION * scale[j]) ** 2 and foreseen > _FORETOLD:
+        if square > VANISHING * scale[j] ** 2 and foreseen > _FORETOLD:
             return True
     return False
 

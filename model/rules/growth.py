@@ -23,6 +23,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from flysid.dataset import FloatArray
+from flysid.model.linear.output_error import WORSE_FIT
 from flysid.model.polynomials import RCOND, ROUNDING, VANISHING
 from flysid.model.rules.clustering import cluster, project
 from flysid.model.rules.free_run_error import Body, Problem, antecedent_range
@@ -30,7 +31,6 @@ from flysid.model.rules.kernel import firing
 from flysid.model.rules.memberships import Partition
 from flysid.model.rules.regressor_layout import Antecedent, Layout, windows
 from flysid.model.rules.stages import Stage, expected_cost, insert, on_runs_of
-from flysid.model.selection import FEWEST
 from flysid.model.start import START_SHARE, STEPS
 
 _PLACES = (0.15, 0.5, 0.85)
@@ -207,9 +207,7 @@ def looks_integrating(stage: Stage) -> bool:
     return slowest_pole(stage) > 1.0 - 1.0 / longest
 
 
-def with_integrator(
-    stage: Stage, iterations: int, known: Sequence[Stage] = (), *, dearer: float = 1.5
-) -> tuple[Stage, ...]:
+def with_integrator(stage: Stage, iterations: int, known: Sequence[Stage] = ()) -> tuple[Stage, ...]:
     """The linear stage with its pole at one, refined; without it as well where it may be a slow lag.
 
     A pole outside the unit circle is offered only where one on it explains the record badly.
@@ -217,7 +215,6 @@ def with_integrator(
     Parameters
     ----------
     known : stages of lower orders that hold an integrator: further starts.
-    dearer : times the mean square error that keeping the integrator may cost in training.
     """
     problem = integrating(stage.problem)
     theta = stage.problem.parameters(stage.body).theta[0].copy()
@@ -226,7 +223,7 @@ def with_integrator(
     near = skip_refining(replace(problem, offset=theta), still)
     nested = (embedded_start(lower, problem) for lower in reversed(known) if lower.problem.integrates)
     held = linear_stage(problem, iterations, (*next(filter(None, nested), ()), near))
-    outside = slowest_pole(stage) > 1.0 and held.cost <= dearer * stage.cost
+    outside = slowest_pole(stage) > 1.0 and held.cost <= WORSE_FIT * stage.cost
     return (held,) if outside else (held, stage)
 
 
@@ -323,15 +320,19 @@ def _inserted_along(
     span = float(np.ptp(z[:, j]))
     for at in places:
         chosen = z[strongest == at.rule, j]
-        if len(chosen) < FEWEST or span == 0.0:
+        if len(chosen) < len(wide.layout.regressors) or span == 0.0:  # fewer than the rule has numbers
             continue
         centre = wide.body.centre[at.rule].copy()
         width = wide.body.width[at.rule].copy()
         centre[j] = np.quantile(chosen, at.place)
-        width[j] = min(max(0.5 * float(np.std(chosen)), 0.03 * span), 0.3 * span)
-        if stage.rules == 1:
-            width[j] = max(width[j], 0.2 * span)
+        width[j] = first_width(chosen, span, stage.rules)
         yield at, insert(wide, centre, width)
+
+
+def first_width(chosen: FloatArray, span: float, rules: int) -> float:
+    """Of a new rule's set: half the spread of the samples where it is put, `span` being the whole range."""
+    width = min(max(0.5 * float(np.std(chosen)), 0.03 * span), 0.3 * span)
+    return max(width, 0.2 * span) if rules == 1 else width
 
 
 def z_and_firing(stage: Stage, runs: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray]:

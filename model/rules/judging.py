@@ -24,7 +24,7 @@ from flysid.model.rules.recursion import drop_held
 from flysid.model.rules.regressor_layout import windows
 from flysid.model.rules.search_settings import QUARTERS
 from flysid.model.rules.stages import Stage, prior_of
-from flysid.model.selection import block_means, standard_error
+from flysid.model.selection import FEWEST, block_means, standard_error
 from flysid.model.start import MAX_SHARE
 
 INTEGRATES = (
@@ -32,8 +32,7 @@ INTEGRATES = (
     "mean drives it to the output limits."
 )
 """What users are told of a model that does not come back."""
-_LONGER = 3  # times what starts it, that a window of a judging part is at least long,
-_SCORED = 5  # with so many rows at least to score
+_LONGER = 3  # times what starts it, that a window of a judging part is at least long
 AWAY = 1.0 / VANISHING
 """Mean square of what ran away, or may not be offered."""
 _CLEAR = 1.5  # standard errors over windows of several folds; those of one fold share a model
@@ -132,7 +131,7 @@ def judged(stage: Stage, runs: Sequence[FloatArray], skip: int, *, must_be_bound
 def _window_errors(stage: Stage, runs: Sequence[FloatArray], skip: int) -> FloatArray:
     """Mean squares of free runs over windows, cut alike for every depth, so that any two can be compared."""
     rows = max(sum(len(W) for W in runs) // QUARTERS, _LONGER * skip)
-    pieces = [W for W in windows(runs, skip, rows) if len(W) > skip + _SCORED]
+    pieces = [W for W in windows(runs, skip, rows) if len(W) >= skip + FEWEST]
     return np.array([float((e * e).mean()) for e in free_run_errors(stage, pieces, skip)])
 
 
