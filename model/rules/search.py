@@ -19,6 +19,7 @@ from flysid.model.linear.data import SEARCH_ROWS
 from flysid.model.polynomials import VANISHING
 from flysid.model.rules.growth import Insertion, Training, one_rule_more, same_insertion, thin
 from flysid.model.rules.judging import Family, tolerant
+from flysid.model.rules.regressor_layout import Orders
 from flysid.model.rules.search_context import SearchContext
 from flysid.model.rules.search_settings import QUARTERS
 from flysid.model.rules.stages import Stage
@@ -52,7 +53,7 @@ def search(context: SearchContext, plain: Family, starts: Sequence[Family]) -> t
 
     With it the change of the least training mean square by a second rule, on the first part, in logarithms.
     """
-    able = [s for s in starts if context.room(s.linear.stage)]
+    able = different([s for s in starts if context.room(s.linear.stage)])
     tell("1 rule", share=0.0, validation=float(plain.rmse[0]))
     if context.most_rules == 1 or not able:
         return plain, -np.inf
@@ -69,6 +70,25 @@ def search(context: SearchContext, plain: Family, starts: Sequence[Family]) -> t
         if not ran_away or context.error(best) < plain.rmse[0]:
             break
     return best, fit
+
+
+def different(starts: Sequence[Family]) -> list[Family]:
+    """The starts without those that another one is, too, as far as screening can tell.
+
+    One linear model is found from several sides, and would be grown from as often.
+    """
+    kept: list[tuple[Family, float]] = []
+    for start in starts:
+        square = start.linear.stage.mean_square()
+        alike = (abs(_change(square, s)) < _SCREEN.tolerance for k, s in kept if _lags(k) == _lags(start))
+        if not any(alike):
+            kept.append((start, square))
+    return [start for start, _ in kept]
+
+
+def _lags(start: Family) -> tuple[Orders, int]:
+    layout = start.linear.stage.layout
+    return layout.orders, layout.n
 
 
 def _screen(context: SearchContext, starts: Sequence[Family]) -> list[Screened]:

@@ -12,7 +12,8 @@ import pytest
 from bench.hidden_plants import PLANTS
 from flysid.dataset import Dataset
 from flysid.errors import UsageError
-from flysid.model.rules import search_settings
+from flysid.model.rules import learning, search_settings
+from flysid.model.rules.search import different
 from flysid.model.rules.search_settings import EFFORTS, NORMAL, SearchSettings
 from flysid.model.ts import TS
 from flysid.model.ts_best import BestTS, contest
@@ -58,6 +59,18 @@ def test_what_is_set_is_done() -> None:
     one = TS(search=replace(NORMAL, highest_order=1, folds=1, rule_gain=1e9)).fit(data)
     assert not any("held out in turn" in note for note in one.notes)
     assert len(one.rules()) == 1 < len(usual.rules())
+
+
+def test_a_linear_model_that_was_found_twice_is_grown_from_once() -> None:
+    found = learning.lag_starts(TS(na=1, nb=1, nk=1), _data(), None)
+    start = found.starts[0]
+    stage = start.linear.stage
+    nearly = stage.under(offset=stage.problem.offset * (1.0 + 1e-7))
+    again = replace(start, folds=((replace(start.linear, stage=nearly),),))
+    other = replace(
+        start, folds=((replace(start.linear, stage=stage.under(offset=0.9 * stage.problem.offset)),),)
+    )
+    assert different([start, again, other]) == [start, other]
 
 
 @pytest.mark.usefixtures("arx_alone")
