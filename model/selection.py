@@ -12,7 +12,7 @@ from flysid.model.base import Fitted
 LEVEL = 0.01
 """Relative difference in mean square that nobody would pay an order for."""
 FEWEST = 10
-"""Samples that say anything at all, of a region, or beside those that start a model."""
+"""Samples that say anything at all, as a block, or beside those that start a model."""
 HELD_OUT = 0.25
 """Of training data, where no part was given to choose on."""
 STRONG = 10.0
