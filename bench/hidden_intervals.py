@@ -1,8 +1,9 @@
-"""Do intervals of rules over hidden states hold the truth? python -m bench.hidden_intervals [COUNT]
+"""Do intervals of rules over hidden states hold the truth? python -m bench.hidden_intervals [COUNT] [FIRST]
 
 Two rules over the output and a hidden state are simulated under random steps, coloured noise (AR(1), 0.8) is
-added, the numbers are refined on that record from the truth, and the intervals of the refit are asked whether
-the truth lies inside. Single consequents hang on what the hidden state means and are not asked.
+added, the numbers are refined on that record from the truth, and the intervals of the refit at its operating
+points are asked whether the truth lies inside. Single consequents hang on what the hidden state means, and
+rules' own gains have no intervals.
 """
 
 from __future__ import annotations
@@ -19,6 +20,8 @@ from flysid.dataset import Dataset, FloatArray
 from flysid.model.rules.fitted import FittedTS
 from flysid.model.rules.free_run_error import Body
 from flysid.model.rules.likely_start import LikelyStart, initial_states
+from flysid.model.rules.local_models import SteadyMap
+from flysid.model.rules.operating_points import describe, walked
 from flysid.model.rules.regressor_layout import runs_of
 from flysid.model.rules.rule_uncertainty import uncertainty
 from flysid.model.rules.stages import Stage
@@ -57,32 +60,36 @@ def refitted(truth: FittedTS, data: Dataset) -> FittedTS:
     return replace(truth, parameters=stage.problem.parameters(stage.body))
 
 
-def coverage(experiments: int) -> dict[str, float]:
-    """Share of gains and simulated samples whose 95 % interval holds the truth.
+def true_gain(truth: FittedTS, level: float) -> float:
+    """The steady gain of the truth where its output rests at a level."""
+    layout = truth.layout
+    way = np.linspace(layout.shift[0], level, 9)
+    places = walked(SteadyMap(layout, truth.parameters), 0, 0, np.unique(way))
+    return float(places[level].tangent.gain[0, 0] * layout.scale[0] / layout.scale[layout.n])
 
-    And the share of gains that the data bound, which alone have an interval.
-    """
+
+def coverage(experiments: int, first: int = 0) -> dict[str, float]:
+    """Share of gains at operating points, and of simulated samples, whose 95 % interval holds the truth."""
     truth = known_model()
-    gain = np.array([rule.dc_gain for rule in truth.rules()])
     fresh = SCALE * steps(99, 300)
     clean: FloatArray = truth.simulate(fresh)
-    held: dict[str, list[float]] = {"gains": [], "gains given": [], "simulation": []}
-    for seed in range(experiments):
+    held: dict[str, list[float]] = {"gains": [], "simulation": []}
+    for seed in range(first, first + experiments):
         data = experiment(truth, seed)
-        sure = uncertainty(refitted(truth, data), data)
-        low, high = sure.gain_interval
-        known = np.isfinite(low)
-        held["gains"] += [float(v) for v in ((low <= gain) & (gain <= high))[known]]
-        held["gains given"].append(float(known.mean()))
-        below, above = sure.simulation_band(fresh)
+        model = describe(refitted(truth, data), data, settled=True)
+        for p in model.operating_points:
+            low, high = p.gain_interval[:, 0]
+            held["gains"].append(float(low <= true_gain(truth, float(p.outputs[0])) <= high))
+        below, above = uncertainty(model, data).simulation_band(fresh)
         held["simulation"].append(float(((below <= clean) & (clean <= above))[5:].mean()))
     return {name: float(np.mean(values)) for name, values in held.items()}
 
 
 def main() -> None:
-    """Print the coverage, and how many gains have an interval."""
+    """Print the coverage."""
     experiments = int(sys.argv[1]) if len(sys.argv) > 1 else 200
-    for name, share in coverage(experiments).items():
+    first = int(sys.argv[2]) if len(sys.argv) > 2 else 0
+    for name, share in coverage(experiments, first).items():
         print(f"{name:15s} {100 * share:.1f} % ({experiments} experiments, nominal 95 %)")
 
 
