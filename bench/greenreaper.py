@@ -172,6 +172,7 @@ def _words() -> str:
 
 def _margins(flown: Flown) -> str:
     gains = ", ".join(f"{k} {v:g}" for k, v in flown.controller.gains.items())
+    gains += f", steps {flown.axis.slower:.3f} times those stated"
     try:
         m = margins(flown.loop, flown.controller)
     except DataError as error:
