@@ -1,6 +1,7 @@
 """Gains of rules and a self-tuning PD beside the robust PID, on vehicles that are not the one modelled.
 
-`python -m bench.rule_gains FOLDER [VEHICLES] [SEED...]`: runs and vehicles of `bench.design`; the gains of
+`python -m bench.rule_gains FOLDER [VEHICLES] [SEED...]`: runs and vehicles of `bench.design`, with 0 vehicles
+what the models say alone, also of rules whose consequents are fitted again locally; the gains of
 rules (parallel distributed compensation) and the PDs fly forwards, the PID sideways. The PDs keep the PID's
 bounds on every plant, the self-tuning one at both ends and in the middle of its gains; what is free in them
 is sought on drawn vehicles of a seed of their own, which favours them: the PID and the rules saw the models
@@ -14,13 +15,14 @@ import sys
 import time
 from dataclasses import replace
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 from scipy.optimize import differential_evolution
 
 from bench.design import TRIALS_FROM, run_of
 from flysid.dataset import FloatArray
-from flysid.design.designing import Wish, design_run, ready_channel
+from flysid.design.designing import Ready, Wish, design_run, ready_channel
 from flysid.design.drawn_plants import PlantSet, grid
 from flysid.design.firmware import SCHEMES, Firmware
 from flysid.design.gain_search import OUT_OF_BOUNDS, Bounds
@@ -32,6 +34,8 @@ from flysid.design.self_tuning import Tuner
 from flysid.design.trialflight import PERIOD_S, Doubtful, Trial, fly_trial, true_plants
 from flysid.errors import FlysidError
 from flysid.ingest.synth.rigid_body import Vehicle
+from flysid.model.rules.consequents import refit_consequents
+from flysid.model.rules.rule_model import RuleModel
 from flysid.validate.run import held_out
 
 CHANNELS = ("longitudinal", "lateral")
@@ -82,6 +86,21 @@ def tuner_figures(tuner: Tuner, plants: PlantSet, parts: LoopParts) -> Figures:
     return figures(Laws.of(laws[0], np.array([law.tuned() for law in laws])), plants.responses, parts)
 
 
+def print_local(model: RuleModel, ready: Ready) -> None:
+    """What becomes of the rules' gains where every rule is fitted to its own neighbourhood."""
+    local = refit_consequents(model, ready.data.train, criterion="local", ridge="auto")
+    try:
+        law = search_rule_gains(rule_plant(local), ready.plants, ready.bounds, LIMIT)
+    except FlysidError as error:
+        print(f"  local rules: {error.message}")
+        return
+    found = law_figures(law, ready.plants, LoopParts.at(ready.plants.omega, ready.plants.dt_s))
+    print(
+        f"  local rules: Ms {found.ms.max():.2f}, noise {found.noise.max():.1f}, "
+        f"tracking {found.tracking.max():.2f}"
+    )
+
+
 def main(arguments: list[str]) -> int:
     """Print a table a seed."""
     folder = Path(arguments[0])
@@ -112,6 +131,9 @@ def main(arguments: list[str]) -> int:
             f"noise {pid.noise[1]:.1f}, tracking {pid.tracking[1]:.2f}"
         )
         x = axes[CHANNELS[0]].laws["goal"]
+        if not vehicles:
+            print_local(cast(RuleModel, item.models["ts"]), ready)
+            continue
         y = axes[CHANNELS[1]].laws["goal"] if CHANNELS[1] in axes else published
         trials = [Trial.drawn(Doubtful(), TRIALS_FROM + seed, i) for i in range(vehicles)]
         omega = grid(PERIOD_S)
