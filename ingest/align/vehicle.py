@@ -11,6 +11,9 @@ NAME = "vehicle_name"
 """The fact that names the vehicle: whoever ingested the log said so."""
 SERIALS = ("sys_uuid", "board")
 """Facts that are a board's own number."""
+TELEMETERED = "uid2"
+"""The number that a board sends. PX4 writes it to its ULog, too; what ArduPilot logs on board has none, so
+that telemetry and that log would seem to be of two vehicles."""
 
 
 def vehicle_named(path: str, pattern: str) -> dict[str, str]:
@@ -38,5 +41,11 @@ def vehicle_of(info: Mapping[str, str]) -> str:
     family = "ardupilot" if autopilot.startswith("ardupilot") else autopilot
     kind = info.get("vehicle", "").lower()
     kind = "copter" if kind in COPTERS else "plane" if kind in PLANES else kind
-    serial = next((info[key] for key in SERIALS if info.get(key)), "")
+    serial = serial_of(info)
     return " ".join(word for word in (family, "" if serial else kind, serial) if word)
+
+
+def serial_of(info: Mapping[str, str]) -> str:
+    """The board's own number, by which telemetry and the log on board know it; "" where there is none."""
+    keys = (*SERIALS, TELEMETERED) if info.get("autopilot") == "px4" else SERIALS
+    return next((info[key] for key in keys if info.get(key)), "")

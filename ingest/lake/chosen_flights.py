@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 from flysid.errors import UsageError
 from flysid.ingest.align.modes import COPTERS
-from flysid.ingest.align.vehicle import NAME, SERIALS, vehicle_of
+from flysid.ingest.align.vehicle import NAME, serial_of, vehicle_of
 from flysid.ingest.lake.events import settings
 from flysid.ingest.lake.lake import Lake
 from flysid.ingest.lake.stretches import Stretches, parse_part
@@ -130,7 +130,7 @@ def _state(lake: Lake) -> dict[str, dict[str, list[str]]]:
         return found
     for log in lake.logs:
         info = log.facts.info
-        if any(info.get(key) for key in (NAME, *SERIALS)):
+        if info.get(NAME) or serial_of(info):
             continue
         said = {
             s.name: f"{s.value:g}" for s in settings(log) if s.name in OWN and not isinstance(s.value, str)

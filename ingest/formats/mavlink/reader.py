@@ -169,7 +169,7 @@ def _parts(reader: _Reader, frames: Frames) -> Iterator[StreamPart]:
         if source[2] == MessageId.HEARTBEAT:
             _note_vehicle(reader, source, _matrix(frames, rows, layout), layout)
         elif source[2] == MessageId.AUTOPILOT_VERSION:
-            _note_firmware(reader, _matrix(frames, rows, layout), layout)
+            _note_board(reader, _matrix(frames, rows, layout), layout)
         if (name := _time_field(layout)) is not None:
             clocked[source] = reader.time.unwrapped(_read_clock(source, name, rows, frames, layout))
     reader.time.begin(list(clocked.values()), placing, utc=has_utc)
@@ -322,8 +322,11 @@ def vehicle_facts(
     }
 
 
-def _note_firmware(reader: _Reader, matrix: ByteMatrix, layout: RecordLayout) -> None:
-    """flight_sw_version holds major, minor and patch in its upper bytes, the kind of release below."""
+def _note_board(reader: _Reader, matrix: ByteMatrix, layout: RecordLayout) -> None:
+    """The board's own number, 18 bytes; major, minor and patch of flight_sw_version, highest byte first."""
+    number = matrix.view(layout.dtype).reshape(len(matrix))["uid2"][-1]
+    if number.any():
+        reader.info["uid2"] = number.tobytes().hex()
     version = int(_field_values(matrix, layout, "flight_sw_version")[-1])
     if version:
         reader.info["firmware"] = ".".join(str(version >> shift & 255) for shift in (24, 16, 8))

@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 
 import flysid
 from flysid.flight import Flight, field_scale, field_unit
+from flysid.ingest.align.vehicle import vehicle_of
 from flysid.ingest.formats.base import Limits, collect
 from flysid.ingest.formats.common.columns import as_array
 from flysid.ingest.formats.mavlink import reader as tlog
@@ -464,3 +465,15 @@ def test_damage_to_one_frame_does_not_change_the_dialect() -> None:
     flight = read(log_of(frames))
     assert flight.info["dialect"] == "ardupilotmega"
     assert flight.damage.bad_checksums == 1
+
+
+def test_telemetry_of_px4_knows_the_vehicle_by_the_number_that_its_ulog_has() -> None:
+    number = bytes.fromhex("0006000000003736323032335111002f0022")
+    vehicle = sender()
+    about = vehicle.autopilot_version_encode(
+        0, 0x010D0300, 0, 0, 0, bytes(8), bytes(8), bytes(8), 0, 0, 0, number
+    )
+    beat = vehicle.heartbeat_encode(2, 12, 81, 0, 4)
+    flight = read(log_of([frame(vehicle, message) for message in (beat, about)] + flying(vehicle, 5)))
+    assert flight.info["firmware"] == "1.13.3"
+    assert vehicle_of(flight.info) == f"px4 {number.hex()}"

@@ -51,6 +51,8 @@ def mixed(tmp_path: Path) -> Path:
         ({"autopilot": "ardupilot", "vehicle": "copter"}, "ardupilot copter"),
         ({"autopilot": "ardupilotmega", "vehicle": "fixed_wing"}, "ardupilot plane"),
         ({"autopilot": "px4", "sys_uuid": "ab"}, "px4 ab"),
+        ({"autopilot": "px4", "vehicle": "quadrotor", "uid2": "ab"}, "px4 ab"),
+        ({"autopilot": "ardupilotmega", "vehicle": "quadrotor", "uid2": "ab"}, "ardupilot copter"),
         ({}, ""),
     ],
 )
