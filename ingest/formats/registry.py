@@ -140,7 +140,7 @@ def _refuse_unknown(head: bytes, name: str) -> FormatError:
     kinds = [fmt.title for fmt in all_formats().values() if lower.endswith(fmt.suffixes)]
     if kinds:
         return FormatError(
-            f"its name says {kinds[0]}, its content does not",
+            f"not a flight log that flysid knows, though named like {kinds[0]}",
             path=name,
             byte=0,
             hint="check that the download or copy finished, and that it is a log",

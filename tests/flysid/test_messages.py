@@ -178,9 +178,9 @@ FILES = [
     (
         "a.tlog",
         b"hello world\n" * 100,
-        "its name says MAVLink telemetry (.tlog, raw, pcap), its content does not",
+        "not a flight log that flysid knows, though named like MAVLink telemetry (.tlog, raw, pcap)",
     ),
-    ("a.csv", b"t,u,y\n", "its name says table in text (.csv, .tsv), its content does not"),
+    ("a.csv", b"t,u,y\n", "not a flight log that flysid knows, though named like table in text (.csv, .tsv)"),
     ("a.bin", bytes(5000), "nothing but zeros (a.bin, byte 0) Try: copy it from the vehicle again"),
     (
         "a.ulg",

@@ -33,6 +33,6 @@ def test_what_intervals_part_is_clear_and_nothing_else() -> None:
     (said,) = differences([LOW, HIGH])
     assert "largest phase margin at P 46, I 45, D 25: 48 deg [46, 50], clearly" in said
     (said,) = differences([LOW, flown(55.0, Figure(45.0, 42.0, 47.0))])
-    assert "48 deg [46, 50], no clear difference to 1 of 1 others" in said
+    assert "48 deg [46, 50], no clear difference to 1 of 1 other" in said
     (said,) = differences([LOW, flown(55.0, Figure(None, why="the flights scatter too much"))])
     assert "largest phase margin: not determined" in said

@@ -135,7 +135,7 @@ def test_a_band_has_more_lines_than_the_smooth_curve_has_coefficients(up_to: flo
     f = np.arange(0.0, 20.0, 0.5)
     loop: Any = SimpleNamespace(f=f, spread=lambda: np.where(f <= up_to, 0.1, 1.0))
     if refused:
-        with pytest.raises(DataError, match=r"known between 2 and 4 Hz alone"):
+        with pytest.raises(DataError, match=r"known between 2 and 4 Hz only"):
             trusted_band(loop)
     else:
         assert trusted_band(loop) == (1.5, 4.5)

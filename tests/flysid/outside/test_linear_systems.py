@@ -159,7 +159,7 @@ def test_a_free_run_starts_from_the_state_that_fits_the_window_best(tmp_path: Pa
         ("sys = tf([1 0 0], [1 2]);", "improper"),
         ("sys = tf([1], [1 2]);\nsys.InputName = 'phi_in';", "inputs are phi_in, the data's theta_in"),
         ("sys = tf([1], [1 2]);\nsys.OutputUnit = 'deg';", "v_x in 'deg', the data in 'm/s'"),
-        ("sys = tf({1, 2}, {[1 2], [1 3]});", r"2 input\(s\) and 1 output"),
+        ("sys = tf({1, 2}, {[1 2], [1 3]});", r"2 inputs and 1 output, the data 1 and 1"),
         ("sys = tf(1);", "num and den"),
         ("sys = zpk([], [0.9], 1, 0.02);", r"zpk\(\) is not known"),
         ("a = 1;\nsystem('rm -rf /');", "line 2"),

@@ -68,8 +68,8 @@ def test_an_unknown_key_names_the_nearest_known_one(place: tuple[Any, ...], key:
         ({"channels": {}}, "at least one"),
         ({"channels": {"c": {"inputs": ["v"], "outputs": ["y"]}}}, r"signals\.v"),
         ({"channels": {"c": {"inputs": [], "outputs": ["y"]}}}, "inputs and outputs"),
-        ({"name": 5}, "wrong value"),
-        ({"signals": [1, 2]}, "wrong value"),
+        ({"name": 5}, "name must be text, not a whole number"),
+        ({"signals": [1, 2]}, "signals must be a table, not a list"),
     ],
 )
 def test_what_makes_no_sense_is_refused(change: dict[str, Any], says: str) -> None:

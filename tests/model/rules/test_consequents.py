@@ -117,5 +117,5 @@ def test_settings_that_cannot_be() -> None:
     ):
         with pytest.raises(UsageError, match=word):
             settings.fit(data)
-    with pytest.raises(DataError, match="31 rules of 2 numbers need more than the 60 samples"):
+    with pytest.raises(DataError, match="31 rules of 2 numbers: more samples are needed than there are"):
         StaticTS(rules=31).fit(data)
