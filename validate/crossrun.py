@@ -22,7 +22,14 @@ from flysid.ingest.lake.lake import open as open_lake
 from flysid.model.base import Fitted, kind_of
 from flysid.progress import tell
 from flysid.split import Piece, Split, refuse_copies
-from flysid.validate.compare_models import Comparison, across_channels, compare, headline, sides_of
+from flysid.validate.compare_models import (
+    CONTENDERS,
+    Comparison,
+    across_channels,
+    compare,
+    headline,
+    sides_of,
+)
 from flysid.validate.expected import expected_document
 from flysid.validate.judge import Judgement, by_reason, fit_command, split_words
 from flysid.validate.judgedparts import chosen_lake, restrict
@@ -120,8 +127,9 @@ def expected_of_runs(a: Run, b: Run, label: str | None = None) -> dict[str, Any]
     theirs = {c.name: c for c in a.channels}
     channels = {}
     for name in (name for name in ours if name in theirs):
-        models, head = _both(models_of(a, theirs[name]), models_of(b, ours[name]), ours[name].baseline, label)
-        channels[name] = models, sides_of(models, f"a:{head}", f"b:{head}")
+        baselines = theirs[name].baseline, ours[name].baseline
+        models, heads = _both(models_of(a, theirs[name]), models_of(b, ours[name]), baselines, label)
+        channels[name] = models, sides_of(models, *heads)
     return expected_document(channels, {})
 
 
@@ -181,31 +189,37 @@ def _check_alike(a: Dataset, b: Dataset) -> None:
 
 def _compare(a: HeldOut, b: HeldOut, label: str | None) -> Comparison:
     test = unseen(a, b)
-    models, head = _both(a.models, b.models, b.channel.baseline, label)
-    return compare(models, test, baseline=f"a:{head}", contender=f"b:{head}", seen={*a.seen, *b.seen})
+    models, (base, contender) = _both(a.models, b.models, (a.channel.baseline, b.channel.baseline), label)
+    return compare(models, test, baseline=base, contender=contender, seen={*a.seen, *b.seen})
 
 
 def _both(
-    a: Mapping[str, Fitted], b: Mapping[str, Fitted], baseline: str, label: str | None
-) -> tuple[dict[str, Fitted], str]:
-    """The models of both runs under the names they are compared by, and the headline's label.
+    a: Mapping[str, Fitted], b: Mapping[str, Fitted], baselines: tuple[str, str], label: str | None
+) -> tuple[dict[str, Fitted], tuple[str, str]]:
+    """The models of both runs under the names they are compared by, and the two of the headline.
 
-    `baseline`: run B's.
+    `baselines`: the runs'.
     """
-    head = _headline(a, b, baseline, label)
+    head_a, head_b = _heads(a, b, baselines, label)
     models = {f"a:{name}": m for name, m in a.items() if not _is_reference(m)}
     models |= {f"b:{name}": m for name, m in b.items() if not _is_reference(m)}
-    return models | {name: m for name, m in b.items() if _is_reference(m)}, head
+    return models | {name: m for name, m in b.items() if _is_reference(m)}, (f"a:{head_a}", f"b:{head_b}")
 
 
-def _headline(a: Mapping[str, Fitted], b: Mapping[str, Fitted], baseline: str, label: str | None) -> str:
+def _heads(
+    a: Mapping[str, Fitted], b: Mapping[str, Fitted], baselines: tuple[str, str], label: str | None
+) -> tuple[str, str]:
+    """What the headline compares: like with like, or rules of one run with what the other is about."""
+    own = headline(a, baselines[0]), headline(b, baselines[1])
+    if label is None and own[0] != own[1] and not {*own}.isdisjoint(CONTENDERS):
+        return own
     shared = [name for name, m in b.items() if name in a and not _is_reference(m)]
     if label is not None and label not in shared:
         raise UsageError(f"only one of the runs has a model {label!r}", hint=f"one of {', '.join(shared)}")
     if not shared:
         raise DataError(f"the runs share no model: {_names(a)} and {_names(b)}")
-    wanted = label or headline(shared, baseline)
-    return wanted if wanted in shared else shared[0]
+    wanted = label or headline(shared, baselines[1])
+    return (wanted, wanted) if wanted in shared else (shared[0], shared[0])
 
 
 def _is_reference(model: Fitted) -> bool:
@@ -215,7 +229,7 @@ def _is_reference(model: Fitted) -> bool:
 def _context(
     a: Run, b: Run, comparisons: Mapping[str, Comparison], sides: Mapping[str, tuple[HeldOut, HeldOut]]
 ) -> ReportContext:
-    labels = {c.baseline.removeprefix("a:") for c in comparisons.values()}
+    labels = {str(head).partition(":")[2] for c in comparisons.values() for head in (c.baseline, c.contender)}
     model = f" --model {labels.pop()}" if len(labels) == 1 else ""
     return ReportContext(
         comparisons=comparisons,

@@ -110,6 +110,21 @@ def test_two_runs_are_compared_like_with_like(runs: tuple[Run, Run]) -> None:
         expected_of_runs(a.run, a.run, "bj")
 
 
+def test_the_rules_of_one_run_are_compared_with_the_baseline_of_one_that_has_none(
+    runs: tuple[Run, Run], tmp_path: Path
+) -> None:
+    folder = Path(shutil.copytree(runs[0].folder, tmp_path / "linear"))
+    (channel,) = runs[0].channels
+    models = {name: file for name, file in channel.models.items() if name != "ts"}
+    linear = RunSource(replace(runs[0], folder=folder, channels=(replace(channel, models=models),)))
+    for a, b, heads in (
+        (linear, RunSource(runs[0]), (f"a:{channel.baseline}", "b:ts")),
+        (RunSource(runs[0]), linear, ("a:ts", f"b:{channel.baseline}")),
+    ):
+        c = judge_runs(a, b).comparisons[CHANNEL]
+        assert (c.baseline, c.contender) == heads
+
+
 def test_runs_without_rules_meet_in_the_baseline_that_validate_names(runs: tuple[Run, Run]) -> None:
     (channel,) = runs[0].channels
     linear = {label: file for label, file in channel.models.items() if label != "ts"}
