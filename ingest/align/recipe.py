@@ -381,10 +381,11 @@ def _check_sense(recipe: Recipe, where: str) -> None:
     """What types cannot say: names refer to something, units are known, numbers are positive."""
     if recipe.rate_hz != "auto" and not 0 < recipe.rate_hz < 1e6:
         raise RecipeError(f"rate_hz must be positive, not {recipe.rate_hz}", path=where)
-    for key in ("max_rate_hz", "max_segment_s", "min_segment_s"):
-        value = getattr(recipe, key)
-        if value is not None and not value > 0:
-            raise RecipeError(f"{key} must be positive, not {value}", path=where)
+    for key in ("max_rate_hz", "max_segment_s"):
+        if not getattr(recipe, key) > 0:
+            raise RecipeError(f"{key} must be positive, not {getattr(recipe, key)}", path=where)
+    if recipe.min_segment_s is not None and not recipe.min_segment_s >= 0:
+        raise RecipeError(f"min_segment_s is negative: {recipe.min_segment_s}", path=where)
     if not recipe.channels:
         raise RecipeError("a recipe needs at least one [channels.NAME]", path=where)
     for name, channel in recipe.channels.items():

@@ -65,7 +65,7 @@ def test_an_unknown_key_names_the_nearest_known_one(place: tuple[Any, ...], key:
     [
         ({"rate_hz": "fast"}, "rate_hz"),
         ({"rate_hz": -1.0}, "positive"),
-        ({"min_segment_s": -1.0}, "min_segment_s must be positive"),
+        ({"min_segment_s": -1.0}, "min_segment_s is negative"),
         ({"channels": {}}, "at least one"),
         ({"channels": {"c": {"inputs": ["v"], "outputs": ["y"]}}}, r"signals\.v"),
         ({"channels": {"c": {"inputs": [], "outputs": ["y"]}}}, "inputs and outputs"),
