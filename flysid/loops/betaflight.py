@@ -33,6 +33,7 @@ I_SCALE = 0.244381
 D_SCALE = 0.000529
 AXES = {"roll": "rollPID", "pitch": "pitchPID", "yaw": "yawPID"}
 FULL_THROTTLE = 2000.0
+"""us."""
 ANTI_GRAVITY = 1 << 28
 """Bit of `features` that switches it on."""
 LARGEST_I = 250.0

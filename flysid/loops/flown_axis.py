@@ -17,7 +17,7 @@ from numba import njit
 
 from flysid.dataset import FloatArray
 from flysid.errors import DataError, UsageError
-from flysid.loops.betaflight import AXES, BetaflightLaw
+from flysid.loops.betaflight import AXES, FULL_THROTTLE, BetaflightLaw
 from flysid.loops.blackbox_loops import FULL_STICK, even_pieces, fields_of, slower, terms_of
 from flysid.loops.controller import THOUSANDTHS
 from flysid.loops.stick_response import ComplexArray, StickRecord
@@ -27,7 +27,6 @@ SIDES = np.array([[-1.0, -1.0, 1.0, 1.0], [1.0, -1.0, 1.0, -1.0], [1.0, -1.0, -1
 """How roll, pitch and yaw enter the motors: rear right, front right, rear left, front left."""
 IDLE_STICK = 1050.0
 """us of throttle below which the motors idle (`min_check`), which headers do not state."""
-FULL_STICK_US = 2000.0
 MOVED_WITHIN_S = 0.1
 """Within which anti-gravity looks for a movement of the throttle."""
 
@@ -193,7 +192,7 @@ def flown_axis(log: Any, axis: str, settings: Mapping[str, str], *, largest_miss
 
 def _opened(throttle: FloatArray) -> FloatArray:
     """(N,) throttle as a share of the motors' range."""
-    return np.asarray(np.clip((throttle - IDLE_STICK) / (FULL_STICK_US - IDLE_STICK), 0.0, 1.0))
+    return np.asarray(np.clip((throttle - IDLE_STICK) / (FULL_THROTTLE - IDLE_STICK), 0.0, 1.0))
 
 
 def _sections(law: BetaflightLaw) -> FloatArray:

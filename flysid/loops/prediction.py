@@ -131,14 +131,15 @@ def _turning(loop: Loop, at: npt.NDArray[np.bool_], step_s: float) -> Turning:
     away = np.abs(np.log(plant(loop.draws)[:, at] / g)) ** 2
     weight = 1.0 / np.sqrt(np.maximum(median_filter(away.mean(axis=0), NEIGHBOURS, mode="nearest"), 1e-8))
 
+    def turning(x: FloatArray) -> Turning:
+        return Turning(float(np.exp(x[0])), float(np.exp(x[1])), float(x[2]))
+
     def off(x: FloatArray) -> FloatArray:
-        own = Turning(float(np.exp(x[0])), float(np.exp(x[1])), float(x[2]))
-        apart = weight * np.log(g / own.response(loop.f[at], step_s))
+        apart = weight * np.log(g / turning(x).response(loop.f[at], step_s))
         return np.concatenate([apart.real, apart.imag])
 
     start = np.array([np.log(50.0), np.log(0.02), 0.005])
-    x = least_squares(off, start, x_scale=(0.1, 0.1, 0.001)).x
-    return Turning(float(np.exp(x[0])), float(np.exp(x[1])), float(x[2]))
+    return turning(least_squares(off, start, x_scale=(0.1, 0.1, 0.001)).x)
 
 
 def predict_flight(known: Turnings, later: FlownAxis) -> Prediction:

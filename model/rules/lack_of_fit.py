@@ -17,7 +17,7 @@ import numpy as np
 from flysid.dataset import FloatArray
 from flysid.filters import apply_filter
 from flysid.model.noise import noise_model
-from flysid.model.rules.kernel import Lags, Parameters
+from flysid.model.rules.kernel import Parameters
 from flysid.model.rules.local_models import all_terms, derivatives
 from flysid.model.rules.regressor_layout import Layout
 from flysid.model.rules.rule_uncertainty import Uncertainty
@@ -76,7 +76,7 @@ def through_law(
 ) -> FloatArray:
     """(N, K) an output's answer to curves (N, K) of its last sample that its equation adds, along a run."""
     first = layout.depth
-    A = _tangents(layout.lags, par, run, first)
+    A = _tangents(layout, par, run)
     count = curves.shape[1]
     deep = A.shape[2]
     answer = np.zeros((len(run) + deep, layout.n, count))
@@ -86,16 +86,14 @@ def through_law(
     return np.asarray(answer[deep:, output])
 
 
-def _tangents(lags: Lags, par: Parameters, run: FloatArray, first: int) -> FloatArray:
-    """(N - first, n, depth, n) derivatives of every row from `first` on to the simulated ones before."""
-    n = par.theta.shape[1]
-    rows = np.arange(first, len(run))[:, None]
-    x = np.where(lags.column < 0, 1.0, run[rows - lags.lag, lags.column])
-    back = np.where(lags.z_minus < 0, 0.0, run[rows - np.maximum(lags.z_minus, 0), lags.z_column])
-    _, slopes, _ = derivatives(lags, par, x, run[rows - lags.z_lag, lags.z_column] - back)
-    every = all_terms(lags)
+def _tangents(layout: Layout, par: Parameters, run: FloatArray) -> FloatArray:
+    """(N - depth, n, lags, n) derivatives of every row from `depth` on to the simulated ones before."""
+    n = layout.n
+    x = layout.regressor_values(run)
+    _, slopes, _ = derivatives(layout.lags, par, x, layout.antecedent_values(run))
+    every = all_terms(layout.lags)
     own = np.flatnonzero((every.column >= 0) & (every.column < n))
-    A = np.zeros((len(rows), n, max(1, every.lag[own].max(initial=0)), n))
+    A = np.zeros((len(x), n, max(1, every.lag[own].max(initial=0)), n))
     for term in own:
         A[:, :, every.lag[term] - 1, every.column[term]] += slopes[:, :, term]
     return A
