@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal
 
 from flysid.dataset import Dataset
@@ -99,7 +99,6 @@ def unbounded(found: Suggestion) -> bool:
 
 
 def _suggest_channel(log: Log, recipe: Recipe, channel: str) -> list[Suggestion]:
-    spec = recipe.channel(channel)
     try:
         aligned = align([log], recipe, channel)
     except (DataError, RecipeError) as error:
@@ -108,9 +107,8 @@ def _suggest_channel(log: Log, recipe: Recipe, channel: str) -> list[Suggestion]
     data = aligned.dataset
     found: list[Suggestion] = []
     for j, loop in enumerate(feedback(data)):
-        told = recipe.name, notes, loop
-        pairs = [_assess(data, spec, log.name, told, (i, j)) for i in range(len(spec.inputs))]
-        found.append(max(pairs, key=lambda s: s.coherence))
+        pairs = [_assess(log, recipe, data, (i, j), loop) for i in range(len(data.inputs))]
+        found.append(replace(max(pairs, key=lambda s: s.coherence), notes=notes))
     return found
 
 
@@ -130,16 +128,10 @@ def _refuse(log: Log, recipe: Recipe, channel: str, error: DataError | RecipeErr
     return Suggestion(log.name, recipe.name, channel, *names, verdict=verdict, advice=words + hint)
 
 
-def _assess(
-    data: Dataset,
-    spec: ChannelSpec,
-    flight: str,
-    told: tuple[str, tuple[str, ...], Feedback],
-    pair: tuple[int, int],
-) -> Suggestion:
-    """One pair of input and output; `told`: the recipe's name, notes, whether the output is answered."""
-    recipe, notes, loop = told
+def _assess(log: Log, recipe: Recipe, data: Dataset, pair: tuple[int, int], loop: Feedback) -> Suggestion:
+    """One pair of input and output; `loop`: whether the output is answered."""
     column, output = pair
+    spec = recipe.channel(data.name)
     moves = excitation(data, column)
     seen = spectrum(data, column, output)
     delay = _delay(data, column, output)
@@ -152,8 +144,8 @@ def _assess(
         if through or (delay is not None and delay.feedback):
             verdict = "closed loop"
     return Suggestion(
-        flight=flight,
-        recipe=recipe,
+        flight=log.name,
+        recipe=recipe.name,
         channel=data.name,
         input=data.inputs[column].name,
         output=data.outputs[output].name,
@@ -170,7 +162,6 @@ def _assess(
         delay_high_s=None if delay is None else delay.high_s,
         sign=0 if delay is None else delay.sign,
         feedback=loop.closed,
-        notes=notes,
     )
 
 
