@@ -18,8 +18,9 @@ from scipy.signal import lfilter
 from bench import accuracy_data
 from flysid.dataset import Dataset
 from flysid.model.base import Estimator
-from flysid.model.linear_choice import best_linear, free_run_errors, linear_estimators
+from flysid.model.linear_choice import best_linear, linear_estimators
 from flysid.model.one_rule import linear_rivals
+from flysid.model.selection import free_run_errors
 from flysid.model.shared import sharing
 
 SETS = ("cascaded_tanks", "dryer", "gas_furnace", "robot_arm", "winding", "emps")

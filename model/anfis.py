@@ -15,6 +15,7 @@ import numpy as np
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, UsageError
 from flysid.model.arguments import check_inputs
+from flysid.model.last_gates import no_worse_than_held
 from flysid.model.rules.clustering import cluster, project
 from flysid.model.rules.fitted import FittedTS, finish
 from flysid.model.rules.free_run_error import Body, Problem, antecedent_range
@@ -58,6 +59,7 @@ class ANFIS:
     step: float = 0.02
 
     @on_one_thread
+    @no_worse_than_held
     def fit(self, train: Dataset, validation: Dataset | None = None) -> FittedTS:
         """Alternate least squares and gradient steps; the epoch with the lowest error is kept.
 

@@ -26,6 +26,7 @@ from flysid.model.base import (
     all_structures,
     write_document,
 )
+from flysid.model.last_gates import no_worse_than_held
 from flysid.model.rules.explanation import Explanation, refuse_row
 from flysid.model.rules.phrases import in_words
 from flysid.model.start import FreeRuns
@@ -55,6 +56,7 @@ class Ensemble:
     members: int = 5
 
     @on_one_thread
+    @no_worse_than_held
     def fit(self, train: Dataset, validation: Dataset | None = None) -> FittedEnsemble:
         """Fit every member; those that cannot be fitted are left out, and counted.
 

@@ -16,14 +16,11 @@ import numpy as np
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, FitError
 from flysid.model.base import Estimator, Fitted
-from flysid.model.selection import FEWEST, block_means, clearly_better, parts_to_choose_on
+from flysid.model.selection import clearly_better, free_run_errors, judge_free_runs, parts_to_choose_on
 from flysid.model.shared import fit_key, once
-from flysid.model.start import run_from_window, start_window
 from flysid.progress import tell
 
 FIRST = "arx"
-LOST = 1e6
-"""Times the output's spread: what an error that is no number counts as."""
 
 
 @dataclass(frozen=True)
@@ -187,44 +184,8 @@ def _rmse(model: Fitted, check: Dataset) -> float | None:
     return None
 
 
-def free_run_errors(models: Mapping[str, Fitted], check: Dataset) -> dict[str, FloatArray]:
-    """Mean squared free-run errors of blocks of the validation part, in variances of the outputs.
-
-    All models start alike: each estimates its first lags from the same window of measured samples, which is
-    left out.
-
-    Raises
-    ------
-    DataError : no segment is long enough.
-    """
-    return {name: errors for name, (errors, _) in _judge(models, check).items()}
-
-
 def _of_the_bounded(models: Mapping[str, Fitted], check: Dataset) -> dict[str, FloatArray]:
     """The errors of the models that reach their limits nowhere; of all where none is left."""
-    found = _judge(models, check)
+    found = judge_free_runs(models, check)
     kept = [name for name, (_, lost) in found.items() if not lost] or list(found)
     return {name: found[name][0] for name in kept}
-
-
-def _judge(models: Mapping[str, Fitted], check: Dataset) -> dict[str, tuple[FloatArray, bool]]:
-    """Block errors of every model, and whether it ever reached its output limits."""
-    lags = max(model.n_init for model in models.values())
-    windows = [start_window(lags, len(s), check.dt_s) for s in check.segments]
-    scored = [(s, w) for s, w in zip(check.segments, windows, strict=True) if len(s) >= w + FEWEST]
-    if not scored:
-        raise DataError(f"no segment has {FEWEST} samples beside those that start the models")
-    scale = np.std(np.concatenate([s.y[w:] for s, w in scored]), axis=0)
-    scale = np.where(scale > 0.0, scale, 1.0)
-    found = {}
-    for name, model in models.items():
-        squares = []
-        lost = False
-        (low, high) = model.output_limits
-        for s, window in scored:
-            run = run_from_window(model, s, window)[window:]
-            lost = lost or bool(((run <= low) | (run >= high) | ~np.isfinite(run)).any())
-            gaps = np.nan_to_num((s.y[window:] - run) / scale, nan=LOST, posinf=LOST, neginf=-LOST)
-            squares.append(np.mean(np.clip(gaps, -LOST, LOST) ** 2, axis=1))
-        found[name] = (block_means(squares), lost)
-    return found

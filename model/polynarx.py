@@ -13,12 +13,11 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-import numpy as np
-
 from flysid.dataset import Dataset
 from flysid.errors import DataError, FitError, UsageError
 from flysid.model.arguments import is_count
 from flysid.model.arx import ARX
+from flysid.model.last_gates import LINEAR_ENOUGH, shortfall
 from flysid.model.linear.data import Parts
 from flysid.model.linear.difference_equation import FittedLinear
 from flysid.model.linear.settings import Auto
@@ -32,7 +31,6 @@ from flysid.model.narx.term_search import (
     linear_terms,
     proven,
     prune,
-    unchanged,
 )
 from flysid.model.selection import clearly_better
 from flysid.model.shared import fit_key, once
@@ -52,7 +50,7 @@ class PolyNARX:
     na, nb, nk : orders and delays of the linear model that terms are added to, as of `ARX`. Where all are
         "auto", the search starts from what `ARX` chooses, and from two lags with delays of their own and with
         none, and takes the one whose polynomial is clearly better on held-out blocks. Where no term helps,
-        the first of these linear models is returned.
+        what `ARX` chooses comes out, parameter for parameter, and its first note says so.
     most_terms : nonlinear terms at most.
     nk_hint : delays that "auto" tries besides its own, one per input.
 
@@ -61,8 +59,8 @@ class PolyNARX:
     Examples
     --------
     >>> model = flysid.PolyNARX(na=1, nb=1, nk=1).fit(train)  # train: see `flysid.Dataset`
-    >>> model.structure
-    'polynarx'
+    >>> model.structure  # the plant of `train` is linear
+    'arx'
     """
 
     na: int | Auto = "auto"
@@ -73,7 +71,7 @@ class PolyNARX:
 
     @on_one_thread
     @once(fit_key)
-    def fit(self, train: Dataset, validation: Dataset | None = None) -> FittedPolyNARX:
+    def fit(self, train: Dataset, validation: Dataset | None = None) -> FittedPolyNARX | FittedLinear:
         """Start from linear models, add terms, leave out those that say nothing, refine.
 
         Raises
@@ -89,17 +87,12 @@ class PolyNARX:
         starts = dict(linear_terms(model, units) for model in bases)
         depth = max(map(depth_of, starts))
         searches = [TermSearch(parts, units, terms, theta, depth) for terms, theta in starts.items()]
-        linear, limit = unchanged(searches[0])
         if parts.check is parts.fitted:
-            note = "No term was looked for: no part of the data is held out that could judge it."
-            return replace(linear, notes=(note,))
+            return _linear_alone(bases[0], "no part of the data is held out that could judge terms.")
         found = [found for search in searches if (found := self._search(search)) is not None]
         if not found:
-            note = (
-                "No term was looked for: the linear model's free run leaves its limits, or there are too few "
-                "held-out samples."
-            )
-            return replace(linear, notes=(note,))
+            why = "the linear model's free run leaves its limits, or there are too few held-out samples."
+            return _linear_alone(bases[0], why)
         best = found[0]
         for other in found[1:]:
             if clearly_better(other.chosen.errors, best.chosen.errors):
@@ -107,12 +100,12 @@ class PolyNARX:
         others = sorted((f for f in found if f is not best), key=lambda f: float(f.chosen.errors.mean()))
         for one in (best, *others):
             if all(term.is_linear for term in one.chosen.terms):
-                break
-            model, error = finish(one.search, one.chosen)
-            if np.isfinite(error) and error <= limit:
+                return _linear_alone(bases[0], "no term helps on held-out data.", one.notes)
+            model = finish(one.search, one.chosen)
+            if model is not None and not shortfall(model, {"ARX": bases[0]}, train, 0.0):
                 return replace(model, notes=(*one.notes, *model.meanings()))
-        note = "No model with nonlinear terms is better both there and over all training data: kept linear."
-        return replace(linear, notes=(*best.notes, note))
+        why = "no model with nonlinear terms is better both on held-out data and over all training data."
+        return _linear_alone(bases[0], why, best.notes)
 
     def _linear(self, train: Dataset, validation: Dataset | None) -> Iterator[FittedLinear]:
         """What terms are added to."""
@@ -135,6 +128,11 @@ class PolyNARX:
         )
         chosen = proven(search, prune(search, grown(search, first, self.most_terms, notes), notes), notes)
         return _Found(search, chosen, tuple(notes))
+
+
+def _linear_alone(model: FittedLinear, why: str, notes: Sequence[str] = ()) -> FittedLinear:
+    """The linear model itself: as terms it would start otherwise, and be held at its limits on the way."""
+    return replace(model, notes=(f"{LINEAR_ENOUGH}{why}", *notes, *model.notes))
 
 
 @dataclass(frozen=True, eq=False)

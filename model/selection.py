@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Protocol
 
 import numpy as np
 
 from flysid.dataset import Dataset, FloatArray
+from flysid.errors import DataError
 from flysid.model.base import Fitted
+from flysid.model.start import Timed, run_from_window, start_window
 
 LEVEL = 0.01
 """Relative difference in mean square that nobody would pay an order for."""
+MARGIN = 0.05
+"""Relative difference of errors below which two models serve alike; verdicts call them the same."""
+LOST = 1e6
+"""Times the output's spread: what an error that is no number counts as."""
 FEWEST = 10
 """Samples that say anything at all, as a block, or beside those that start a model."""
 HELD_OUT = 0.25
@@ -20,6 +27,13 @@ STRONG = 10.0
 
 Kass & Raftery, 1995, J. Am. Stat. Assoc. 90.
 """
+
+
+class FreeRunning(Timed, Protocol):
+    """What is asked of a model whose free run is judged."""
+
+    @property
+    def output_limits(self) -> FloatArray: ...
 
 
 def parts_to_choose_on(train: Dataset) -> tuple[Dataset, Dataset]:
@@ -47,6 +61,42 @@ def block_errors(model: Fitted, data: Dataset, skip: int, scale: FloatArray) -> 
             miss = (model.simulate(segment.u, segment.y[: model.n_init]) - segment.y)[skip:] / scale
             errors.append(np.mean(miss**2, axis=1))
     return block_means(errors)
+
+
+def free_run_errors(models: Mapping[str, FreeRunning], check: Dataset) -> dict[str, FloatArray]:
+    """Mean squared free-run errors of blocks of a part of the data, in variances of the outputs.
+
+    All models start alike: each estimates its first lags from the same window of measured samples, which is
+    left out.
+
+    Raises
+    ------
+    DataError : no segment is long enough.
+    """
+    return {name: errors for name, (errors, _) in judge_free_runs(models, check).items()}
+
+
+def judge_free_runs(models: Mapping[str, FreeRunning], check: Dataset) -> dict[str, tuple[FloatArray, bool]]:
+    """Errors and exceptions of `free_run_errors`, and whether the model ever reached its output limits."""
+    lags = max(model.n_init for model in models.values())
+    windows = [start_window(lags, len(s), check.dt_s) for s in check.segments]
+    scored = [(s, w) for s, w in zip(check.segments, windows, strict=True) if len(s) >= w + FEWEST]
+    if not scored:
+        raise DataError(f"no segment has {FEWEST} samples beside those that start the models")
+    scale = np.std(np.concatenate([s.y[w:] for s, w in scored]), axis=0)
+    scale = np.where(scale > 0.0, scale, 1.0)
+    found = {}
+    for name, model in models.items():
+        squares = []
+        lost = False
+        (low, high) = model.output_limits
+        for s, window in scored:
+            run = run_from_window(model, s, window)[window:]
+            lost = lost or bool(((run <= low) | (run >= high) | ~np.isfinite(run)).any())
+            gaps = np.nan_to_num((s.y[window:] - run) / scale, nan=LOST, posinf=LOST, neginf=-LOST)
+            squares.append(np.mean(np.clip(gaps, -LOST, LOST) ** 2, axis=1))
+        found[name] = (block_means(squares), lost)
+    return found
 
 
 def block_means(squares: Sequence[FloatArray], *, blocks: int = 16) -> FloatArray:

@@ -23,6 +23,7 @@ from flysid.errors import DataError, UsageError
 from flysid.model.arguments import as_columns, as_record, check_inputs, never_changes, no_samples
 from flysid.model.base import Rule, write_document
 from flysid.model.documents import head_of, signals_of
+from flysid.model.last_gates import no_worse_than_held
 from flysid.model.rule_tables import Row, if_then, parameters
 from flysid.model.rules.clustering import MOST_SAMPLES, Method, cluster, project
 from flysid.model.rules.consequents import Consequents, Criterion, check_criterion, fit_consequents
@@ -73,6 +74,7 @@ class StaticTS:
     ridge: float | Literal["auto"] = 0.0
 
     @on_one_thread
+    @no_worse_than_held
     def fit(self, train: Source, validation: Dataset | None = None) -> FittedStaticTS:
         """Cluster the training samples, then solve eq. (4). `validation` is not needed.
 

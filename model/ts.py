@@ -7,10 +7,15 @@ where a tank, an actuator or a friction element stands between, a hidden state s
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
 
 from flysid.dataset import Dataset
-from flysid.errors import UsageError
+from flysid.errors import FlysidError, UsageError
+from flysid.model.arx import ARX
+from flysid.model.last_gates import refuse, shortfall
+from flysid.model.linear.difference_equation import FittedLinear
 from flysid.model.one_rule import linear_choice
 from flysid.model.rules import learning
 from flysid.model.rules.contest import contest
@@ -21,6 +26,8 @@ from flysid.model.shared import sharing
 from flysid.model.threads import on_one_thread
 
 __all__ = ["TS", "FittedTS"]
+
+Search = Callable[["TS", Dataset, Dataset | None], FittedTS]
 
 
 @dataclass(frozen=True)
@@ -68,17 +75,7 @@ class TS(RuleSettings):
         DataError : no or too few samples, a signal that never moves.
         FitError : no stable model was found.
         """
-        if self.states != 0 or isinstance(self.states, bool):
-            self._check_states()
-            if self.states != "auto":
-                return over_states(self, train, validation)
-            with sharing():
-                return contest(self, train, validation, linear_choice).described
-        found = learning.over_lags(self, train, validation, linear_choice)
-        model = found.model if self.refine else found.bare
-        if not self.stable or found.stage.problem.integrates:
-            return model
-        return with_stable_rules(model, train)
+        return gated(self, _found, train, validation)
 
     def _check_states(self) -> None:
         for name in ("na", "nb"):
@@ -88,8 +85,55 @@ class TS(RuleSettings):
             raise UsageError("refine=False and stable=True are for rules over lags", hint="give states=0")
 
 
+def _found(settings: TS, train: Dataset, validation: Dataset | None) -> FittedTS:
+    """What the search that is asked for finds."""
+    if settings.states != 0 or isinstance(settings.states, bool):
+        settings._check_states()
+        if settings.states != "auto":
+            return over_states(settings, train, validation)
+        return contest(settings, train, validation, linear_choice).described
+    found = learning.over_lags(settings, train, validation, linear_choice)
+    model = found.model if settings.refine else found.bare
+    if not settings.stable or found.stage.problem.integrates:
+        return model
+    return with_stable_rules(model, train)
+
+
 def over_states(settings: TS, train: Dataset, validation: Dataset | None) -> FittedTS:
     """Rules over hidden states, whose number may be chosen; raises as `TS.fit`."""
     if settings.states == 0:
         raise UsageError("states=0", hint='give "auto" or a whole number from 1 on')
     return learning.over_states(settings, train, validation).model
+
+
+def gated(settings: TS, search: Search, train: Dataset, validation: Dataset | None) -> FittedTS:
+    """What a search finds; one rule where more follow the training data less closely than ARX does.
+
+    Rules of clusters and least squares (`refine=False`) are what the literature has, and pass as they are.
+
+    Raises
+    ------
+    FitError : what was found errs clearly more there than ARX, or than the first value held.
+    """
+    with sharing():
+        model = search(settings, train, validation)
+        if not settings.refine:
+            return model
+        linear = _linear(settings, train, validation)
+        many = settings.rules == "auto" and len(model.parameters.theta) > 1
+        if many and shortfall(model, linear, train, margin=0.0):
+            model = search(replace(settings, rules=1), train, validation)
+        return refuse(model, linear, train)
+
+
+def _linear(settings: TS, train: Dataset, validation: Dataset | None) -> dict[str, FittedLinear]:
+    """ARX of the orders asked for, by its name; nothing where there is none, as of a number of states."""
+    asked: dict[str, Any] = {"nk_hint": settings.nk_hint}
+    if settings.states == 0:
+        asked |= {"na": settings.na, "nb": settings.nb, "nk": settings.nk}
+    elif settings.states != "auto":
+        return {}
+    try:
+        return {"ARX": ARX(**asked).fit(train, validation)}
+    except FlysidError:
+        return {}

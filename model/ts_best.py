@@ -12,12 +12,12 @@ from typing import Literal
 
 from flysid.dataset import Dataset
 from flysid.model.base import Fitted
+from flysid.model.last_gates import LINEAR_ENOUGH, shortfall
 from flysid.model.linear.difference_equation import FittedLinear
 from flysid.model.one_rule import linear_choice, linear_rivals, same_orders
 from flysid.model.rules.contest import Contest, advantage, block_errors, parts_to_compare_on, unproven
 from flysid.model.rules.contest import contest as contest_of_rules
 from flysid.model.rules.fitted import FittedTS
-from flysid.model.rules.judging import INTEGRATES
 from flysid.model.rules.learning import SWEEP
 from flysid.model.rules.search_settings import NORMAL, SearchSettings
 from flysid.model.shared import sharing
@@ -25,8 +25,6 @@ from flysid.model.subspace.fitted_model import FittedStateSpace
 from flysid.model.threads import on_one_thread
 from flysid.model.ts import TS
 
-LINEAR_ENOUGH = "A linear model is enough: "
-"""How the notes of a model begin that the search for rules gave up for."""
 Linear = FittedLinear | FittedStateSpace | FittedTS
 """What the linear side may choose; of rules, a single one."""
 
@@ -85,11 +83,11 @@ def _linear_enough(
 ) -> Linear | None:
     """The linear side's choice where one rule is enough, or where the rules do not clearly run nearer.
 
-    None where rules are kept, or where the one rule holds an integrator, which no linear structure does.
+    None where rules are kept.
     """
     rules = found.of_rules
     count = len(rules.parameters.theta)
-    if settings.rules not in ("auto", 1) or INTEGRATES in rules.notes:
+    if settings.rules not in ("auto", 1):
         return None
     delays = tuple(settings.nk_hint), tuple(settings.nk_least)
     choice = linear_choice(
@@ -103,7 +101,10 @@ def _linear_enough(
         said = "one rule was requested, and one rule is a linear model."
     elif count == 1:
         said = "a search for rules found none that lowers the error."
-    elif not advantage([block_errors((model, rules), validation or train)]).gain < 0.0:
+    elif (
+        shortfall(rules, {"linear": model}, train, 0.0)
+        or not advantage([block_errors((model, rules), validation or train)]).gain < 0.0
+    ):
         said = f"its free run is closer than that of the {count} rules found."
     else:
         again = same_orders(model, settings.search) or linear_rivals(*delays, settings.search)[label]

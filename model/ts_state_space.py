@@ -17,7 +17,7 @@ from flysid.dataset import Dataset
 from flysid.model.rules.fitted import FittedTS
 from flysid.model.rules.search_settings import NORMAL, SearchSettings
 from flysid.model.threads import on_one_thread
-from flysid.model.ts import TS, over_states
+from flysid.model.ts import TS, gated, over_states
 
 
 @dataclass(frozen=True)
@@ -66,4 +66,4 @@ class TSStateSpace:
         DataError : no or too few samples, a signal that never moves.
         FitError : no stable model was found.
         """
-        return over_states(TS(**vars(self)), train, validation)
+        return gated(TS(**vars(self)), over_states, train, validation)

@@ -34,17 +34,20 @@ from flysid.model.ts import TS
 from flysid.model.ts_state_space import TSStateSpace
 
 
-def plant(u: FloatArray) -> FloatArray:
-    """A damped second-order plant with a delay of one sample, two inputs, two outputs."""
+def plant(u: FloatArray, drag: float = 0.0) -> FloatArray:
+    """A damped second-order plant with a delay of one sample, two inputs, two outputs; the first may bend."""
     y = np.zeros((len(u), 2))
     for k in range(2, len(u)):
         y[k, 0] = 1.5 * y[k - 1, 0] - 0.6 * y[k - 2, 0] + 0.1 * u[k - 1, 0] + 0.02 * u[k - 1, 1]
+        y[k, 0] -= drag * abs(y[k - 1, 0]) * y[k - 1, 0]
         y[k, 1] = 0.8 * y[k - 1, 1] + 0.1 * y[k - 1, 0] + 0.3 * u[k - 1, 1]
     return y
 
 
 @cache
-def data(n_u: int = 1, n_y: int = 1, *, samples: int = 400, noise: float = 0.02, seed: int = 0) -> Dataset:
+def data(
+    n_u: int = 1, n_y: int = 1, *, samples: int = 400, noise: float = 0.02, seed: int = 0, drag: float = 0.0
+) -> Dataset:
     """Two segments of the plant under random steps, with measurement noise and offsets."""
     rng = np.random.default_rng(seed)
     us = []
@@ -52,7 +55,7 @@ def data(n_u: int = 1, n_y: int = 1, *, samples: int = 400, noise: float = 0.02,
     for _ in range(2):
         u = np.zeros((samples, 2))
         u[:, :n_u] = np.repeat(rng.uniform(-1, 1, (samples // 8 + 1, n_u)), 8, axis=0)[:samples]
-        ys.append((plant(u) + 0.5 + noise * rng.standard_normal((samples, 2)))[:, :n_y])
+        ys.append((plant(u, drag) + 0.5 + noise * rng.standard_normal((samples, 2)))[:, :n_y])
         us.append(u[:, :n_u] + 0.2)
     return Dataset.from_arrays(us, ys, 0.02)
 
@@ -112,10 +115,10 @@ EXAMPLES: dict[str, tuple[Builder, Dataset]] = {
     "structured, two inputs and outputs": (StructuredStateSpace(hold="first").fit, data(2, 2)),
     "multirotor": (Multirotor().fit, data()),
     "multirotor, accelerations": (Multirotor(kind="acceleration").fit, data(2, 2)),
-    "polynarx": (PolyNARX(na=2, nb=2, nk=1, most_terms=2).fit, data()),
+    "polynarx": (PolyNARX(na=2, nb=2, nk=1, most_terms=2).fit, data(drag=0.5, noise=0.002)),
     "polynarx, two inputs and outputs": (
         PolyNARX(na=2, nb=1, nk=1, most_terms=1).fit,
-        data(2, 2, samples=200),
+        data(2, 2, samples=200, drag=0.5, noise=0.002),
     ),
     "arx, static": (ARX(na=0, nb=1, nk=0, refine=False).fit, data()),
 }

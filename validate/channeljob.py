@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Generic, TypeVar
@@ -76,14 +76,22 @@ class ChannelJob(Generic[D]):
     def _run(self) -> ChannelRun | str:
         raise NotImplementedError
 
-    def fit_into(self, fits: Fits, label: str, estimator: FitsTo[S], train: S) -> None:
-        """Fit and save a model; one that cannot be fitted leaves a reason."""
+    def fit_into(
+        self, fits: Fits, label: str, estimator: FitsTo[S], train: S, beside: Collection[str]
+    ) -> None:
+        """Fit and save a model; one that cannot be fitted leaves a reason.
+
+        Parameters
+        ----------
+        beside : labels of linear models that it is compared with, as far as they are fitted.
+        """
         tell("fitting", share=0.0)
         started = time.perf_counter()
         place = slug(self.name)
         (self.folder / place).mkdir(exist_ok=True)
         file = f"{place}/{label}.json"
-        model = fit_one(estimator, train, self.folder / file)
+        known = {name: fits.models[name] for name in beside if name in fits.models}
+        model = fit_one(estimator, train, self.folder / file, known)
         if isinstance(model, str):
             fits.failed[label] = model
         else:

@@ -64,7 +64,7 @@ class DiskJob(ChannelJob[DatasetFile]):
         told: ChannelRun | None = None
         for label, estimator in wanted.items():
             with plan.model(label):
-                self.fit_into(fits, label, estimator, train)
+                self.fit_into(fits, label, estimator, train, ())
                 linear = {label: model for label, model in fits.models.items() if label in STREAMED}
                 if linear:  # all were fitted to many more samples than these: none knows them by heart
                     told = replace(

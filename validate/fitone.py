@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import traceback
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Protocol, TypeVar
@@ -10,10 +11,12 @@ from flysid.dataset import Dataset
 from flysid.errors import DataError, FitError
 from flysid.files import write_atomically
 from flysid.ingest.align.quick import QUICK
-from flysid.model.base import Fitted
+from flysid.model.base import Fitted, kind_of
 from flysid.model.capabilities import HasOperatingPoints, LinearModel
+from flysid.model.last_gates import refuse
 from flysid.model.rules import phrases as words
 from flysid.model.rules.operating_words import sentences
+from flysid.model.selection import LEVEL, MARGIN
 from flysid.validate.beyond import caution
 from flysid.validate.responses import answers
 
@@ -31,6 +34,16 @@ def reason(error: Exception) -> str:
     elif not isinstance(error.__cause__, MemoryError):
         return said
     return f"{said}. Try: fewer --jobs at a time, or a smaller --memory, which fits from disk"
+
+
+def fault(error: Exception) -> str:
+    """What broke inside flysid, and where, for a report."""
+    at = traceback.extract_tb(error.__traceback__)[-1]
+    place = f"{Path(at.filename).parent.name}/{Path(at.filename).name}, line {at.lineno}"
+    return (
+        f"flysid itself failed: {type(error).__name__}: {error} ({place}). Try: report this as a bug, with "
+        "the data if you may"
+    )
 
 
 def nothing_done(recipe: str, done: str, why: Mapping[str, str]) -> DataError:
@@ -57,12 +70,32 @@ class FitsTo(Protocol[S]):
     def fit(self, train: S) -> Fitted: ...
 
 
-def fit_one(estimator: FitsTo[S], train: S, path: Path) -> Fitted | str:
+def fitted(estimator: FitsTo[S], train: S, beside: Mapping[str, Fitted]) -> Fitted:
+    """A model that passes the last gates (`flysid.model.last_gates`).
+
+    With a memory it may not err more on its training data than the linear models `beside`, by their labels:
+    a linear one by `MARGIN`, any other by `LEVEL`.
+
+    Raises
+    ------
+    FitError : it does, or nothing could be fitted. DataError, MemoryError : nothing could be fitted.
+    """
+    model = estimator.fit(train)
+    if kind_of(model.structure) == "reference" or not isinstance(train, Dataset):
+        return model
+    margin = MARGIN if kind_of(model.structure) == "linear" else LEVEL
+    named = {label.upper(): other for label, other in beside.items()}
+    return refuse(model, named, train, margin)
+
+
+def fit_one(estimator: FitsTo[S], train: S, path: Path, beside: Mapping[str, Fitted]) -> Fitted | str:
     """Fit and save a model, and its rules in words beside it; or why it could not be fitted."""
     try:
-        model = estimator.fit(train)
+        model = fitted(estimator, train, beside)
     except UNFIT as error:
         return reason(error)
+    except Exception as error:  # noqa: BLE001 - one structure takes no other model of the run down
+        return fault(error)
     if isinstance(train, Dataset):
         model = caution(model, train)
     model.save(path)

@@ -29,7 +29,7 @@ from flysid.ingest.lake.lake import Lake
 from flysid.ingest.lake.stretches import held_spans
 from flysid.ingest.lake.workers import Bounds, LostWorker, run_bounded
 from flysid.model.base import Estimator
-from flysid.model.linear_choice import choose_baseline, confirm
+from flysid.model.linear_choice import FIRST, choose_baseline, confirm
 from flysid.model.one_rule import linear_rivals
 from flysid.model.rules.search_settings import SearchSettings
 from flysid.model.shared import sharing
@@ -175,7 +175,7 @@ class MemoryJob(ChannelJob[Dataset]):
         first = list(wanted)[: 1 + list(wanted).index(beside[-1])]
         for label in first:
             with plan.model(label):
-                self.fit_into(fits, label, wanted[label], train)
+                self.fit_into(fits, label, wanted[label], train, [FIRST])
         linear = {label: model for label, model in fits.models.items() if label in beside}
         if not linear:
             return fits.reasons
@@ -188,7 +188,7 @@ class MemoryJob(ChannelJob[Dataset]):
         )
         for label in list(wanted)[len(first) :]:
             with plan.model(label):
-                self.fit_into(fits, label, wanted[label], train)
+                self.fit_into(fits, label, wanted[label], train, [FIRST, told.baseline])
                 told = replace(
                     told, models=dict(fits.files), fit_seconds=dict(fits.seconds), failed=dict(fits.failed)
                 )
@@ -200,9 +200,9 @@ class MemoryJob(ChannelJob[Dataset]):
         if not turns:
             return told
         started = time.perf_counter()
-        found = folds.fitted_in_turn(
-            self.data, partial(_of_a_fold, settings, fits), self.folder, settings.seed, plan
-        )
+        anew = partial(_of_a_fold, settings, fits)
+        compared = (FIRST, told.baseline)
+        found = folds.fitted_in_turn(self.data, anew, self.folder, settings.seed, plan, compared)
         spent = {"all flights in turn": time.perf_counter() - started}
         return replace(told, folds=found, fit_seconds=fits.seconds | spent)
 

@@ -7,15 +7,15 @@ models of the run stay those of the split; the folds' models are kept beside the
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
 
 from flysid.dataset import Dataset
 from flysid.files import slug
-from flysid.model.base import Estimator
+from flysid.model.base import Estimator, Fitted
 from flysid.progress import tell
 from flysid.split import Split, plan_folds
-from flysid.validate.fitone import UNFIT
+from flysid.validate.fitone import UNFIT, fitted
 from flysid.validate.fitplan import FitPlan
 from flysid.validate.intervals import FEW
 from flysid.validate.run import FitSettings, FoldRun
@@ -37,7 +37,12 @@ def are_needed(split: Split, data: Dataset, settings: FitSettings) -> bool:
 
 
 def fitted_in_turn(
-    data: Dataset, estimators: Estimators, folder: Path, seed: int, plan: FitPlan
+    data: Dataset,
+    estimators: Estimators,
+    folder: Path,
+    seed: int,
+    plan: FitPlan,
+    compared: Collection[str] = (),
 ) -> tuple[FoldRun, ...]:
     """Leave every flight out once, fit to the others, save; a model that a fold cannot fit is left out of it.
 
@@ -46,6 +51,7 @@ def fitted_in_turn(
     estimators : what to fit to the training part of a fold, by label.
     folder : the run's, with the channel's own in it.
     plan : of the channel's work, of which this is a part.
+    compared : labels of linear models, which come first; see `fitone.fitted`.
     """
     found = []
     for number, split in enumerate(plan_folds(data, FOLDS, seed=seed), start=1):
@@ -53,13 +59,16 @@ def fitted_in_turn(
         (folder / place).mkdir()
         train, _ = split.apply(data)
         files = {}
+        beside: dict[str, Fitted] = {}
         for label, estimator in estimators(train).items():
             try:
                 with plan.model(label, number):
                     tell(f"without fold {number} of {FOLDS}", share=0.0)
-                    model = estimator.fit(train)
+                    model = fitted(estimator, train, beside)
             except UNFIT:
                 continue
+            if label in compared:
+                beside[label] = model
             files[label] = f"{place}/{label}.json"
             model.save(folder / files[label])
         found.append(FoldRun(split.to_dict(), files))

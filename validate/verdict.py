@@ -21,7 +21,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import StrEnum
 
-MARGIN_PCT = 5.0
+from flysid.model.selection import MARGIN
+
+MARGIN_PCT = 100.0 * MARGIN
 LARGE_PCT = 10.0
 ALPHA = 0.05
 

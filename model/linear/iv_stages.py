@@ -194,8 +194,8 @@ class _Memory:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        order = max(len(path.denominator), *(len(b) for b in path.numerators.values())) - 1
-        self.states = {row: np.zeros(order) for row in path.numerators}
+        poles = len(path.denominator)
+        self.states = {row: np.zeros(max(poles, len(b)) - 1) for row, b in path.numerators.items()}
 
     def run(self, block: FloatArray) -> FloatArray:
         """(n,) filtered sum over the rows of a block (signals, n), going on from the block before."""

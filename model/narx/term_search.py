@@ -334,28 +334,18 @@ def _without_term(search: TermSearch, now: RefinedTerms, place: int) -> RefinedT
     return search.refined(terms, [np.delete(p, place) for p in now.unknowns])
 
 
-def finish(search: TermSearch, chosen: RefinedTerms) -> tuple[FittedPolyNARX, float]:
-    """The terms refined on all of the training data, and their squared error there, normalised.
+def finish(search: TermSearch, chosen: RefinedTerms) -> FittedPolyNARX | None:
+    """The terms refined on all of the training data.
 
-    The error is infinite where a free run is held at a limit, under the probe too.
+    None where a free run is held at a limit, under the probe too.
     """
     count = len(chosen.terms)
     problem = search.problem(search.parts.train, chosen.terms)
     begins = [search.begun(search.parts.train, chosen.terms, p[:count]) for p in chosen.unknowns]
     p, cost = problem.descend(min(begins, key=problem.cost), _LAST_ITERATIONS)
     if not np.isfinite(cost) or not search.is_calm(chosen.terms, p[:count]):
-        return search.model(chosen.terms, p[:count]), np.inf
-    return _with_intervals(search, problem, chosen.terms, p), cost
-
-
-def unchanged(search: TermSearch) -> tuple[FittedPolyNARX, float]:
-    """The linear model that the search began with, as terms; error as of `finish`."""
-    problem = search.problem(search.parts.train, search.start)
-    p = search.begun(search.parts.train, search.start, search.theta)
-    cost = problem.cost(p)
-    if not np.isfinite(cost):
-        return search.model(search.start, search.theta), np.inf
-    return _with_intervals(search, problem, search.start, p), cost
+        return None
+    return _with_intervals(search, problem, chosen.terms, p)
 
 
 def _with_intervals(

@@ -15,7 +15,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from typing import Protocol
 
 import numpy as np
 
@@ -32,23 +31,12 @@ from flysid.model.rules.operating_points import describe
 from flysid.model.rules.refit import free_run_errors
 from flysid.model.rules.regressor_layout import scaling
 from flysid.model.rules.search_settings import QUARTERS, RuleSettings
+from flysid.model.selection import FreeRunning
 from flysid.model.start import run_from_window, start_window
 
 _FORETOLD = 0.5  # share of the free run's error that its own past must explain
 _MOST_OUTPUTS = 2
 _MOST_SAMPLES = 100_000
-
-
-class FreeRunning(Protocol):
-    """What is asked of a fitted model here."""
-
-    @property
-    def n_init(self) -> int: ...
-    @property
-    def dt_s(self) -> float: ...
-    @property
-    def output_limits(self) -> FloatArray: ...
-    def simulate(self, u: FloatArray, y0: FloatArray) -> FloatArray: ...
 
 
 Refit = Callable[[Dataset], FreeRunning]

@@ -394,6 +394,19 @@ def settle(stage: Stage, how: Training) -> Stage:
     return stage.under(ridge=how.ridge * stage.mean_square()).refined(how.iterations, how.tolerance)
 
 
+def split(stage: Stage, antecedents: Sequence[Antecedent], rules: int) -> Stage | None:
+    """`rules` rules, of which each new one concludes what the others do at its centre.
+
+    A single rule split is the very same model. None where no region has samples for another rule.
+    """
+    while stage.rules < rules:
+        options = insertions(stage, antecedents)
+        if not options:
+            return None
+        stage = options[0][1]
+    return stage
+
+
 def same_insertion(stage: Stage, insertion: Insertion, how: Training) -> Stage | None:
     """A rule more where another part of the data wanted it, refined fully; None where it cannot be."""
     ridged = stage.under(ridge=how.ridge * stage.mean_square())

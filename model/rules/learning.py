@@ -18,11 +18,12 @@ from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, FitError
 from flysid.model.arguments import check_inputs, check_rows
 from flysid.model.base import Fitted
+from flysid.model.last_gates import shortfall
 from flysid.model.linear.settings import check_hint
 from flysid.model.rules import edits
 from flysid.model.rules.boundedness import is_bounded
 from flysid.model.rules.fitted import FittedTS, finish
-from flysid.model.rules.growth import clustered_stage
+from flysid.model.rules.growth import clustered_stage, split
 from flysid.model.rules.judging import (
     INTEGRATES,
     Candidate,
@@ -52,7 +53,7 @@ from flysid.model.rules.state_systems import (
     saturation_limits,
     system_stage,
 )
-from flysid.model.selection import FEWEST, parts_to_choose_on
+from flysid.model.selection import FEWEST, LEVEL, parts_to_choose_on
 from flysid.model.start import START_SHARE
 from flysid.showing import counted
 from flysid.split import MIN_FLIGHTS
@@ -321,22 +322,52 @@ def select(found: Search) -> Search:
         if context.settings.rules == "auto"
         else context.settings.rules - 1
     )
-    if not models[at].stable and not models[at].stage.layout.hidden:  # those may come back with fewer rules
-        raise FitError(
-            "no stable model was found: under bounded random inputs every candidate left its limits",
-            hint="give more data, lower orders, or fewer rules",
-        )
-    chosen = replace(found, at=at, chosen=models[at], stage=ordered(models[at].stage))
-    away = ", ".join(str(m.stage.rules) for m in models if not m.stable)
+    model = models[at]
+    notes: tuple[str, ...] = ()
+    if not model.stable and not model.stage.layout.hidden:  # those may come back with fewer rules
+        model, note = _split_instead(found, at)
+        notes = (note,)
+    chosen = replace(found, at=at, chosen=model, stage=ordered(model.stage)).said(*notes)
+    away = ", ".join(str(m.stage.rules) for m in models if not m.stable and m.stage.rules != at + 1)
     if away:
         noun = "rule" if away == "1" else "rules"
         chosen = chosen.said(
             f"Left out, because their output left its limits under bounded random inputs: {away} {noun}."
         )
-    orders = models[at].stage.layout.orders
+    orders = model.stage.layout.orders
     if not chosen.stage.layout.hidden and orders != models[0].stage.layout.orders:
         chosen = chosen.said(f"With rules, orders {orders} did better and were taken.")
     return replace(chosen, verdict=_verdict(chosen))
+
+
+def _split_instead(found: Search, at: int) -> tuple[Candidate, str]:
+    """As many rules as were asked for where refining them leaves the limits, and a note on it.
+
+    On a plant that fewer rules describe to rounding, more numbers follow nothing but rounding, anywhere. The
+    most rules that are bounded are split instead, which leaves what they do as it is.
+
+    Raises
+    ------
+    FitError : no model with fewer rules is bounded.
+    """
+    context = found.context
+    for known in reversed(found.models[:at]):
+        if not known.stable:
+            continue
+        stage = split(known.stage, context.antecedents(known.stage.layout), at + 1)
+        if stage is None:
+            continue
+        model = context.judge(stage)
+        if model.stable:
+            count = "one rule" if known.stage.rules == 1 else f"{known.stage.rules} rules"
+            return model, (
+                f"{at + 1} rules refined separately left their limits under bounded random inputs: {count} "
+                "split, without another conclusion."
+            )
+    raise FitError(
+        "no stable model was found: under bounded random inputs every candidate left its limits",
+        hint="give more data, lower orders, or fewer rules",
+    )
 
 
 def _verdict(found: Search) -> tuple[str, ...]:
@@ -370,23 +401,28 @@ def merge_and_split(found: Search) -> Search:
 def take_linear_side(linear_side: LinearSide | None, found: Search) -> Search:
     """One rule is the linear side's choice, parameter for parameter.
 
-    As it was where there is more than one rule, where the process integrates, which one rule can say exactly,
-    or where the choice is no equation over lags that runs free.
+    As it was where there is more than one rule, where the choice is no equation over lags that runs free, or
+    where the rule holds an integrator, to the last digit, and follows the training data as closely.
     """
     context = found.context
     chosen = found.chosen.stage
-    if linear_side is None or chosen.rules > 1 or chosen.problem.integrates or not context.settings.refine:
+    if linear_side is None or chosen.rules > 1 or not context.settings.refine:
         return found
     choice = linear_side(context.settings, found.train, found.validation)
     model = None if choice is None else as_linear(choice[1])
     if choice is None or model is None:
+        return found
+    if chosen.problem.integrates and not shortfall(
+        refit_lags(found).bare, {choice[0]: choice[1]}, found.train, LEVEL
+    ):
         return found
     least = max(context.least, model.orders.depth + FEWEST)
     if not any(len(s) >= least for s in found.train.segments):
         return found
     whole = replace(context, fit_part=found.train, least=least)
     stage = whole.ready(as_stage(model, whole.problem(model.orders)))
-    if not np.isfinite(stage.cost) or (context.must_be_bounded and not is_bounded(stage)):
+    asked = context.must_be_bounded and not chosen.problem.integrates  # no model of such a process comes back
+    if not np.isfinite(stage.cost) or (asked and not is_bounded(stage)):
         return found
     said = f"One rule is the linear side's choice, parameter for parameter: {choice[0].upper()}."
     return replace(found, stage=stage, linear=choice[1], notes=(said, *choice[1].notes))

@@ -33,7 +33,7 @@ def test_words_caution_against_gains_that_no_flight_shows(
     estimator: ARX | TS, cut: float, tmp_path: Path
 ) -> None:
     data = flown(cut)
-    model = fit_one(estimator, data, tmp_path / "m.json")
+    model = fit_one(estimator, data, tmp_path / "m.json", {})
     assert not isinstance(model, str)
     said = [note for note in model.notes if note.startswith(CAUTION)]
     assert len(said) == (cut < 0.5)

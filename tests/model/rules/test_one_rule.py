@@ -12,8 +12,9 @@ from bench import accuracy_data
 from flysid.dataset import Dataset
 from flysid.model.arx import ARX
 from flysid.model.base import Fitted
+from flysid.model.last_gates import LINEAR_ENOUGH
 from flysid.model.linear.difference_equation import FittedLinear
-from flysid.model.linear_choice import best_linear, choose_baseline, free_run_errors, linear_estimators
+from flysid.model.linear_choice import best_linear, choose_baseline, linear_estimators
 from flysid.model.one_rule import OneRule, linear_choice, linear_rivals, same_orders
 from flysid.model.rules import search_context
 from flysid.model.rules.fitted import FittedTS
@@ -21,12 +22,12 @@ from flysid.model.rules.growth import linear_stage
 from flysid.model.rules.linear_starts import as_linear, orders_of
 from flysid.model.rules.search_settings import EFFORTS, NORMAL
 from flysid.model.rules.stages import Stage
-from flysid.model.selection import parts_to_choose_on
+from flysid.model.selection import free_run_errors, parts_to_choose_on
 from flysid.model.shared import sharing
 from flysid.model.statespace import StateSpace
 from flysid.model.subspace.fitted_model import FittedStateSpace
 from flysid.model.ts import TS
-from flysid.model.ts_best import LINEAR_ENOUGH, BestTS
+from flysid.model.ts_best import BestTS
 from flysid.validate.compare_models import compare
 from flysid.validate.report.narrative import heads, subtitle, title
 

@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 
 from flysid.dataset import Dataset, FloatArray
-from flysid.model.linear_choice import free_run_errors
+from flysid.model.last_gates import LINEAR_ENOUGH
 from flysid.model.one_rule import linear_choice
 from flysid.model.rules.contest import unproven
 from flysid.model.rules.search_settings import EFFORTS
+from flysid.model.selection import free_run_errors
 from flysid.model.ts import TS
-from flysid.model.ts_best import LINEAR_ENOUGH, BestTS
+from flysid.model.ts_best import BestTS
 
 
 @dataclass(frozen=True)
