@@ -25,13 +25,15 @@ from flysid.model.noise import noise_model
 from flysid.model.polynomials import ONE_SIDED, VANISHING
 from flysid.model.rules import learning
 from flysid.model.rules.fitted import FittedTS
+from flysid.model.rules.free_run_error import range_of
 from flysid.model.rules.judging import blocks, hold_out
+from flysid.model.rules.kernel import IntArray
 from flysid.model.rules.learning import LinearSide, Search
 from flysid.model.rules.operating_points import describe
 from flysid.model.rules.refit import free_run_errors
 from flysid.model.rules.regressor_layout import scaling
 from flysid.model.rules.search_settings import QUARTERS, RuleSettings
-from flysid.model.selection import FreeRunning
+from flysid.model.selection import FEWEST, FreeRunning
 from flysid.model.start import run_from_window, start_window
 
 _FORETOLD = 0.5  # share of the free run's error that its own past must explain
@@ -140,7 +142,7 @@ def _judge(
     """The advantage of hidden states on held-out parts, and whether they fit the training data better."""
     fits = advantage([block_errors((lags.bare, states.bare), train)]).gain < 0.0
     parts = parts_to_compare_on(train, validation, max(lags.least, states.least))
-    pairs = [block_errors(*pair) for pair in refit(lags.again, states.again, parts)]
+    pairs = [block_errors(models, check) for models, (_, check) in refit(lags.again, states.again, parts)]
     return advantage(pairs), fits
 
 
@@ -163,11 +165,11 @@ def hints_at_hidden_state(model: FittedTS, train: Dataset) -> bool:
 
 def refit(
     first: Refit, second: Refit, parts: Sequence[tuple[Dataset, Dataset]]
-) -> Iterator[tuple[tuple[FreeRunning, FreeRunning], Dataset]]:
-    """Both models of every fold, and its judging part, as far as a part holds enough for both."""
+) -> Iterator[tuple[tuple[FreeRunning, FreeRunning], tuple[Dataset, Dataset]]]:
+    """Both models of every fold, and its parts, as far as a part holds enough for both."""
     for fit, check in parts:
         with suppress(DataError, FitError):
-            yield (first(fit), second(fit)), check
+            yield (first(fit), second(fit)), (fit, check)
 
 
 def parts_to_compare_on(
@@ -182,22 +184,29 @@ def parts_to_compare_on(
 def unproven(first: Refit, second: Refit, parts: Sequence[tuple[Dataset, Dataset]]) -> str:
     """Why the second is not to be kept instead of the first, in words; "" where it is.
 
-    It is where its advantage on parts that neither was refitted to exceeds its standard error, and where it
-    runs to its output limits on none of them that the first gets through.
+    It is where its advantage on parts that neither was refitted to exceeds its standard error, where it runs
+    to its output limits on none of them that the first gets through, and where it is not worse on those rows
+    whose outputs leave the range of what it was refitted to.
     """
     pairs = []
-    for models, check in refit(first, second, parts):
+    beyond = []
+    for models, (fit, check) in refit(first, second, parts):
         if _lost(models[1], check) and not _lost(models[0], check):
             return "on a held-out part of the training data their free run went to its limits"
         pairs.append(block_errors(models, check))
+        beyond.append(block_errors(models, check, range_of([s.y for s in fit.segments])))
     found = advantage(pairs)
-    if not pairs or found.gain < -found.error:
-        return ""
+    if pairs and not found.gain < -found.error:
+        return f"on held-out parts of the training data their free run has {_in_words(found)}"
+    found = advantage(beyond)
+    if found.gain > found.error:
+        return f"where held-out parts leave the range of the others, their free run has {_in_words(found)}"
+    return ""
+
+
+def _in_words(found: Advantage) -> str:
     low, mid, high = np.exp(0.5 * (found.gain + found.error * np.array([-1.0, 0.0, 1.0])))
-    return (
-        f"on held-out parts of the training data their free run has {mid:.2f} times the linear one's error, "
-        f"{low:.2f} to {high:.2f} within one standard error"
-    )
+    return f"{mid:.2f} times the linear one's error, {low:.2f} to {high:.2f} within one standard error"
 
 
 def _lost(model: FreeRunning, data: Dataset) -> bool:
@@ -218,8 +227,15 @@ def _lost(model: FreeRunning, data: Dataset) -> bool:
     return False
 
 
-def block_errors(models: tuple[FreeRunning, FreeRunning], data: Dataset) -> tuple[FloatArray, FloatArray]:
-    """Mean squared free-run errors of two models over the same blocks, in variances of the outputs."""
+def block_errors(
+    models: tuple[FreeRunning, FreeRunning], data: Dataset, beyond: FloatArray | None = None
+) -> tuple[FloatArray, FloatArray]:
+    """Mean squared free-run errors of two models over the same blocks, in variances of the outputs.
+
+    Parameters
+    ----------
+    beyond : (2, n_y) range of outputs; only rows that leave it count, where there are `FEWEST`. None: all.
+    """
     scale = np.vstack([s.y for s in data.segments]).std(axis=0)
     scale = np.where(scale > 0.0, scale, 1.0)
     found: tuple[list[FloatArray], list[FloatArray]] = [], []
@@ -227,10 +243,19 @@ def block_errors(models: tuple[FreeRunning, FreeRunning], data: Dataset) -> tupl
         window = max(start_window(m.n_init, len(s), m.dt_s) for m in models)
         if len(s) <= 2 * window:
             continue
+        rows = slice(window, None) if beyond is None else _outside(s.y, beyond, window)
         for model, errors in zip(models, found, strict=True):
-            errors.append((run_from_window(model, s, window) - s.y)[window:] / scale)
+            errors.append((run_from_window(model, s, window) - s.y)[rows] / scale)
+    if beyond is not None and sum(map(len, found[0])) < FEWEST:
+        return np.zeros(0), np.zeros(0)
     one, other = (blocks(e) if e else np.zeros(0) for e in found)
     return one, other
+
+
+def _outside(y: FloatArray, seen: FloatArray, window: int) -> IntArray:
+    """Rows after the window in which an output leaves what was seen."""
+    outside = ((y < seen[0]) | (y > seen[1])).any(axis=1)
+    return window + np.flatnonzero(outside[window:])
 
 
 def advantage(pairs: Iterable[tuple[FloatArray, FloatArray]]) -> Advantage:

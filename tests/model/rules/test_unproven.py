@@ -77,6 +77,33 @@ def test_an_end_of_travel_that_the_vehicle_reaches_too_is_no_running_away() -> N
     assert unproven(lambda _: replace(stays, runs_away=False), lambda _: stays, parts) == ""
 
 
+@dataclass(frozen=True)
+class OffOutside(Off):
+    """Near within one unit, and off by `outside` beyond."""
+
+    outside: float = 0.0
+
+    def simulate(self, u: FloatArray, y0: FloatArray) -> FloatArray:
+        run = super().simulate(u, y0)
+        run[len(y0) :] += self.outside * (np.abs(u) > 1.0)[len(y0) :]
+        return run
+
+
+@pytest.mark.parametrize(("outside", "said"), [(0.0, ""), (0.7, "where held-out parts leave the range")])
+def test_rules_that_err_where_flights_leave_the_range_are_not_kept(outside: float, said: str) -> None:
+    """Seldom enough that on all rows together they are ahead."""
+    parts = []
+    for fit, check in PARTS:
+        (f, c) = (np.clip(part.segments[0].u, -1.0, 1.0) for part in (fit, check))
+        c[100:130] *= 2.0
+        parts.append((Dataset.from_arrays(f, f, 0.05), Dataset.from_arrays(c, c, 0.05)))
+    first = Off(0.3, 1)
+    second = OffOutside(0.1, 2, outside=outside)
+    words = unproven(lambda _: first, lambda _: second, parts)
+    assert words.startswith(said)
+    assert bool(words) == bool(said)
+
+
 def drifting(seed: int, flights: int) -> tuple[Dataset, np.random.Generator]:
     """A linear lag under wind that drifts as fast as it answers; short flights."""
     rng = np.random.default_rng(seed)
