@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import Protocol, TypeVar
 
 from flysid.dataset import Dataset
 from flysid.errors import DataError, FitError
+from flysid.extras import Extra, extra
 from flysid.files import write_atomically
 from flysid.ingest.align.quick import QUICK
 from flysid.model.base import Fitted
@@ -63,10 +65,13 @@ def fit_one(estimator: FitsTo[S], train: S, path: Path) -> Fitted | str:
         model = estimator.fit(train)
     except UNFIT as error:
         return reason(error)
+    of = f"{path.stem} on {path.parent.name}"
     if isinstance(train, Dataset):
-        model = caution(model, train)
+        model = extra(Extra.BEYOND, partial(caution, model, train), model, of)
     model.save(path)
-    write_atomically(path.with_suffix(".txt"), in_words(model).encode())
+    text = extra(Extra.MODEL_TEXT, partial(in_words, model), "", of)
+    if text:
+        write_atomically(path.with_suffix(".txt"), text.encode())
     return model
 
 
