@@ -161,7 +161,9 @@ def judge_run(
     StoreError, UsageError : the run or the data folder cannot be read.
     """
     tell("aligning the held-out part", share=0.0)
-    held = [with_models(item, beside.get(item.channel.name, {})) for item in held_out(run, data)]
+    missing = Missing(*run.missing)
+    with missing.gathering():
+        held = [with_models(item, beside.get(item.channel.name, {})) for item in held_out(run, data)]
     chosen = None if only is None else chosen_lake(run, data, only)
     judged_with = [] if only is None else [f"judged with {' '.join(only.options)}"]
     remark = "; ".join([*([run.settings.remark] if run.settings.remark else []), *judged_with])
@@ -185,7 +187,6 @@ def judge_run(
         raise DataError(f"no channel can be judged: {by_reason(failed)}")
     corrected = across_channels(comparisons)
     skipped = {**run.skipped, **failed}
-    missing = Missing(*(words for c in run.channels for words in c.missing))
     with missing.gathering():
         context = _context(run, corrected, held, remark, data)
         loops = extra(Extra.GAINS, partial(_loops, run, data), ())

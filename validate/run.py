@@ -159,6 +159,11 @@ class Run:
     interrupted: bool = False
     _loaded: dict[str, Fitted] = field(default_factory=dict, init=False, repr=False, compare=False)
 
+    @property
+    def missing(self) -> tuple[str, ...]:
+        """What could not be given beside the models of any channel."""
+        return tuple(words for channel in self.channels for words in channel.missing)
+
     def model(self, file: str) -> Fitted:
         """A model file of the run, read once; StoreError where it is missing or damaged."""
         if file not in self._loaded:

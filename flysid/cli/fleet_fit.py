@@ -73,10 +73,9 @@ def command(
     missing = Missing()
     keys = tuple(key for key in by.replace(" ", "").split(",") if key)
     with data.engine(opened, quiet) as cluster:
-        with display.shown():
+        with display.shown(), missing.gathering():
             gathered = data.gather(opened, asked, cluster, quiet)
-            with missing.gathering():
-                fitted = fit_groups(gathered, keys)
+            fitted = fit_groups(gathered, keys)
         document = fitted.document(asked.name) | missing.to_dict()
         text = json.dumps(document, indent=1, allow_nan=False) + "\n"
         if output is not None:

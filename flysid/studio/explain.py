@@ -39,7 +39,9 @@ def explain(workspace: Workspace, run_id: str, asked: Explained) -> dict[str, An
     NotThere : no such run, channel or segment. UsageError, DataError : the data is gone or has changed.
     """
     folder = workspace.run(run_id)
-    channels = _held(folder, (folder / RUN_FILE).stat().st_mtime_ns)
+    missing = Missing()
+    with missing.gathering():
+        channels = _held(folder, (folder / RUN_FILE).stat().st_mtime_ns)
     if asked.ch not in channels:
         raise NotThere(f"no channel {asked.ch!r} in the run", path=folder)
     found = channels[asked.ch]
@@ -54,7 +56,6 @@ def explain(workspace: Workspace, run_id: str, asked: Explained) -> dict[str, An
     )
     if asked.row is not None:
         return _in_words(found, segment, asked.row)
-    missing = Missing()
     with missing.gathering():
         flown = {name: _model(found.models[name], segment, first) for name in labels}
     return {

@@ -142,10 +142,10 @@ def _balancing(rules: Sequence[FloatArray], radius: float) -> FloatArray:
     mean = mean * (radius / own if own > radius else 1.0)
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("error", LinAlgWarning)
+            warnings.simplefilter("ignore", LinAlgWarning)
             P = solve_discrete_lyapunov(mean.T, np.eye(len(mean)))
         return np.asarray(np.linalg.inv(np.linalg.cholesky(0.5 * (P + P.T))).T)
-    except (np.linalg.LinAlgError, LinAlgWarning):
+    except np.linalg.LinAlgError:
         return np.eye(len(mean))
 
 
