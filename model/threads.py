@@ -76,13 +76,9 @@ def _remedy(given: Sequence[Any]) -> str:
     """What to try where linear algebra failed: the samples are at fault only where they show why."""
     faults = [fault for data in given for fault in _faults(data)]
     if faults:
-        return (
-            f"{'; '.join(dict.fromkeys(faults))}: leave it out of the recipe, or fly manoeuvres that move it"
-        )
+        return "; ".join(dict.fromkeys(faults))
     found = "the samples show no cause, so " if given else ""
-    return (
-        f"{found}the fault is the computation's: choose another model with --models, and report the command"
-    )
+    return f"{found}the fault is the computation's: choose another model (--models), and report the command"
 
 
 def _faults(data: Any) -> Iterator[str]:
@@ -92,12 +88,14 @@ def _faults(data: Any) -> Iterator[str]:
         return
     for side, signals in (("u", data.inputs), ("y", data.outputs)):
         spans = np.ptp(np.concatenate([getattr(s, side) for s in segments]), axis=0)
-        yield from (f"{s.name} does not move" for s, span in zip(signals, spans, strict=True) if not span)
+        still = [s.name for s, span in zip(signals, spans, strict=True) if not span]
+        yield from (f"{name} does not move: leave it out, or fly manoeuvres that move it" for name in still)
     u = np.concatenate([s.u for s in segments])
     moving = u[:, np.ptp(u, axis=0) > 0.0]
     moving = (moving - moving.mean(axis=0)) / moving.std(axis=0)
     if moving.shape[1] > 1 and np.linalg.matrix_rank(moving) < moving.shape[1]:
-        yield f"one of {', '.join(s.name for s in data.inputs)} follows from the others"
+        names = ", ".join(s.name for s in data.inputs)
+        yield f"one of {names} follows from the others: leave it out, or move one input at a time"
 
 
 def _refuse_arrays(data: object) -> None:
