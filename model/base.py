@@ -91,7 +91,7 @@ class OperatingPoint:
     reached_interval_s : (2, n_u) as `gain_interval`.
     dead_s : (n_u,) seconds in which nothing can follow, beyond the sample that holds the input.
     overshoot, wrong_way : (n_u,) shares of the final change.
-    shares : (R,) how loudly each rule speaks here.
+    shares : (R,) how loudly each rule speaks here; NaN: it is of another model, and has no say.
     """
 
     output: int

@@ -7,7 +7,7 @@ independent) has less variance. How far the members are apart says where the dat
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -22,6 +22,7 @@ from flysid.model.base import (
     MODEL_VERSION,
     Estimator,
     Fitted,
+    OperatingPoint,
     Rule,
     all_structures,
     write_document,
@@ -209,10 +210,17 @@ class FittedEnsemble(FreeRuns):
     def rules(self) -> tuple[Rule, ...]:
         """The rules of every member; each member has the same say."""
         share = 1.0 / len(self.members)
+        told = [m.rules() for m in self.members]
+        counts = [len(rules) for rules in told]
         return tuple(
-            replace(rule, label=f"M{i + 1}.{rule.label}", support=rule.support * share)
-            for i, m in enumerate(self.members)
-            for rule in m.rules()
+            replace(
+                rule,
+                label=f"M{i + 1}.{rule.label}",
+                support=rule.support * share,
+                here=tuple(_among(point, counts, i) for point in rule.here),
+            )
+            for i, rules in enumerate(told)
+            for rule in rules
         )
 
     def firing(self, u: FloatArray, y: FloatArray) -> FloatArray:
@@ -262,6 +270,14 @@ class FittedEnsemble(FreeRuns):
     def save(self, path: str | Path) -> None:
         """Write the model as JSON, whole or not at all."""
         write_document(self.to_dict(), path)
+
+
+def _among(point: OperatingPoint, counts: Sequence[int], member: int) -> OperatingPoint:
+    """A member's operating point among the rules of all: those of the others have no say there."""
+    shares = np.full(sum(counts), np.nan)
+    first = sum(counts[:member])
+    shares[first : first + counts[member]] = point.shares
+    return replace(point, shares=shares)
 
 
 def from_dict(document: Mapping[str, Any]) -> FittedEnsemble:

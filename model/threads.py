@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import functools
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import nullcontext
 from contextvars import ContextVar
-from typing import TYPE_CHECKING, ParamSpec, TypeVar
+from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
 import numpy as np
 
@@ -32,8 +32,9 @@ def on_one_thread(fit: Callable[P, R]) -> Callable[P, R]:
     What it calls `train` or `data` must be a dataset: arrays are what people try first, and UsageError says
     how to make one of them.
 
-    Where linear algebra fails for good it raises FitError: a caller never meets NumPy's own error. Trial
-    models that diverge overflow on the way; the optimisers see that and step back, so it is no news.
+    Where linear algebra fails for good it raises FitError, with what in the samples is the cause, if anything
+    is: a caller never meets NumPy's own error. Trial models that diverge overflow on the way; the optimisers
+    see that and step back, so it is no news.
     """
 
     named = list(inspect.signature(fit).parameters)
@@ -41,10 +42,13 @@ def on_one_thread(fit: Callable[P, R]) -> Callable[P, R]:
 
     @functools.wraps(fit)
     def limited(*args: P.args, **kwargs: P.kwargs) -> R:
-        for at, name in of_data:
-            if name in kwargs or at < len(args):
-                _refuse_arrays(kwargs[name] if name in kwargs else args[at])
-
+        given = [
+            kwargs[name] if name in kwargs else args[at]
+            for at, name in of_data
+            if name in kwargs or at < len(args)
+        ]
+        for data in given:
+            _refuse_arrays(data)
         within = _limited.get()
         limits = nullcontext() if within else _blas().limit(limits=1)
         with limits, np.errstate(over="ignore", invalid="ignore"):
@@ -52,10 +56,7 @@ def on_one_thread(fit: Callable[P, R]) -> Callable[P, R]:
             try:
                 return fit(*args, **kwargs)
             except np.linalg.LinAlgError as error:
-                raise FitError(
-                    f"the numbers broke down: {error}",
-                    hint="lower the orders, record longer, or check the data for jumps",
-                ) from error
+                raise FitError(f"the numbers broke down: {error}", hint=_remedy(given)) from error
             finally:
                 _limited.reset(token)
 
@@ -69,6 +70,32 @@ def _blas() -> ThreadpoolController:
     from threadpoolctl import ThreadpoolController
 
     return ThreadpoolController().select(user_api="blas")
+
+
+def _remedy(given: Sequence[Any]) -> str:
+    """What to try where linear algebra failed: the samples are at fault only where they show why."""
+    faults = [fault for data in given for fault in _faults(data)]
+    if faults:
+        return "; ".join(dict.fromkeys(faults))
+    found = "the samples show no cause, so " if given else ""
+    return f"{found}the fault is the computation's: choose another model (--models), and report the command"
+
+
+def _faults(data: Any) -> Iterator[str]:
+    """Signals that stand still, and inputs that are sums of others; nothing of data on disk."""
+    segments = getattr(data, "segments", ())
+    if not segments:
+        return
+    for side, signals in (("u", data.inputs), ("y", data.outputs)):
+        spans = np.ptp(np.concatenate([getattr(s, side) for s in segments]), axis=0)
+        still = [s.name for s, span in zip(signals, spans, strict=True) if not span]
+        yield from (f"{name} does not move: leave it out, or fly manoeuvres that move it" for name in still)
+    u = np.concatenate([s.u for s in segments])
+    moving = u[:, np.ptp(u, axis=0) > 0.0]
+    moving = (moving - moving.mean(axis=0)) / moving.std(axis=0)
+    if moving.shape[1] > 1 and np.linalg.matrix_rank(moving) < moving.shape[1]:
+        names = ", ".join(s.name for s in data.inputs)
+        yield f"one of {names} follows from the others: leave it out, or move one input at a time"
 
 
 def _refuse_arrays(data: object) -> None:

@@ -160,7 +160,8 @@ def runs_away(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterator[Cautio
     """Models that reach their limits in a long run although they did not on the held-out part."""
     for channel, d in diagnoses.items():
         judged = comparisons[channel].entry(horizon=comparisons[channel].head).models
-        ends = {n: c.robustness.limits_s for n, c in d.checks.items() if not judged[n].diverged}
+        tried = {n: c.robustness for n, c in d.checks.items() if not judged[n].diverged}
+        ends = {n: r.limits_s for n, r in tried.items() if r is not None}
         for at in dict.fromkeys(t for t in ends.values() if t is not None):
             names = [n for n, end in ends.items() if end == at]  # several are one model under two names
             one = len(names) == 1

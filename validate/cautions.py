@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
 
+from flysid.extras import Extra, extra
 from flysid.feedback import BIASED, REMEDY
 from flysid.ingest.align.doubts import Doubt
 from flysid.showing import counted
@@ -44,6 +46,7 @@ UNDECIDED: Mapping[str, tuple[str, str]] = {
         "hold out flights with manoeuvres, or check the recipe's signals.",
     ),
 }
+Saying = Callable[[Comparisons, Diagnoses], Iterator[Caution]]
 _ORDER = ("danger", "warning", "note", "good")
 
 
@@ -56,14 +59,21 @@ def cautions(
 
     `doubts` are reasons in the training data themselves, by channel.
     """
-    found = [*in_the_data(doubts or {}), *(c for rule in _rules() for c in rule(comparisons, diagnoses))]
+    found = [*extra(Extra.CAUTIONS, lambda: list(in_the_data(doubts or {})), (), "the data")]
+    for rule in _rules():
+        own = partial(_said_by, rule, comparisons, diagnoses)
+        found += extra(Extra.CAUTIONS, own, (), f"'{rule.__name__.strip('_').replace('_', ' ')}'")
     if not any(c.level == "danger" for c in found):
-        found += _all_stable(comparisons, diagnoses)
+        found += extra(Extra.CAUTIONS, partial(_all_stable, comparisons, diagnoses), (), "'all stable'")
     found.sort(key=lambda c: (_ORDER.index(c.level), -c.weight))
     return tuple(found[:MOST])
 
 
-def _rules() -> tuple[Callable[[Comparisons, Diagnoses], Iterator[Caution]], ...]:
+def _said_by(rule: Saying, comparisons: Comparisons, diagnoses: Diagnoses) -> list[Caution]:
+    return list(rule(comparisons, diagnoses))
+
+
+def _rules() -> tuple[Saying, ...]:
     return (
         _diverged, useless, contested, one_rule, runs_away, _unstable, _unexplained, _extrapolates, _holes,
         _missing_dynamics, _undecided, _few, unsure_gains, collinear, _feedback, _noisy_start, _not_white,
@@ -358,7 +368,11 @@ def _unused(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterator[Caution]
 
 
 def _all_stable(comparisons: Comparisons, diagnoses: Diagnoses) -> Sequence[Caution]:
-    """Only of models that have poles: a static one is stable without merit."""
+    """Only of models that have poles: a static one is stable without merit. Of all of them, or of none."""
+    for channel, d in diagnoses.items():
+        asked = {name for name, info in comparisons[channel].models.items() if not info.reference}
+        if not asked <= d.pole_radius.keys():
+            return ()
     dynamic = {
         (channel, m): r for channel, d in diagnoses.items() for m, r in d.pole_radius.items() if r > 0.0
     }

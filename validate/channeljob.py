@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import time
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Generic, TypeVar
 
 from flysid.dataset import Dataset
 from flysid.datasetfile import DatasetFile
+from flysid.extras import Extra, Missing, extra
 from flysid.feedback import feedback
 from flysid.files import slug
 from flysid.ingest.align.doubts import Doubt
@@ -51,6 +53,7 @@ class ChannelJob(Generic[D]):
     folder : the run's; models go into a folder of the channel's name in it.
     lines, doubts : how the channel was aligned, and reasons in the data not to trust any model of it.
     held : flight -> spans of vehicle time, ns, that are held out; a share by chance where there are none.
+    missing : sentences on extras of the data that could not be given.
     """
 
     data: D
@@ -59,6 +62,7 @@ class ChannelJob(Generic[D]):
     lines: tuple[str, ...] = ()
     doubts: tuple[Doubt, ...] = ()
     held: Mapping[str, Sequence[tuple[int, int]]] = field(default_factory=dict)
+    missing: tuple[str, ...] = ()
 
     @property
     def name(self) -> str:
@@ -67,11 +71,13 @@ class ChannelJob(Generic[D]):
 
     def run(self) -> ChannelRun | str:
         """Split, fit and save; or the reason why nothing can be fitted: one channel takes no other along."""
+        missing = Missing(*self.missing)
         try:
-            with part(channel=self.name):
-                return self._run()
+            with part(channel=self.name), missing.gathering():
+                found = self._run()
         except UNFIT as error:
             return reason(error)
+        return found if isinstance(found, str) else replace(found, missing=missing.sentences)
 
     def _run(self) -> ChannelRun | str:
         raise NotImplementedError
@@ -120,11 +126,16 @@ class ChannelJob(Generic[D]):
             failed=fits.failed,
             doubts=self.doubts,
             dead_times=tuple(d.words for d in late),
-            loops=tuple(f.words for f in feedback(seen) if f.closed),
-            nonlinear=_nonlinear(baseline, seen),
+            loops=extra(Extra.LOOP, partial(_loops, seen), (), self.name),
+            nonlinear=extra(Extra.NONLINEARITY, partial(_nonlinear, baseline, seen), (), self.name),
             baseline=choice.label,
             chosen=choice.words,
         )
+
+
+def _loops(seen: Dataset) -> tuple[str, ...]:
+    """A sentence for each output that an input answers."""
+    return tuple(f.words for f in feedback(seen) if f.closed)
 
 
 def _nonlinear(baseline: Fitted, seen: Dataset) -> tuple[str, ...]:

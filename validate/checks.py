@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from flysid.dataset import Dataset
-from flysid.errors import FlysidError
+from flysid.errors import DataError, UsageError
+from flysid.extras import Extra, extra
 from flysid.model.base import Fitted
 from flysid.model.capabilities import HasCertificate, HasSimplifications
 from flysid.validate.conditioning import conditions
@@ -20,6 +21,8 @@ if TYPE_CHECKING:
     from flysid.model.rules.rule_uncertainty import Uncertainty
 
 
+NOT_GIVEN = "not given: see what is missing"
+"""Of a certificate that broke."""
 MOST_SAMPLES = 200_000
 """Training samples up to which simplifications are priced: each is refined on all of them."""
 
@@ -41,7 +44,7 @@ class Checks:
 
     Attributes
     ----------
-    robustness : long free run, forgetting of the start.
+    robustness : long free run, forgetting of the start; None where it could not be tried.
     conditions : of the regressors, per rule; () where not known.
     intervals : of gains, time constants and coefficients; None where the model does not tell.
     certificate : what is proved about the stability of any blend of the rules, in words; "" where there is
@@ -50,7 +53,7 @@ class Checks:
     simpler : what could be said with fewer words and its price on the training data, cheapest first.
     """
 
-    robustness: Robustness
+    robustness: Robustness | None
     conditions: tuple[float, ...]
     intervals: Intervals | None
     certificate: str
@@ -63,28 +66,27 @@ class Checks:
         return None if self.intervals is None else self.intervals.fuzzy
 
 
-def check(model: Fitted, test: Dataset, train: Dataset | None = None) -> Checks:
-    """Try `model` on the ranges of `train` (of `test` where there is none)."""
+def check(model: Fitted, test: Dataset, train: Dataset | None = None, of: str = "") -> Checks:
+    """Try `model` on the ranges of `train` (of `test` where there is none); `of`: its name, for sentences."""
     seen = test if train is None else train
-    proved, words = _certificate(model)
+    proved, words = extra(Extra.CERTIFICATE, partial(_certificate, model), (False, NOT_GIVEN), of)
     return Checks(
-        robustness(model, seen),
-        conditions(model, seen),
-        intervals(model, train),
+        extra(Extra.ROBUSTNESS, partial(robustness, model, seen), None, of),
+        extra(Extra.CONDITIONING, partial(conditions, model, seen), (), of),
+        extra(Extra.INTERVALS, partial(intervals, model, train), None, of),
         words,
         proved,
-        () if train is None else _simpler(model, train),
+        () if train is None else extra(Extra.SIMPLER, partial(_simpler, model, train), (), of),
     )
 
 
 def _simpler(model: Fitted, train: Dataset) -> tuple[Simpler, ...]:
-    """Edits of rules over lags; none where the data are too many or too short."""
+    """Edits of rules over lags; none of other rules, or where the data are too many or too short."""
     if not isinstance(model, HasSimplifications) or len(model.rules()) < 2 or len(train) > MOST_SAMPLES:
         return ()
-    try:
+    with suppress(DataError, UsageError):
         return tuple(Simpler(s.what, s.loss_pct) for s in model.simplifications(train))
-    except (FlysidError, np.linalg.LinAlgError):
-        return ()
+    return ()
 
 
 def _certificate(model: Fitted) -> tuple[bool, str]:

@@ -9,12 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from flysid.catalogue import FlightFacts
 from flysid.dataset import Dataset
 from flysid.errors import DataError, FlysidError, UsageError
+from flysid.extras import Extra, Missing, extra
 from flysid.ingest.align.doubts import Doubt, vehicles_of
 from flysid.ingest.lake.chosen_flights import Selection, require_one_vehicle
 from flysid.ingest.lake.lake import Lake
@@ -63,9 +65,11 @@ def judge_runs(
     StoreError, UsageError : a run or a data folder cannot be read.
     """
     tell("aligning the data of both runs", share=0.0)
-    ours = {h.channel.name: h for h in held_out(b.run, b.data)}
+    missing = Missing(*a.run.missing, *b.run.missing)
+    with missing.gathering():
+        ours = {h.channel.name: h for h in held_out(b.run, b.data)}
+        theirs = {h.channel.name: h for h in _training_of(a)}
     chosen = None if only is None else chosen_lake(b.run, b.data, only)
-    theirs = {h.channel.name: h for h in _training_of(a)}
     shared = [name for name in ours if name in theirs]
     if not shared:
         raise DataError(f"the runs share no channel: {_names(theirs)} and {_names(ours)}")
@@ -89,8 +93,11 @@ def judge_runs(
     skipped |= {name: "fitted by run A only" for name in theirs if name not in ours} | failed
     judged_on = [comparison.test for comparison in found.values()]
     doubts = {n: doubt for n, c in found.items() if (doubt := _of_other_vehicles(theirs[n].train, c.test))}
-    flights = _facts_of(b, chosen, judged_on)
-    context = replace(context, fit_seconds=seconds, skipped=skipped, flights=flights, doubts=doubts)
+    with missing.gathering():
+        flights = extra(Extra.FLIGHTS, partial(_facts_of, b, chosen, judged_on), ())
+    context = replace(
+        context, fit_seconds=seconds, skipped=skipped, flights=flights, doubts=doubts, missing=missing
+    )
     return Judgement(b.run, corrected, skipped, context, tuple(failed))
 
 

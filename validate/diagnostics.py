@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import TypeVar
 
 import numpy as np
 
 from flysid.dataset import Dataset, FloatArray, Signal
+from flysid.extras import Extra, extra
 from flysid.feedback import Feedback, feedback
 from flysid.model.base import Fitted
 from flysid.model.nonlinearity import Nonlinearity, nonlinearity
@@ -22,6 +25,8 @@ from flysid.validate.residuals import (
     spectrum,
 )
 from flysid.validate.trials import FREE_RUN, StructureTrial, run_trials
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -105,30 +110,60 @@ class Diagnosis:
 
 
 def diagnose(comparison: Comparison, train: Dataset | None = None) -> Diagnosis:
-    """Run every test on the held-out part of `comparison`; `train` gives the ranges seen in training."""
+    """Run every test on the held-out part of `comparison`; `train` gives the ranges seen in training.
+
+    A test that breaks is left out (`flysid.extras`).
+    """
+    where = comparison.channel
+    return extra(Extra.DIAGNOSIS, partial(_diagnose, comparison, train), unknown(comparison), where)
+
+
+def unknown(comparison: Comparison) -> Diagnosis:
+    """Nothing is known of any test."""
+    nothing = (None,) * len(comparison.test.inputs)
+    outputs = tuple(OutputDiagnosis(s, {}, {}, nothing) for s in comparison.test.outputs)
+    return Diagnosis(outputs, (), {}, {}, (), {}, (), steps={"1": ()})
+
+
+def _diagnose(comparison: Comparison, train: Dataset | None) -> Diagnosis:
     models = comparison.fitted
     test = comparison.test
+    where = comparison.channel
     free = run_trials(models, test, FREE_RUN)
     one = run_trials(models, test, "1")
     headline = {n: models[n] for n in (comparison.baseline, comparison.contender) if n}
     further = [h for h in comparison.horizons if h not in (FREE_RUN, "1")]
-    return Diagnosis(
+    dynamic = [name for name, info in comparison.models.items() if not info.reference]
+    several = [name for name, info in comparison.models.items() if info.n_rules > 1]
+    found = Diagnosis(
         outputs=tuple(_output(j, free, one, comparison) for j in range(len(test.outputs))),
-        outside=() if train is None else outside_training(train, test),
-        pole_radius={
-            name: max(r.pole_radius for r in m.rules())
-            for name, m in models.items()
-            if not comparison.models[name].reference
-        },
-        rule_use={name: rule_use(m, test) for name, m in models.items() if len(m.rules()) > 1},
-        checks={n: check(model, test, train) for n, model in headline.items()},
+        outside=(),
+        pole_radius=_of_each(
+            Extra.POLES, dynamic, lambda n: max(r.pole_radius for r in models[n].rules()), where
+        ),
+        rule_use=_of_each(Extra.RULE_USE, several, lambda n: rule_use(models[n], test), where),
+        checks={n: check(model, test, train, f"{n} on {where}") for n, model in headline.items()},
         changes=tuple(_changes(test, i) for i in range(len(test.inputs))),
         free_runs=free,
-        loops=() if train is None else feedback(train),
-        nonlinear=() if train is None else nonlinearity(models[comparison.baseline], train),
-        near=None if train is None else nearness(train, test, max(1, comparison.lags)),
         steps={"1": one} | {h: run_trials(headline, test, h) for h in further},
     )
+    if train is None:
+        return found
+    linear = models[comparison.baseline]
+    lags = max(1, comparison.lags)
+    return replace(
+        found,
+        outside=extra(Extra.OUTSIDE, partial(outside_training, train, test), (), where),
+        loops=extra(Extra.LOOP, partial(feedback, train), (), where),
+        nonlinear=extra(Extra.NONLINEARITY, partial(nonlinearity, linear, train), (), where),
+        near=extra(Extra.NEARNESS, partial(nearness, train, test, lags), None, where),
+    )
+
+
+def _of_each(which: Extra, names: Iterable[str], find: Callable[[str], T], where: str) -> dict[str, T]:
+    """What is found of every model, by name; without those of which nothing can be."""
+    found = {name: extra(which, partial(find, name), None, f"{name} on {where}") for name in names}
+    return {name: value for name, value in found.items() if value is not None}
 
 
 def _output(
@@ -139,23 +174,24 @@ def _output(
     inputs = range(len(test.inputs))
     us = [[test.segments[t.segment].u[t.first :, i] for t in free] for i in inputs]
     lost = {name for t in free for name in t.diverged_s}
+
+    def white(name: str) -> Correlation:
+        return autocorrelation([t.y[:, j] - t.yh[name][:, j] for t in one], lags)
+
+    def depends(name: str) -> tuple[Correlation, ...]:
+        errors = [t.y[:, j] - t.yh[name][:, j] for t in free]
+        return tuple(cross_correlation(errors, us[i], lags) for i in inputs)
+
+    def response(i: int) -> ResidualSpectrum | None:
+        return spectrum([s.u[:, i] for s in test.segments], [s.y[:, j] for s in test.segments], test.dt_s)
+
+    where = comparison.channel
+    kept = [name for name in comparison.models if name not in lost]
     return OutputDiagnosis(
         output=test.outputs[j],
-        whiteness={
-            name: autocorrelation([t.y[:, j] - t.yh[name][:, j] for t in one], lags)
-            for name in comparison.models
-        },
-        dependence={
-            name: tuple(
-                cross_correlation([t.y[:, j] - t.yh[name][:, j] for t in free], us[i], lags) for i in inputs
-            )
-            for name in comparison.models
-            if name not in lost
-        },
-        responses=tuple(
-            spectrum([s.u[:, i] for s in test.segments], [s.y[:, j] for s in test.segments], test.dt_s)
-            for i in inputs
-        ),
+        whiteness=_of_each(Extra.WHITENESS, list(comparison.models), white, where),
+        dependence=_of_each(Extra.DEPENDENCE, kept, depends, where),
+        responses=tuple(extra(Extra.RESPONSES, partial(response, i), None, where) for i in inputs),
     )
 
 

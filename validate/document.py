@@ -5,8 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
+from functools import partial
 from typing import Any
 
+from flysid.extras import Extra, extra
 from flysid.ingest.align.doubts import Doubt
 from flysid.validate.cautions import cautions
 from flysid.validate.checks import Checks
@@ -51,7 +53,10 @@ def to_json(
             {"level": c.level, "text": c.text, "todo": c.todo}
             for c in cautions(comparisons, diagnoses, doubts)
         ]
-        document["diagnostics"] = {name: _diagnosis(d, comparisons[name]) for name, d in diagnoses.items()}
+        document["diagnostics"] = {
+            name: extra(Extra.DIAGNOSIS_NUMBERS, partial(_diagnosis, d, comparisons[name]), None, name)
+            for name, d in diagnoses.items()
+        }
     found: dict[str, Any] = plain(document)
     return found
 
@@ -100,7 +105,7 @@ def _diagnosis(d: Diagnosis, comparison: Comparison) -> dict[str, Any]:
 def _checks(c: Checks) -> dict[str, Any]:
     sure = c.intervals
     return {
-        "long_run": asdict(c.robustness),
+        "long_run": None if c.robustness is None else asdict(c.robustness),
         "condition_per_rule": list(c.conditions),
         "simpler": [asdict(s) for s in c.simpler],
         "certificate": {"proved": c.proved, "words": c.certificate},

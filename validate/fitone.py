@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import traceback
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import Protocol, TypeVar
 
 from flysid.dataset import Dataset
 from flysid.errors import DataError, FitError
+from flysid.extras import Extra, extra
 from flysid.files import write_atomically
 from flysid.ingest.align.quick import QUICK
 from flysid.model.base import Fitted, kind_of
@@ -96,10 +98,13 @@ def fit_one(estimator: FitsTo[S], train: S, path: Path, beside: Mapping[str, Fit
         return reason(error)
     except Exception as error:  # noqa: BLE001 - one structure takes no other model of the run down
         return fault(error)
+    of = f"{path.stem} on {path.parent.name}"
     if isinstance(train, Dataset):
-        model = caution(model, train)
+        model = extra(Extra.BEYOND, partial(caution, model, train), model, of)
     model.save(path)
-    write_atomically(path.with_suffix(".txt"), in_words(model).encode())
+    text = extra(Extra.MODEL_TEXT, partial(in_words, model), "", of)
+    if text:
+        write_atomically(path.with_suffix(".txt"), text.encode())
     return model
 
 

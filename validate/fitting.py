@@ -19,6 +19,7 @@ from typing import Any
 from flysid.dataset import Dataset
 from flysid.datasetfile import open_dataset
 from flysid.errors import DataError, UsageError
+from flysid.extras import Extra, Missing, extra
 from flysid.files import replacing_folder, slug, write_atomically
 from flysid.ingest.align.doubts import doubts
 from flysid.ingest.align.recipe import Recipe, load_recipe, recipe_text
@@ -273,14 +274,12 @@ def fit_run(
     wanted = _chosen([n for n in recipe.channels if n not in skipped], settings.channels)
     with replacing_folder(out) as folder:
         queue: list[MemoryJob | DiskJob] = []
-        instruments = Instruments(lake.logs)
         with tempfile.TemporaryDirectory(prefix=".aligned-", dir=folder) as scratch:
+            places = Places(folder, Path(scratch), Instruments(lake.logs))
             for name in wanted:
                 tell("aligning", channel=name, share=0.0)
                 try:
-                    job = _job(lake, recipe, name, Places(folder, Path(scratch)), settings)
-                    more = instruments.doubts(recipe, name)
-                    queue.append(replace(job, doubts=(*job.doubts, *more), held=held))
+                    queue.append(replace(_job(lake, recipe, name, places, settings), held=held))
                 except (DataError, MemoryError) as error:
                     skipped[name] = reason(error)
             found, interrupted = _fit(queue, jobs)
@@ -353,14 +352,26 @@ def _drop_unfinished(folder: Path, channels: Sequence[ChannelRun]) -> None:
 
 @dataclass(frozen=True)
 class Places:
-    """Where a run is made, and where aligned channels lie meanwhile."""
+    """Where a run is made, where aligned channels lie meanwhile, and what is known of their instruments."""
 
     run: Path
     scratch: Path
+    instruments: Instruments
 
 
 def _job(lake: Lake, recipe: Recipe, name: str, places: Places, settings: FitSettings) -> MemoryJob | DiskJob:
-    """A channel to fit: aligned in memory, or into a file where it has more samples than may be in memory."""
+    """A channel to fit, with the doubts about its data."""
+    missing = Missing()
+    with missing.gathering():
+        job = _aligned(lake, recipe, name, places, settings)
+        more = extra(Extra.INSTRUMENTS, partial(places.instruments.doubts, recipe, name), (), name)
+    return replace(job, doubts=(*job.doubts, *more), missing=missing.sentences)
+
+
+def _aligned(
+    lake: Lake, recipe: Recipe, name: str, places: Places, settings: FitSettings
+) -> MemoryJob | DiskJob:
+    """In memory, or into a file where there are more samples than may be in memory."""
     signals = len(recipe.signals_of(name))
     if _megabytes(lake.expected_samples(recipe, name), signals) <= settings.memory_mb:
         aligned = lake.align(recipe, name)
@@ -369,7 +380,8 @@ def _job(lake: Lake, recipe: Recipe, name: str, places: Places, settings: FitSet
     path = places.scratch / f"{slug(name)}.parquet"
     report = lake.write(recipe, name, path)
     file = open_dataset(path)
-    found = doubts(file.head(LOOK_ROWS), recipe.channel(name)) if len(file) else ()
+    look = partial(doubts, file.head(LOOK_ROWS), recipe.channel(name))
+    found = extra(Extra.DOUBTS, look, (), name) if len(file) else ()
     return DiskJob(file, places.run, settings, tuple(report.lines()), found)
 
 

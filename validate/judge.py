@@ -7,12 +7,14 @@ import shlex
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
 from flysid.catalogue import FlightFacts
 from flysid.errors import DataError, UsageError
+from flysid.extras import Extra, Missing, extra
 from flysid.files import replacing_folder, write_atomically
 from flysid.ingest.lake.chosen_flights import Selection
 from flysid.ingest.lake.lake import open as open_lake
@@ -25,8 +27,9 @@ from flysid.validate.compare_models import Comparison, across_channels, compare
 from flysid.validate.condition import matching_channels
 from flysid.validate.document import plain, to_json
 from flysid.validate.judgedparts import chosen_lake, restrict
-from flysid.validate.paperfigures import write_figures
+from flysid.validate.paperfigures import require_matplotlib, write_figures
 from flysid.validate.report.context import ReportContext
+from flysid.validate.report.html import plain_page
 from flysid.validate.report.narrative import worse_than_constant
 from flysid.validate.report.page import render
 from flysid.validate.run import Beside, FitSettings, HeldOut, Run, asked_for, held_out, with_models
@@ -61,22 +64,33 @@ class Judgement:
 
     @property
     def document(self) -> dict[str, Any]:
-        """The comparison as JSON types: {"channels": {NAME: {HORIZON: {...}}}, ...}."""
-        return to_json(self.comparisons, self.context.diagnoses, self.context.doubts) | {
-            "skipped": dict(self.skipped),
-            "provenance": {k: v for k, v in self.context.provenance.items() if not k.endswith(FIT_TIME)},
-            "gains": plain([j.to_dict() for j in self.context.loops]),
-            "fit_seconds": {name: dict(times) for name, times in self.context.fit_seconds.items()},
-        }
+        """The comparison as JSON types: {"channels": {NAME: {HORIZON: {...}}}, ...}.
+
+        "missing" holds a sentence on every extra that could not be given; it is not there where none is.
+        """
+        context = self.context
+        with context.missing.gathering():
+            found = to_json(self.comparisons, context.diagnoses, context.doubts) | {
+                "skipped": dict(self.skipped),
+                "provenance": {k: v for k, v in context.provenance.items() if not k.endswith(FIT_TIME)},
+                "gains": extra(Extra.GAINS, lambda: plain([j.to_dict() for j in context.loops]), ()),
+                "fit_seconds": {name: dict(times) for name, times in context.fit_seconds.items()},
+            }
+        return found | context.missing.to_dict()
 
     @property
     def table(self) -> str:
         """The comparison for a terminal: every model, channel and horizon, verdicts in words, warnings."""
         poor = "\n".join(worse_than_constant(self.comparisons))
-        physics = "\n".join(line for c in self.comparisons.values() for line in physics_words(c))
-        head = [table(self.comparisons), poor, summary(self.comparisons), physics]
-        parts = [*head, *self._grave(), *self._simpler()]
+        with self.context.missing.gathering():
+            physics = extra(Extra.PHYSICS, self._physics, "")
+            beside = [physics, *self._grave(), *self._simpler()]
+        missing = "\n".join(fold(one_line(words)) for words in self.context.missing.sentences)
+        parts = [table(self.comparisons), poor, summary(self.comparisons), *beside, missing]
         return "\n\n".join(part for part in parts if part)
+
+    def _physics(self) -> str:
+        return "\n".join(line for c in self.comparisons.values() for line in physics_words(c))
 
     def _grave(self) -> list[str]:
         """Dangers and warnings; notes are on the page."""
@@ -116,7 +130,8 @@ class Judgement:
     @property
     def cautions(self) -> tuple[Caution, ...]:
         """What to beware of, worst first; as on the page."""
-        return cautions(self.comparisons, self.context.diagnoses, self.context.doubts)
+        with self.context.missing.gathering():
+            return cautions(self.comparisons, self.context.diagnoses, self.context.doubts)
 
     def violations(self, condition: str) -> dict[str, str]:
         """The channels on which a `--fail-if` condition holds, each with why it could not be judged, or "".
@@ -146,7 +161,9 @@ def judge_run(
     StoreError, UsageError : the run or the data folder cannot be read.
     """
     tell("aligning the held-out part", share=0.0)
-    held = [with_models(item, beside.get(item.channel.name, {})) for item in held_out(run, data)]
+    missing = Missing(*run.missing)
+    with missing.gathering():
+        held = [with_models(item, beside.get(item.channel.name, {})) for item in held_out(run, data)]
     chosen = None if only is None else chosen_lake(run, data, only)
     judged_with = [] if only is None else [f"judged with {' '.join(only.options)}"]
     remark = "; ".join([*([run.settings.remark] if run.settings.remark else []), *judged_with])
@@ -170,7 +187,10 @@ def judge_run(
         raise DataError(f"no channel can be judged: {by_reason(failed)}")
     corrected = across_channels(comparisons)
     skipped = {**run.skipped, **failed}
-    context = replace(_context(run, corrected, held, remark, data), skipped=skipped, loops=_loops(run, data))
+    with missing.gathering():
+        context = _context(run, corrected, held, remark, data)
+        loops = extra(Extra.GAINS, partial(_loops, run, data), ())
+    context = replace(context, skipped=skipped, loops=loops, missing=missing)
     return Judgement(run, corrected, skipped, context, tuple(failed))
 
 
@@ -194,17 +214,36 @@ def write_judgement(judgement: Judgement, folder: Path, figures: str | None = No
     UsageError : matplotlib is needed and not installed. WriteError : nothing can be written there.
     """
     with replacing_folder(folder) as incoming:
-        judgement.context.diagnoses  # noqa: B018 - made here, and told
+        judgement.document  # noqa: B018 - all but pictures is tried here, and told
         tell("drawing the page", share=0.9)
-        write_atomically(incoming / DOCUMENT, _written(judgement))
-        write_atomically(incoming / PAGE, render(judgement.context).encode())
         if figures is not None:
-            write_figures(incoming, judgement.context, figures)
+            require_matplotlib()
+            _draw(judgement, incoming, figures)
+        write_atomically(incoming / PAGE, _page(judgement).encode())
+        write_atomically(incoming / DOCUMENT, _written(judgement))
     return folder / PAGE
+
+
+def _draw(judgement: Judgement, folder: Path, kind: str) -> None:
+    context = judgement.context
+    with context.missing.gathering():
+        extra(Extra.FIGURES, partial(write_figures, folder, context, kind), ())
+
+
+def _page(judgement: Judgement) -> str:
+    """The page; where it breaks as a whole, the comparison as it is printed."""
+    context = judgement.context
+    with context.missing.gathering():
+        page = extra(Extra.PAGE, partial(render, context), "")
+    return page or plain_page(judgement.table)
 
 
 def remember(judgement: Judgement) -> None:
     """Leave the document in the run, where `flysid runs` looks; one that cannot be written stays as it is."""
+    extra(Extra.REMEMBERED, partial(_remember, judgement), None)
+
+
+def _remember(judgement: Judgement) -> None:
     place = judgement.run.folder / REPORT
     with suppress(OSError):
         place.mkdir(exist_ok=True)
@@ -229,7 +268,7 @@ def _context(
         provenance=_provenance(run, held),
         remark=remark,
         fit_seconds={h.channel.name: dict(h.channel.fit_seconds) for h in held},
-        flights=_flights(run, data),
+        flights=extra(Extra.FLIGHTS, partial(_flights, run, data), ()),
         doubts={h.channel.name: h.channel.doubts for h in held if h.channel.name in comparisons},
     )
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from flysid.errors import StoreError, UsageError
+from flysid.errors import UsageError, WriteError
 from flysid.files import write_atomically
 from flysid.model.capabilities import HasMemberships
 from flysid.validate.comparison import Comparison
@@ -72,7 +72,7 @@ def write_figure(path: Path, drawing: Callable[[], Figure]) -> Path:
     Raises
     ------
     UsageError : an unknown kind, or matplotlib is not installed; as `drawing`.
-    StoreError : the file cannot be written.
+    WriteError : the file cannot be written.
     """
     kind = path.suffix.removeprefix(".")
     _refuse_unknown(kind)
@@ -81,7 +81,7 @@ def write_figure(path: Path, drawing: Callable[[], Figure]) -> Path:
         path.parent.mkdir(parents=True, exist_ok=True)
         write_atomically(path, content)
     except OSError as error:
-        raise StoreError(f"the figure cannot be written: {error.strerror}", path=path) from error
+        raise WriteError(f"the figure cannot be written: {error.strerror}", path=path) from error
     return path
 
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from flysid.dataset import Dataset, FloatArray
-from flysid.errors import FlysidError
+from flysid.errors import DataError, UsageError
 from flysid.model.base import Fitted
 from flysid.model.capabilities import (
     Coefficient,
@@ -62,7 +62,7 @@ def _of_rules(model: Any, train: Dataset) -> Intervals | None:
         with np.errstate(all="ignore"):
             known = isinstance(model, HasOperatingPoints) and model.operating_points
             gain, reached = _at_rest(model) if known else (sure.gain_interval, None)
-    except (FlysidError, np.linalg.LinAlgError):
+    except (DataError, UsageError):
         return None
     errors = sure.consequent_errors
     found = [

@@ -42,6 +42,7 @@ RUN_VERSION = 1
 RUN_FILE = "run.json"
 RECIPE_FILE = "recipe.toml"
 STRUCTURE_FILE = "structured.toml"
+SENTENCES = ("aligned", "dead_times", "loops", "nonlinear")
 LIBRARIES = ("numpy", "scipy", "numba", "pyarrow", "pymavlink", "mcap")
 
 
@@ -116,6 +117,7 @@ class ChannelRun:
     nonlinear : what share of each output does not follow the inputs linearly, one sentence per output.
     on_disk : fitted from disk; the split is of a dataset file (`flysid.validate.diskparts`).
     folds : where all flights were left out in turn: the split and the models of every turn.
+    missing : what could not be given beside the models (`flysid.extras`), one sentence each.
     """
 
     name: str
@@ -132,6 +134,7 @@ class ChannelRun:
     nonlinear: tuple[str, ...] = ()
     on_disk: bool = False
     folds: tuple[FoldRun, ...] = ()
+    missing: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -155,6 +158,11 @@ class Run:
     versions: Mapping[str, str]
     interrupted: bool = False
     _loaded: dict[str, Fitted] = field(default_factory=dict, init=False, repr=False, compare=False)
+
+    @property
+    def missing(self) -> tuple[str, ...]:
+        """What could not be given beside the models of any channel."""
+        return tuple(words for channel in self.channels for words in channel.missing)
 
     def model(self, file: str) -> Fitted:
         """A model file of the run, read once; StoreError where it is missing or damaged."""
@@ -208,12 +216,17 @@ def run_document(run: Run) -> bytes:
         "recipe": run.recipe,
         "flights": run.flights,
         "settings": asdict(run.settings),
-        "channels": [asdict(c) for c in run.channels],
+        "channels": [_channel_document(c) for c in run.channels],
         "skipped": dict(run.skipped),
         "versions": dict(run.versions),
         "interrupted": run.interrupted,
     }
     return (json.dumps(body, indent=1, allow_nan=False) + "\n").encode()
+
+
+def _channel_document(channel: ChannelRun) -> dict[str, Any]:
+    """Without "missing" where nothing is."""
+    return {name: value for name, value in asdict(channel).items() if value or name != "missing"}
 
 
 # ------------------------------------------------------------------------------------------- reading
@@ -290,7 +303,7 @@ def _selection_from(body: Mapping[str, Any]) -> Selection:
 
 
 def _channel_from(body: Mapping[str, Any]) -> ChannelRun:
-    lists = {name: tuple(body.get(name, ())) for name in ("aligned", "dead_times", "loops", "nonlinear")}
+    lists = {name: tuple(body.get(name, ())) for name in (*SENTENCES, "missing")}
     doubts = tuple(Doubt(**d) for d in body.get("doubts", ()))
     folds = tuple(FoldRun(**f) for f in body.get("folds", ()))
     return ChannelRun(**{**body, **lists, "doubts": doubts, "folds": folds})

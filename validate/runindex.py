@@ -12,10 +12,12 @@ import io
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from flysid.errors import StoreError
+from flysid.extras import Extra, extra
 from flysid.files import write_atomically
 from flysid.validate.history import RunChannel, find_runs, run_channels
 from flysid.validate.judge import DOCUMENT, REPORT
@@ -59,7 +61,7 @@ def _list_runs(root: Path) -> tuple[list[RunChannel], list[StoreError]]:
         except StoreError as error:
             damaged.append(error)
     if now != known:
-        _write(root, now)
+        extra(Extra.INDEX, partial(_write, root, now), None, str(root))
     listed = [replace(c, folder=str(root / name)) for name, (_, own) in now.items() for c in own]
     return listed, damaged
 

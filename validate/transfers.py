@@ -8,12 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, FitError, RecipeError, UsageError
+from flysid.extras import Extra, extra
 from flysid.feedback import Feedback, feedback
 from flysid.ingest.align.quick import driven_by
 from flysid.ingest.align.recipe import load_recipe
@@ -33,6 +35,8 @@ from flysid.progress import tell
 from flysid.validate.fitone import nothing_done
 from flysid.validate.metrics import scores
 from flysid.validate.trials import FREE_RUN, run_trials
+
+NOT_MEASURED = "see what is missing"
 
 
 @dataclass(frozen=True, eq=False)
@@ -330,21 +334,31 @@ def identify_channel(name: str, data: Dataset, estimator: TF, reference_at: str 
     DataError, FitError : as `TF.fit`.
     """
     model = estimator.fit(data)
-    measured, why = _responses(data, estimator)
+    nothing = (None,) * len(data.outputs)
+    measured, why = extra(Extra.MEASURED, partial(_responses, data, estimator), (nothing, NOT_MEASURED), name)
     plant, references = split_references(data, estimator.reference)
+    fits = extra(Extra.FIT_SHARE, partial(_fit_pct, model, data), nothing, name)
+    loops = () if references else extra(Extra.LOOP, partial(feedback, data), (), name)
+    names = tuple(data.inputs[j].name for j in references)
+    views = tuple(
+        None
+        if references or seen is None
+        else extra(Extra.WHOSE, partial(view_loop, data, i, seen), None, name)
+        for i, seen in enumerate(measured)
+    )
+    whole = ChannelTransfers(name, plant, model, measured, why, fits, loops, names, views)
+    return replace(whole, figures=_all_figures(whole, data, reference_at))
+
+
+def _fit_pct(model: FittedTF, data: Dataset) -> tuple[float | None, ...]:
+    """What the free run over all flights explains of every output; None where none is long enough."""
     trials = run_trials({"tf": model}, data, FREE_RUN)
     fits = []
     for j in range(len(data.outputs)):
         y = np.concatenate([t.y[:, j] for t in trials]) if trials else np.zeros(0)
         yh = np.concatenate([t.yh["tf"][:, j] for t in trials]) if trials else np.zeros(0)
         fits.append(scores(y, yh).fit_pct if len(y) else None)
-    loops = () if references else feedback(data)
-    names = tuple(data.inputs[j].name for j in references)
-    views = tuple(
-        None if references or seen is None else view_loop(data, i, seen) for i, seen in enumerate(measured)
-    )
-    whole = ChannelTransfers(name, plant, model, measured, why, tuple(fits), loops, names, views)
-    return replace(whole, figures=_all_figures(whole, data, reference_at))
+    return tuple(fits)
 
 
 def _all_figures(channel: ChannelTransfers, data: Dataset, reference_at: str) -> dict[str, list[LoopFigure]]:
@@ -355,7 +369,8 @@ def _all_figures(channel: ChannelTransfers, data: Dataset, reference_at: str) ->
         for j, source in enumerate(channel.data.inputs):
             name = "command" if pairs == 1 else f"command_{source.name}_{channel.data.outputs[i].name}"
             if measured is not None and not channel.is_looped(i):
-                found[name] = command_figures(measured, j)
+                make = partial(command_figures, measured, j)
+                found[name] = list(extra(Extra.LOOP_FIGURES, make, (), channel.name))
     if not reference_at:
         return found
     if len(channel.reference) != 1:

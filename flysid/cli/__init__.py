@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import os
 import sys
+from functools import cache
 from pathlib import Path
 
 import click
@@ -19,8 +20,9 @@ import click
 import flysid
 from flysid.cli.config import FILE, defaults_of, environment_of
 from flysid.cli.lazy import LazyVerbs
-from flysid.cli.output import printable
+from flysid.cli.output import explain, printable
 from flysid.errors import FlysidError
+from flysid.extras import hearing
 from flysid.showing import WIDTH
 
 VERBS = {
@@ -80,6 +82,7 @@ STEPS = {
 @click.pass_context
 def root(ctx: click.Context) -> None:
     """Flight logs in, trustworthy models out."""
+    ctx.with_resource(hearing(cache(explain)))  # each sentence once
     verb = ctx.invoked_subcommand
     command = root.get_command(ctx, verb) if verb else None
     if verb and command is not None:

@@ -107,6 +107,8 @@ def command(output: Path, plant: str, seed: int, force: bool, quiet: bool, displ
     for line in summary(judgement.comparisons).splitlines():
         say(f"  {line}", quiet)
     say(f"  {meaning(judgement)}", quiet)
+    for line in judgement.context.missing.sentences:
+        say(f"  {line}")
     say(f"  {time.perf_counter() - started:.0f} s in total", quiet)
     for line in LOOK_AT:
         say(f"  {line}", quiet)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import shutil
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -24,6 +25,7 @@ from flysid.cli.source import (
     words_options,
 )
 from flysid.errors import UsageError
+from flysid.extras import Extra, extra
 from flysid.progress import part
 
 if TYPE_CHECKING:
@@ -220,8 +222,11 @@ def _say_what_was_fitted(run: Run, quiet: bool) -> None:
             explain(f"{channel.name}: {said}", quiet)
         for loop in channel.loops:
             explain(f"{channel.name}: caution: {loop}")
-        for line in transfer_lines(run, channel):
+        make = partial(transfer_lines, run, channel)
+        for line in extra(Extra.TRANSFER_TEXT, make, (), channel.name):
             say(line, quiet)
+        for missing in channel.missing:
+            explain(missing)
     for name, why in run.skipped.items():
         say_left_out(name, why)
 

@@ -10,7 +10,8 @@ import click
 
 from flysid.cli.display import Display, progress_options
 from flysid.cli.fleet_data import FleetData, fleet_data_options
-from flysid.cli.output import align_columns, check_target, say, say_left_out
+from flysid.cli.output import align_columns, check_target, explain, say, say_left_out
+from flysid.extras import Missing
 from flysid.showing import counted
 
 if TYPE_CHECKING:
@@ -69,12 +70,14 @@ def command(
 
     opened = open_lake(data.folder)
     asked = load_recipe(data.recipe)
+    missing = Missing()
     keys = tuple(key for key in by.replace(" ", "").split(",") if key)
     with data.engine(opened, quiet) as cluster:
-        with display.shown():
+        with display.shown(), missing.gathering():
             gathered = data.gather(opened, asked, cluster, quiet)
             fitted = fit_groups(gathered, keys)
-        text = json.dumps(fitted.document(asked.name), indent=1, allow_nan=False) + "\n"
+        document = fitted.document(asked.name) | missing.to_dict()
+        text = json.dumps(document, indent=1, allow_nan=False) + "\n"
         if output is not None:
             with writing_to(output / MODELS):
                 output.mkdir(parents=True, exist_ok=True)
@@ -82,6 +85,8 @@ def command(
         click.echo(text if as_json else "\n".join(table(fitted)), nl=not as_json)
         for name, why in fitted.skipped.items():
             say_left_out(name, why)
+        for sentence in missing.sentences:
+            explain(sentence)
         unfit = [group for group in fitted.groups if group.reason]
         for group in unfit:
             say(f"{name_of(group.key)}, {group.channel}: {group.reason}")
@@ -140,6 +145,10 @@ def run_vehicles(
     failed = {name: why for name, why in done.items() if isinstance(why, str)}
     for name, why in failed.items():
         say(f"{name}: {why}")
+    for name, run in done.items():
+        for channel in () if isinstance(run, str) else run.channels:
+            for sentence in channel.missing:
+                explain(f"{name}: {sentence}")
     say(f"{counted(len(done) - len(failed), 'run')} in {output}", quiet)
     if len(done) > len(failed):
         first = next(name for name in done if name not in failed)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,8 +12,9 @@ import click
 
 from flysid.cli.addresses import SOURCE, here
 from flysid.cli.display import Display
-from flysid.cli.output import align_columns, check_target, explain, printable, say
+from flysid.cli.output import align_columns, check_target, explain, printable, say, say_drawn
 from flysid.cli.source import READING_OF_A_LOOK, Words, opened_flights, reading_options
+from flysid.extras import Extra, extra
 from flysid.showing import fold
 
 if TYPE_CHECKING:
@@ -55,9 +57,11 @@ def command(
     from flysid.ingest.lake.chosen_flights import Selection, select
     from flysid.loops.judged import CAUTION, judge
     from flysid.progress import part
+    from flysid.validate.pictures import check_picture
     from flysid.validate.run import RUN_FILE
 
     if plot is not None:
+        check_picture(plot)
         check_target(plot, force)
     if (source / RUN_FILE).is_file():
         source, own = _of_run(source)
@@ -69,14 +73,13 @@ def command(
         click.echo(json.dumps([j.to_dict() for j in found], indent=1, allow_nan=False))
     else:
         click.echo("\n\n".join("\n".join(fold(printable(line)) for line in j.lines()) for j in found))
-        _print_sets(found)
+        extra(Extra.SETS_TABLE, partial(_print_sets, found), None)
         if known:
             explain(CAUTION)
     if plot is not None and known:
         from flysid.loops.nyquist import draw_nyquist
 
-        draw_nyquist(known, plot)
-        say(f"Nyquist plot: {plot}")
+        say_drawn("Nyquist plot", plot, partial(draw_nyquist, known, plot))
     return 0 if known else 3
 
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 
 from flysid.errors import UsageError
+from flysid.extras import Extra, extra
 from flysid.showing import counted, first_of, fold
 
 if TYPE_CHECKING:
@@ -65,6 +66,17 @@ def explain(text: str, quiet: bool = False) -> None:
 def say_left_out(channel: str, why: str, done: str = "skipped") -> None:
     """That a channel was skipped or not judged, and why; a reason may begin with the channel's name."""
     explain(f"channel {channel} {done}: {why.removeprefix(f'channel {channel!r}: ')}")
+
+
+def say_drawn(what: str, path: Path, draw: Callable[[], object], quiet: bool = False) -> None:
+    """Draw a picture beside what was printed, and say where it is; or what broke."""
+
+    def done() -> bool:
+        draw()
+        return True
+
+    if extra(Extra.PLOT, done, False):
+        say(f"{what}: {path}", quiet)
 
 
 def say_passed_over(files: Sequence[PassedOver], quiet: bool) -> None:

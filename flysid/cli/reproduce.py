@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import textwrap
+from functools import partial
 from itertools import zip_longest
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,6 +13,7 @@ from typing import TYPE_CHECKING
 import click
 
 from flysid.cli.display import Display, progress_options
+from flysid.extras import Extra, extra
 
 if TYPE_CHECKING:
     from flysid.validate.reproduction import LoopResult
@@ -60,7 +62,7 @@ def command(paper: str, as_json: bool, figures: Path | None, quiet: bool, displa
     with display.shown():
         results = reproduce_ardrone_ts()
     if figures is not None:
-        draw_figures(results, figures)
+        extra(Extra.FIGURES, partial(draw_figures, results, figures), ())
     if as_json:
         click.echo(json.dumps(to_document(results), indent=1, allow_nan=False))
         return
@@ -88,7 +90,7 @@ def loop_text(result: LoopResult) -> str:
     lines += [f"    {words:66}{result.noisy_rmse[label]:>10.3g}" for label, words in NOISE_LABELS.items()]
     best = min(NOISE_LABELS, key=lambda label: result.noisy_rmse[label])
     lines.append(f"    best: {NOISE_LABELS[best]}")
-    return "\n".join([*lines, *_rule_tables(result)])
+    return "\n".join([*lines, *extra(Extra.RULE_TABLES, partial(_rule_tables, result), (), loop.name)])
 
 
 def _rule_tables(result: LoopResult) -> list[str]:

@@ -6,7 +6,7 @@ import shutil
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import wraps
+from functools import partial, wraps
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -16,6 +16,7 @@ import click
 from flysid.cli import complete
 from flysid.cli.output import say
 from flysid.errors import FlysidError, FormatError, RecipeError, UsageError, WriteError
+from flysid.extras import Extra, extra
 
 if TYPE_CHECKING:
     from flysid.ingest.lake.chosen_flights import Selection
@@ -338,7 +339,7 @@ def say_mixed_gains(lake: Lake, quiet: bool) -> None:
         return
     from flysid.loops.judged import sets_of_gains
 
-    sets = sets_of_gains(lake.logs)
+    sets = extra(Extra.GAIN_SETS, partial(sets_of_gains, lake.logs), 0)
     if sets > 1:
         say(
             f"caution: these flights flew {sets} sets of gains. A response to the setpoint is an average "

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -10,7 +11,7 @@ import click
 
 from flysid.cli.addresses import SOURCE
 from flysid.cli.display import Display
-from flysid.cli.output import check_target, printable, say, say_left_out
+from flysid.cli.output import check_target, printable, say_drawn, say_left_out
 from flysid.cli.source import Words, open_source, say_mixed_gains, selection_options, words_options
 
 if TYPE_CHECKING:
@@ -54,9 +55,11 @@ def command(
     input reacts to its output is refused, because its record holds no step response. Exit code 3: --channel
     named such a channel.
     """
+    from flysid.validate.pictures import check_picture
     from flysid.validate.steps import channel_steps, draw_steps
 
     if plot is not None:
+        check_picture(plot)
         check_target(plot, force)
     found: list[ChannelStep] = []
     skipped: dict[str, str] = {}
@@ -77,8 +80,7 @@ def command(
         for step in sorted(found, key=lambda s: s.name):
             click.echo("\n".join(printable(line) for line in step.line().split("\n")))
     if plot is not None and found:
-        draw_steps(found, plot)
-        say(f"step responses: {plot}", quiet)
+        say_drawn("step responses", plot, partial(draw_steps, found, plot), quiet)
     for name, reason in skipped.items():
         say_left_out(name, reason)
     asked = any(name.split(" of ")[0] in channels for name in skipped)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,7 +12,7 @@ import click
 from flysid.cli import complete
 from flysid.cli.addresses import SOURCE
 from flysid.cli.display import Display, progress_options
-from flysid.cli.output import ExitCode, align_columns, check_target, say, say_left_out
+from flysid.cli.output import ExitCode, align_columns, check_target, explain, say, say_drawn, say_left_out
 from flysid.cli.source import (
     Words,
     lost_on_the_way,
@@ -20,6 +21,7 @@ from flysid.cli.source import (
     selection_options,
     words_options,
 )
+from flysid.extras import Missing
 from flysid.showing import fold
 
 if TYPE_CHECKING:
@@ -149,10 +151,12 @@ def command(
         band=settings["band"] or None,
         method=settings["method"],
     )
+    missing = Missing()
     with display.shown(), open_source(data, words, selection, None, quiet) as (lake, chosen):
-        found, skipped = identify(
-            lake, chosen, estimator, channels=channels, reference=reference, reference_at=reference_at
-        )
+        with missing.gathering():
+            found, skipped = identify(
+                lake, chosen, estimator, channels=channels, reference=reference, reference_at=reference_at
+            )
         lost = lost_on_the_way(data, lake)
         say_mixed_gains(lake, quiet)
     if as_json:
@@ -160,6 +164,7 @@ def command(
             "recipe": words.recipe or "quick",
             "channels": [c.to_dict() for c in found],
             "skipped": dict(skipped),
+            **missing.to_dict(),
         }
         click.echo(json.dumps(body, indent=1, allow_nan=False))
     else:
@@ -167,8 +172,9 @@ def command(
     if plot is not None:
         from flysid.validate.bodeplot import draw_bode
 
-        draw_bode(found, plot)
-        say(f"Bode plot: {plot}", quiet)
+        say_drawn("Bode plot", plot, partial(draw_bode, found, plot), quiet)
+    for sentence in missing.sentences:
+        explain(sentence)
     for name, why in skipped.items():
         say_left_out(name, why)
     if condition is not None:

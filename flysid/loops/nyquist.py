@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from flysid.dataset import FloatArray
-from flysid.errors import UsageError
+from flysid.errors import UsageError, WriteError
 from flysid.loops.judged import Judged
 from flysid.loops.margins import smooth
 from flysid.loops.stick_response import ComplexArray
@@ -49,7 +49,7 @@ def draw_nyquist(judged: Sequence[Judged], path: Path) -> None:
 
     Raises
     ------
-    UsageError : matplotlib is not installed.
+    UsageError : matplotlib is not installed. WriteError : the file cannot be written.
     """
     try:
         from matplotlib.figure import Figure
@@ -71,4 +71,7 @@ def draw_nyquist(judged: Sequence[Judged], path: Path) -> None:
     axes.set(xlim=(-3.0, 1.5), ylim=(-3.0, 1.5), xlabel="real", ylabel="imaginary", aspect="equal")
     axes.set_title("Open loop; discs: 95 % region; dashed: Ms = 2")
     axes.legend(fontsize=7, loc="lower right")
-    figure.savefig(path)
+    try:
+        figure.savefig(path)
+    except OSError as error:
+        raise WriteError(f"cannot be written: {error.strerror}", path=path) from error

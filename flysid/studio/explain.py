@@ -6,7 +6,7 @@ A page that moves the input computes the free run itself. For that it gets the n
 
 from __future__ import annotations
 
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,7 @@ import numpy as np
 
 from flysid.dataset import Dataset, FloatArray, Segment
 from flysid.errors import UsageError
+from flysid.extras import Extra, Missing, extra
 from flysid.manifest import FLIGHTS, read_manifest
 from flysid.model.base import Fitted
 from flysid.model.linear.difference_equation import FittedLinear
@@ -38,7 +39,9 @@ def explain(workspace: Workspace, run_id: str, asked: Explained) -> dict[str, An
     NotThere : no such run, channel or segment. UsageError, DataError : the data is gone or has changed.
     """
     folder = workspace.run(run_id)
-    channels = _held(folder, (folder / RUN_FILE).stat().st_mtime_ns)
+    missing = Missing()
+    with missing.gathering():
+        channels = _held(folder, (folder / RUN_FILE).stat().st_mtime_ns)
     if asked.ch not in channels:
         raise NotThere(f"no channel {asked.ch!r} in the run", path=folder)
     found = channels[asked.ch]
@@ -53,6 +56,8 @@ def explain(workspace: Workspace, run_id: str, asked: Explained) -> dict[str, An
     )
     if asked.row is not None:
         return _in_words(found, segment, asked.row)
+    with missing.gathering():
+        flown = {name: _model(found.models[name], segment, first) for name in labels}
     return {
         "flight": segment.flight,
         "seen": seen_at(workspace, folder, found.test, segment),
@@ -63,7 +68,8 @@ def explain(workspace: Workspace, run_id: str, asked: Explained) -> dict[str, An
         "outputs": [[s.name, s.unit] for s in found.test.outputs],
         "u": segment.u.tolist(),
         "y": segment.y.tolist(),
-        "models": {name: _model(found.models[name], segment, first) for name in labels},
+        "models": flown,
+        **missing.to_dict(),
     }
 
 
@@ -76,7 +82,11 @@ def worst_seconds(workspace: Workspace, run_id: str) -> dict[str, Any]:
     """
     folder = workspace.run(run_id)
     channels = _held(folder, (folder / RUN_FILE).stat().st_mtime_ns)
-    return {name: _worst(workspace, folder, found) for name, found in channels.items()}
+    worst = {
+        name: extra(Extra.WORST, partial(_worst, workspace, folder, found), None, name)
+        for name, found in channels.items()
+    }
+    return {name: second for name, second in worst.items() if second is not None}
 
 
 def _worst(workspace: Workspace, folder: Path, found: HeldOut) -> dict[str, Any]:
@@ -129,14 +139,21 @@ def _model(model: Fitted, segment: Segment, first: int) -> dict[str, Any]:
     described: dict[str, Any] = {
         "structure": model.structure,
         "yh": run.tolist(),
-        "recursion": recursion(model, segment, first),
+        "recursion": extra(Extra.RECURSION, partial(recursion, model, segment, first), None),
     }
     if isinstance(model, FittedTS):
-        described["rules"] = [rule.label for rule in model.rules()]
-        described["firing"] = model.firing(segment.u, segment.y)[first:].tolist()
-        said = model.rule_outputs(segment.u, segment.y)[first:]
-        described["said"] = np.where(np.isfinite(said), said, 0.0).tolist()
+        described |= extra(Extra.VOICES, partial(_voices, model, segment, first), {})
     return described
+
+
+def _voices(model: FittedTS, segment: Segment, first: int) -> dict[str, Any]:
+    """The rules, how loudly they speak and what they conclude, from row `first` on."""
+    said = model.rule_outputs(segment.u, segment.y)[first:]
+    return {
+        "rules": [rule.label for rule in model.rules()],
+        "firing": model.firing(segment.u, segment.y)[first:].tolist(),
+        "said": np.where(np.isfinite(said), said, 0.0).tolist(),
+    }
 
 
 def _in_words(found: HeldOut, segment: Segment, row: int) -> dict[str, Any]:
@@ -144,11 +161,16 @@ def _in_words(found: HeldOut, segment: Segment, row: int) -> dict[str, Any]:
     if not 0 <= row < len(segment):
         raise UsageError(f"row {row} of {len(segment)}")
     words = {}
-    for label in _shown(found):
-        model = found.models[label]
-        if isinstance(model, FittedTS):
-            words[label] = str(model.explain(segment.u, segment.y, max(row, model.n_init)))
-    return {"words": words}
+    missing = Missing()
+    ruled = {label: model for label in _shown(found) if isinstance(model := found.models[label], FittedTS)}
+    with missing.gathering():
+        for label, model in ruled.items():
+            words[label] = extra(Extra.EXPLAINED, partial(_explained, model, segment, row), "", label)
+    return {"words": words, **missing.to_dict()}
+
+
+def _explained(model: FittedTS, segment: Segment, row: int) -> str:
+    return str(model.explain(segment.u, segment.y, max(row, model.n_init)))
 
 
 def recursion(model: Fitted, segment: Segment, first: int) -> dict[str, Any] | None:

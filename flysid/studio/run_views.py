@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import json
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from flysid.errors import FlysidError, StoreError
+from flysid.extras import Extra, Missing, extra
 from flysid.studio.folders import NotThere, Workspace
 from flysid.validate.history import RunChannel, run_channels
 from flysid.validate.judge import DOCUMENT, PAGE, REPORT
@@ -19,12 +21,24 @@ def list_runs(workspace: Workspace) -> dict[str, Any]:
     rows: list[dict[str, Any]] = []
     damaged: list[dict[str, str]] = []
     for run_id, folder in workspace.run_folders().items():
-        try:
-            rows.append(_summarise(run_id, folder))
-        except FlysidError as error:
-            damaged.append({"run": str(folder), "reason": error.advice})
+        missing = Missing()
+        with missing.gathering():
+            found = extra(Extra.RUN_LISTED, partial(_listed, run_id, folder), None)
+        if isinstance(found, dict):
+            rows.append(found)
+        else:
+            reason = found or " ".join(missing.sentences)
+            damaged.append({"run": str(folder), "reason": reason})
     rows.sort(key=lambda row: row["fitted_at"], reverse=True)
     return {"runs": rows, "damaged": damaged}
+
+
+def _listed(run_id: str, folder: Path) -> dict[str, Any] | str:
+    """A run, or why it cannot be read."""
+    try:
+        return _summarise(run_id, folder)
+    except FlysidError as error:
+        return error.advice
 
 
 def describe_run(workspace: Workspace, run_id: str) -> dict[str, Any]:

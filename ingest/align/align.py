@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,7 @@ import numpy as np
 from flysid.dataset import Dataset, Segment, Signal
 from flysid.datasetfile import write_dataset
 from flysid.errors import DataError, RecipeError
+from flysid.extras import Extra, extra
 from flysid.flight import Flight
 from flysid.ingest.align import resample
 from flysid.ingest.align.allowed import CHOOSE_AGAIN
@@ -78,7 +80,8 @@ def align(flights: Iterable[Flight | Log], recipe: Recipe | str | Path, channel:
         name=channel,
     )
     check_excitation(aligned)
-    return Aligned(aligned, replace(report, doubts=doubts(aligned, job.recipe.channel(channel))))
+    found = extra(Extra.DOUBTS, partial(doubts, aligned, job.recipe.channel(channel)), (), channel)
+    return Aligned(aligned, replace(report, doubts=found))
 
 
 def align_to_file(

@@ -18,6 +18,7 @@ factors, so that nothing rests on the search. With n states and R rules a step c
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -29,6 +30,8 @@ from flysid.model.polynomials import ROUNDING
 from flysid.model.threads import on_one_thread
 
 MOST_STATES = 16
+CLOSEST = 1.0 - ROUNDING
+"""Pole radius from which on no decay can be told from one, see `_verify`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,14 +59,22 @@ def certificate_of(rules: Sequence[FloatArray]) -> StabilityCertificate:
     if n == 0:
         return StabilityCertificate(True, nothing, 0.0, "The model has no memory of its outputs.")
     radii = _radii(rules)
+    worst = int(np.argmax(radii))
     if max(radii) >= 1.0:
-        worst = int(np.argmax(radii))
         return StabilityCertificate(
             False,
             nothing,
             max(radii),
             f"R{worst + 1} by itself is not stable (pole radius {radii[worst]:.4f}), so no common quadratic "
             "Lyapunov function of all rules exists; the blend may still be stable.",
+        )
+    if max(radii) >= CLOSEST:
+        return StabilityCertificate(
+            False,
+            nothing,
+            1.0,
+            f"R{worst + 1} by itself is on the border of stability (its pole radius lacks "
+            f"{1.0 - radii[worst]:.0e} to 1), so no proof can be given; the blend may still be stable.",
         )
     found = common_lyapunov(rules)
     if found is None:
@@ -82,13 +93,22 @@ def certificate_of(rules: Sequence[FloatArray]) -> StabilityCertificate:
 def common_lyapunov(rules: Sequence[FloatArray], *, bisections: int = 6) -> tuple[FloatArray, float] | None:
     """(n, n) P > 0 and the worst factor by which sqrt(x'Px) shrinks per step; None where none was found.
 
+    None, too, where the search breaks down: rules so near the border that rounding decides on them.
+
     Parameters
     ----------
     rules : (n, n) matrices whose poles all lie inside the unit circle.
     bisections : of the decay.
     """
-    if len(rules[0]) > MOST_STATES:
+    if len(rules[0]) > MOST_STATES or max(_radii(rules)) >= CLOSEST:
         return None
+    try:
+        return _search(rules, bisections)
+    except np.linalg.LinAlgError:
+        return None
+
+
+def _search(rules: Sequence[FloatArray], bisections: int) -> tuple[FloatArray, float] | None:
     low = max(_radii(rules))
     T = _balancing(rules, low)
     balanced = [np.asarray(np.linalg.solve(T, A @ T), dtype=np.float64) for A in rules]
@@ -111,14 +131,22 @@ def _radii(rules: Sequence[FloatArray]) -> list[float]:
 
 
 def _balancing(rules: Sequence[FloatArray], radius: float) -> FloatArray:
-    """(n, n) coordinates in which the mean rule, at most of this radius, is close to normal: x = T z."""
-    from scipy.linalg import solve_discrete_lyapunov
+    """(n, n) coordinates in which the mean rule, at most of this radius, is close to normal: x = T z.
+
+    The present ones where rounding leaves no others: what is found is verified, whatever the coordinates.
+    """
+    from scipy.linalg import LinAlgWarning, solve_discrete_lyapunov
 
     mean = np.mean(rules, axis=0)
     (own,) = _radii([mean])
     mean = mean * (radius / own if own > radius else 1.0)
-    P = solve_discrete_lyapunov(mean.T, np.eye(len(mean)))
-    return np.asarray(np.linalg.inv(np.linalg.cholesky(0.5 * (P + P.T))).T)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", LinAlgWarning)
+            P = solve_discrete_lyapunov(mean.T, np.eye(len(mean)))
+        return np.asarray(np.linalg.inv(np.linalg.cholesky(0.5 * (P + P.T))).T)
+    except np.linalg.LinAlgError:
+        return np.eye(len(mean))
 
 
 def _verify(P: FloatArray | None, rules: Sequence[FloatArray]) -> tuple[FloatArray, float] | None:

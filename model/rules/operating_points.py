@@ -14,13 +14,14 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import TypeVar
 
 import numpy as np
 
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError
+from flysid.extras import Extra, extra
 from flysid.model.base import OperatingPoint
 from flysid.model.covariance import STEP, root_of
 from flysid.model.polynomials import CONFIDENCE, Z95
@@ -42,12 +43,19 @@ M = TypeVar("M", bound=RuleModel)
 
 def describe(model: M, train: Dataset, *, settled: bool = False) -> M:
     """The model with its operating points; with intervals where it is `settled`, a minimum of the error."""
-    sure: Uncertainty | None = None
+    sure = None
     if settled:
-        with contextlib.suppress(DataError, np.linalg.LinAlgError), np.errstate(all="ignore"):
-            sure = uncertainty(model, train)
+        sure = extra(Extra.INTERVALS_AT_REST, partial(_sure, model, train), None, model.structure)
     own = SteadyMap(model.layout, model.parameters)
-    return replace(model, operating_points=operating_points(own, train, sure))
+    points = extra(Extra.OPERATING_POINTS, partial(operating_points, own, train, sure), (), model.structure)
+    return replace(model, operating_points=points)
+
+
+def _sure(model: RuleModel, train: Dataset) -> Uncertainty | None:
+    """How sure the model is of its numbers; None where there are fewer samples than numbers."""
+    with contextlib.suppress(DataError), np.errstate(all="ignore"):
+        return uncertainty(model, train)
+    return None
 
 
 def operating_points(

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from itertools import combinations, pairwise
 
 import numpy as np
 
 from flysid.dataset import FloatArray, Signal
+from flysid.extras import Extra, extra
 from flysid.model.base import OperatingPoint
 from flysid.model.rules.vocabulary import number
 
@@ -25,6 +27,10 @@ def sentences(points: Sequence[OperatingPoint], signals: Signals) -> list[str]:
 
     Of one rule, which does the same everywhere, without a place.
     """
+    return extra(Extra.BEHAVIOUR, partial(_sentences, points, signals), [])
+
+
+def _sentences(points: Sequence[OperatingPoint], signals: Signals) -> list[str]:
     outputs, inputs = signals
     said = []
     for output, signal in enumerate(outputs):

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 
 from flysid.dataset import FloatArray, Signal
-from flysid.model.base import Rule
+from flysid.extras import Extra, extra
+from flysid.model.base import OperatingPoint, Rule
 from flysid.model.polynomials import NEARLY_ONE, ROUNDING
 from flysid.model.rules.linguistics import Piece, words_of_one, words_of_several
 from flysid.model.rules.memberships import Partition
@@ -15,6 +17,8 @@ from flysid.model.rules.operating_words import WORTH, Signals, answers_like, nea
 from flysid.model.rules.vocabulary import Axis, number
 
 ELSEWHERE = "always, strongest where no other rule applies"
+UNTOLD = "its sets hold"
+"""A condition without words."""
 # spreads of an input: farther than it ever went
 _MOST_PUSH = 3.0
 
@@ -49,6 +53,10 @@ def from_to(before: FloatArray, after: FloatArray, signals: Sequence[Signal]) ->
 
 def equation(left: str, gains: FloatArray | Sequence[float], terms: Sequence[str], offset: float) -> str:
     """ "v(k) = 0.97 v(k-1) - 0.003 u(k-1) + 0.01"; terms with gain 0 are left out."""
+    return extra(Extra.CONCLUSION, partial(_equation, left, gains, terms, offset), f"{left} = ...")
+
+
+def _equation(left: str, gains: FloatArray | Sequence[float], terms: Sequence[str], offset: float) -> str:
     parts = [(float(g), f"{precise(abs(g))} {t}") for g, t in zip(gains, terms, strict=True) if g != 0]
     if offset != 0 or not parts:
         parts.append((float(offset), number(abs(offset))))
@@ -67,6 +75,11 @@ def condition_in_words(partition: Partition, r: int, names: Sequence[str], units
     With one antecedent the word is of where the rule is the strongest, which is said in numbers too where
     the centre does not tell it. With several, an antecedent that tells this rule from no other is left out.
     """
+    make = partial(_condition, partition, r, names, units)
+    return extra(Extra.CONDITION, make, UNTOLD, f"R{r + 1}")
+
+
+def _condition(partition: Partition, r: int, names: Sequence[str], units: Sequence[str]) -> str:
     if len(partition) == 1:
         return "always"
     ranges = zip(partition.low.tolist(), partition.high.tolist(), strict=True)
@@ -121,7 +134,8 @@ def in_words(
     said : sentences on what the model does where its vehicle rests.
     """
     lines = [title, *(f"  * {sentence}" for sentence in said)]
-    for rule, means in zip(rules, meanings(rules, signals), strict=True):
+    told = extra(Extra.MEANING, partial(meanings, rules, signals), [""] * len(rules))
+    for rule, means in zip(rules, told, strict=True):
         if len(rules) == 1:
             means = "" if said else means
             then = rule.conclusion
@@ -139,9 +153,9 @@ def meanings(rules: Sequence[Rule], signals: Signals = ((), ())) -> list[str]:
     Of a model that comes to no rest, or whose operating points nobody looked for: the rule's own gain and
     slowest time constant.
     """
-    known = any(rule.here for rule in rules)
     told = []
     for at, rule in enumerate(rules):
+        known = bool(places_of(at, rules))
         alone = [f"strongest for {100 * rule.support:.0f} % of the samples"] if len(rules) > 1 else []
         means = _at_rest(at, rules, signals) if known else _by_itself(rule, signals)
         told.append("; ".join([*alone, *means, *([rule.push] if rule.push else [])]))
@@ -166,9 +180,14 @@ def _at_rest(at: int, rules: Sequence[Rule], signals: Signals) -> list[str]:
     return said
 
 
+def places_of(at: int, rules: Sequence[Rule]) -> list[OperatingPoint]:
+    """The operating points at which a rule has a say: those of its own model, where there are several."""
+    return [p for rule in rules for p in rule.here if np.isfinite(p.shares[at])]
+
+
 def _never_strongest(at: int, rules: Sequence[Rule], signals: Signals) -> str:
     """How loudly at most a rule speaks at the operating points of the others, and where."""
-    loudest = max((p for rule in rules for p in rule.here), key=lambda p: float(p.shares[at]))
+    loudest = max(places_of(at, rules), key=lambda p: float(p.shares[at]))
     share = number(100.0 * float(loudest.shares[at]))
     return f"never the strongest at rest, at most {share} % {near(loudest, signals[0][loudest.output])}"
 

@@ -9,7 +9,7 @@ the outputs, and hidden states where there are any.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, Self
 
@@ -17,6 +17,7 @@ import numpy as np
 
 from flysid.dataset import FloatArray, Signal
 from flysid.errors import UsageError
+from flysid.extras import Extra, extra
 from flysid.model.arguments import as_columns, as_record, check_start
 from flysid.model.base import OperatingPoint, Rule, write_document
 from flysid.model.documents import head_of, points_as_json
@@ -262,7 +263,7 @@ class RuleModel(FreeRuns):
             pole_radius=radius,
             support=float(self.support[r]),
             here=self.loudest(r),
-            push=self.push(r),
+            push=extra(Extra.PUSH, partial(self.push, r), "", f"R{r + 1}"),
         )
 
     def loudest(self, rule: int) -> tuple[OperatingPoint, ...]:

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from flysid.dataset import Dataset
+from flysid.datasetfile import write_dataset
 from flysid.model.arx import ARX
 from flysid.model.ts import TS
 from flysid.validate.cautions import cautions
@@ -18,6 +21,9 @@ from flysid.validate.diagnostics import diagnose
 from flysid.validate.parameters import intervals
 from flysid.validate.report import ReportContext, render
 from flysid.validate.robustness import robustness
+from tests.bent_plant import flight
+from tests.command import call
+from tests.contest import linear_side
 from tests.fakes import FirstOrder, flown
 
 TRUTH = FirstOrder(a=0.9, b=0.1)
@@ -102,3 +108,33 @@ def test_the_page_and_the_document_tell_the_checks() -> None:
     assert found["long_run"]["limits_s"] is None
     assert len(found["condition_per_rule"]) == 2
     assert np.shape(found["gain_95"]) == (2, 2, 1, 1)
+
+
+@pytest.mark.parametrize("short_of_one", [1e-15, 1.1e-14, 1e-12])
+def test_rules_on_the_border_of_stability_are_judged_without_a_certificate(
+    short_of_one: float, tmp_path: Path, recwarn: pytest.WarningsRecorder
+) -> None:
+    """What a fit of an integrating channel may find: the equations of a certificate are singular there."""
+    parts = [flight(300, seed, noise=0.01) for seed in range(6)]
+    data = Dataset.from_arrays([u for u, _ in parts], [y for _, y in parts], 0.05, name="v")
+    write_dataset(tmp_path / "v.parquet", data)
+    words = ("-m", "ts_lags", "--rules", "2", "--effort", "quick", "--no-rotate", "-q", "-o", "run")
+    with linear_side("arx"):
+        assert call("fit", "v.parquet", *words, cwd=tmp_path).returncode == 0
+    file = tmp_path / "run" / "v" / "ts_lags.json"
+    model = json.loads(file.read_text("utf-8"))
+    for (rule,) in model["parameters"]["theta"]:
+        rule[: model["na"]] = (-np.poly([1.0 - short_of_one, *[0.95] * (model["na"] - 1)])[1:]).tolist()
+    model["operating_points"] = []
+    file.write_text(json.dumps(model), "utf-8")
+    done = call("validate", "run", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "broke down" not in done.stderr
+    assert "Warning" not in done.stderr
+    assert not [w for w in recwarn if issubclass(w.category, RuntimeWarning)]
+    report = json.loads((tmp_path / "run" / "report" / "report.json").read_text("utf-8"))
+    found = report["diagnostics"]["v"]["checks"]["ts_lags"]["certificate"]
+    assert not found["proved"]
+    assert "by itself is" in found["words"]
+    assert "missing" not in report
+    assert found["words"] in (tmp_path / "run" / "report" / "report.html").read_text("utf-8")

@@ -31,6 +31,9 @@ class CheckFinding:
     good: bool | None = None
 
 
+UNKNOWN = CheckFinding("not known")
+
+
 @dataclass(frozen=True)
 class CheckRow:
     """One check: what was asked, how to read it, an answer per model, or one for the data."""
@@ -104,6 +107,8 @@ def _find_divergence(name: str, c: Comparison) -> CheckFinding:
 
 def _long_run(checks: Checks) -> CheckFinding:
     r = checks.robustness
+    if r is None:
+        return UNKNOWN
     if r.limits_s is not None:
         return CheckFinding(f"reaches its output limits at t = {r.limits_s:.1f} s", False)
     beyond = f", {100 * r.outside:.1f} % outside the training range" if r.outside >= 5e-4 else ""
@@ -112,6 +117,8 @@ def _long_run(checks: Checks) -> CheckFinding:
 
 def _forgets(checks: Checks) -> CheckFinding:
     r = checks.robustness
+    if r is None:
+        return UNKNOWN
     if r.forget_s is None:
         return CheckFinding(f"not within {r.forget_most_s:.3g} s", None)
     return CheckFinding(f"after {number(r.forget_s)} s" if r.forget_s else "at once", True)
@@ -120,7 +127,7 @@ def _forgets(checks: Checks) -> CheckFinding:
 def _condition(checks: Checks) -> CheckFinding:
     found = checks.conditions
     if not found:
-        return CheckFinding("not known")
+        return UNKNOWN
     if len(found) == 1:
         words = _plain(found[0])
     else:
@@ -183,12 +190,12 @@ def _data_rows(c: Comparison, d: Diagnosis, j: int) -> Iterator[CheckRow]:
         usual = f"in standard deviations; for 99 % of the training samples at most {d.near.usual:.2g}"
         good = d.near.far <= UNUSUAL
         yield CheckRow("Distance to the nearest training sample", usual, (CheckFinding(near, good),))
-    moves = ", ".join(
-        f"{one_line(s.name)} {100 * v:.0f} %" for s, v in zip(c.test.inputs, d.changes, strict=True)
-    )
-    yield CheckRow(
-        "Input changes", "share of held-out samples that differ from the one before", (CheckFinding(moves),)
-    )
+    if d.changes:
+        moves = ", ".join(
+            f"{one_line(s.name)} {100 * v:.0f} %" for s, v in zip(c.test.inputs, d.changes, strict=True)
+        )
+        changing = "share of held-out samples that differ from the one before"
+        yield CheckRow("Input changes", changing, (CheckFinding(moves),))
 
 
 def coefficient_rows(c: Comparison, d: Diagnosis, j: int) -> tuple[tuple[str, str, str, str], ...]:

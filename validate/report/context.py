@@ -9,6 +9,7 @@ from functools import cached_property
 
 from flysid.catalogue import FlightFacts
 from flysid.dataset import Dataset
+from flysid.extras import Missing
 from flysid.ingest.align.doubts import Doubt
 from flysid.loops.judged import Judged
 from flysid.progress import tell
@@ -84,6 +85,7 @@ class ReportContext:
     skipped : channels that are not on the page, with the reason.
     flights : what the catalogue knows of the run's flights.
     loops : what the gains that the flights' logs state mean; empty where none is known.
+    missing : what could not be given beside the comparison, as far as it was tried.
     """
 
     comparisons: Mapping[str, Comparison]
@@ -97,14 +99,16 @@ class ReportContext:
     skipped: Mapping[str, str] = field(default_factory=dict)
     flights: Sequence[FlightFacts] = ()
     loops: Sequence[Judged] = ()
+    missing: Missing = field(default_factory=Missing)
 
     @cached_property
     def diagnoses(self) -> dict[str, Diagnosis]:
         """Tests of every channel on its held-out data; made once."""
         found = {}
-        for i, (name, c) in enumerate(self.comparisons.items()):
-            tell("testing residuals and responses", channel=name, share=i / (len(self.comparisons) + 1))
-            found[name] = diagnose(c, self.train.get(name))
+        with self.missing.gathering():
+            for i, (name, c) in enumerate(self.comparisons.items()):
+                tell("testing residuals and responses", channel=name, share=i / (len(self.comparisons) + 1))
+                found[name] = diagnose(c, self.train.get(name))
         return found
 
     @classmethod

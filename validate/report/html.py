@@ -43,6 +43,11 @@ def environment() -> Environment:
     return made
 
 
+def plain_page(text: str) -> str:
+    """A report that is text alone."""
+    return environment().get_template("plain.html.j2").render(text=text)
+
+
 def security_policy(scripts: Sequence[str], styles: str) -> str:
     """Only these scripts and styles run; nothing is loaded from anywhere."""
     allowed = " ".join(_hash(s) for s in scripts)

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from markupsafe import Markup
 
-from flysid.dataset import Dataset
+from flysid.dataset import Dataset, FloatArray
+from flysid.extras import Extra, extra
 from flysid.filters import power_density
 from flysid.model.base import Rule
 from flysid.model.frequency.response import GOOD_COHERENCE
@@ -57,11 +59,32 @@ def gain_unit(c: Comparison, j: int, signal: int) -> str:
 
 def residual_panels(source: Source, j: int) -> tuple[Panel, ...]:
     """Correlation, histogram and spectrum of one-step residuals; free-run errors against inputs."""
+    inputs = enumerate(source.comparison.test.inputs)
+    return drawn_panels(
+        source,
+        {
+            "autocorrelation": partial(_autocorrelation, source, j),
+            **{f"cross-correlation with {s.name}": partial(_cross, source, j, i) for i, s in inputs},
+            "histogram of the residual": partial(_histogram, source, j),
+            "spectrum of the residual": partial(_spectrum, source, j),
+        },
+    )
+
+
+def drawn_panels(source: Source, panels: Mapping[str, Callable[[], list[Panel]]]) -> tuple[Panel, ...]:
+    """Every panel by its name, as far as there is one; one that breaks takes no other with it."""
+    where = f" of {source.channel}" if source.channel else ""
+    drawn = [extra(Extra.PANEL, draw, (), f"the {name}{where}") for name, draw in panels.items()]
+    return tuple(panel for some in drawn for panel in some)
+
+
+def _autocorrelation(source: Source, j: int) -> list[Panel]:
     c = source.comparison
-    d = source.diagnosis.outputs[j]
-    cast = roles(c)
-    white = {role: d.whiteness[role.model] for role in cast}
-    panels = [
+    known = source.diagnosis.outputs[j].whiteness
+    white = {role: known[role.model] for role in roles(c) if role.model in known}
+    if not white:
+        return []
+    return [
         Panel(
             "Autocorrelation of the one-step residual",
             "Grey: 99 % band of white noise.",
@@ -69,18 +92,23 @@ def residual_panels(source: Source, j: int) -> tuple[Panel, ...]:
             _told({role: f"{t.outside} of {t.tested} lags outside" for role, t in white.items()}),
         )
     ]
-    for i, signal in enumerate(c.test.inputs):
-        tests = {role: d.dependence[role.model][i] for role in cast if role.model in d.dependence}
-        if tests:
-            panels.append(
-                Panel(
-                    f"Cross-correlation of the free-run error with {one_line(signal.name)}",
-                    "Grey: Bartlett's 99 % band.",
-                    modelfigures.correlogram(tests, c.dt_s, f"Free-run error against {signal.name}"),
-                    _told({role: _dependence(t, c.dt_s) for role, t in tests.items()}),
-                )
-            )
-    return (*panels, *_residual_distribution(source, j, cast))
+
+
+def _cross(source: Source, j: int, i: int) -> list[Panel]:
+    c = source.comparison
+    known = source.diagnosis.outputs[j].dependence
+    name = c.test.inputs[i].name
+    tests = {role: known[role.model][i] for role in roles(c) if role.model in known}
+    if not tests:
+        return []
+    return [
+        Panel(
+            f"Cross-correlation of the free-run error with {one_line(name)}",
+            "Grey: Bartlett's 99 % band.",
+            modelfigures.correlogram(tests, c.dt_s, f"Free-run error against {name}"),
+            _told({role: _dependence(t, c.dt_s) for role, t in tests.items()}),
+        )
+    ]
 
 
 def _dependence(correlation: Correlation, dt_s: float) -> str:
@@ -93,17 +121,23 @@ def _dependence(correlation: Correlation, dt_s: float) -> str:
     return f"peak {peak} at {lag * dt_s:.2f} s; {outside}: {verdict}"
 
 
-def _residual_distribution(source: Source, j: int, cast: Sequence[Role]) -> list[Panel]:
-    c = source.comparison
+def _residuals(source: Source, j: int) -> dict[Role, list[FloatArray]]:
+    """One-step residuals of every model, piece by piece; nothing where none were made."""
     trials = source.diagnosis.steps["1"]
-    pieces = {role: [t.y[:, j] - t.yh[role.model][:, j] for t in trials] for role in cast}
-    pooled = {role: np.concatenate(parts) for role, parts in pieces.items()}
-    unit = c.test.outputs[j].unit
+    cast = roles(source.comparison) if trials else []
+    return {role: [t.y[:, j] - t.yh[role.model][:, j] for t in trials] for role in cast}
+
+
+def _histogram(source: Source, j: int) -> list[Panel]:
+    pooled = {role: np.concatenate(parts) for role, parts in _residuals(source, j).items()}
+    if not pooled:
+        return []
+    unit = source.comparison.test.outputs[j].unit
     words = (with_unit("one-step residual", unit), "Histogram of the one-step residual")
     spread = {
         role: f"standard deviation {number(float(np.std(r)))} {unit}".strip() for role, r in pooled.items()
     }
-    panels = [
+    return [
         Panel(
             "Histogram of the one-step residual",
             "Residuals beyond the axis are counted in the outermost bins.",
@@ -111,22 +145,26 @@ def _residual_distribution(source: Source, j: int, cast: Sequence[Role]) -> list
             _told(spread),
         )
     ]
-    densities = {role: power_density(parts, c.dt_s) for role, parts in pieces.items()}
-    hz = next(iter(densities.values()))[0]
-    if len(hz) > 1:
-        panels.append(
-            Panel(
-                "Spectrum of the one-step residual",
-                "A flat spectrum is white noise. A peak is a mode that the model lacks.",
-                modelfigures.residual_spectrum(
-                    hz,
-                    {role: density for role, (_, density) in densities.items()},
-                    f"power density, dB (({unit or '1'})²/Hz)",
-                    "Power spectral density of the one-step residual",
-                ),
-            )
+
+
+def _spectrum(source: Source, j: int) -> list[Panel]:
+    c = source.comparison
+    densities = {role: power_density(parts, c.dt_s) for role, parts in _residuals(source, j).items()}
+    hz = next((hz for hz, _ in densities.values()), np.zeros(0))
+    if len(hz) < 2:
+        return []
+    return [
+        Panel(
+            "Spectrum of the one-step residual",
+            "A flat spectrum is white noise. A peak is a mode that the model lacks.",
+            modelfigures.residual_spectrum(
+                hz,
+                {role: density for role, (_, density) in densities.items()},
+                f"power density, dB (({c.test.outputs[j].unit or '1'})²/Hz)",
+                "Power spectral density of the one-step residual",
+            ),
         )
-    return panels
+    ]
 
 
 def _told(words: Mapping[Role, str]) -> tuple[Told, ...]:
@@ -138,17 +176,25 @@ def _told(words: Mapping[Role, str]) -> tuple[Told, ...]:
 
 def dynamics_panels(source: Source, j: int, signal: int) -> tuple[Panel, ...]:
     """Frequency response, step, poles and zeros, static map, number of rules."""
-    panels = [_bode(source, j, signal), _step(source, j, signal)]
-    poles = _poles(source, j, signal)
-    if poles is not None:
-        panels.append(poles)
-    panels.append(_static(source, j, signal))
+    return drawn_panels(
+        source,
+        {
+            "frequency response": lambda: [_bode(source, j, signal)],
+            "step response": lambda: [_step(source, j, signal)],
+            "poles and zeros": lambda: _poles(source, j, signal),
+            "static map": lambda: [_static(source, j, signal)],
+            "rule count": lambda: _sweep(source, j),
+        },
+    )
+
+
+def _sweep(source: Source, j: int) -> list[Panel]:
     sweep = source.sweep or _noted_sweep(source.comparison)
-    if sweep is not None:
-        unit = one_line(source.comparison.test.outputs[j].unit)
-        bars = " Bars: one standard error of the distance to the best." if any(sweep.spread) else ""
-        panels.append(Panel("Rule count", one_line(sweep.words + bars), figures.sweep_figure(sweep, unit)))
-    return tuple(panels)
+    if sweep is None:
+        return []
+    unit = one_line(source.comparison.test.outputs[j].unit)
+    bars = " Bars: one standard error of the distance to the best." if any(sweep.spread) else ""
+    return [Panel("Rule count", one_line(sweep.words + bars), figures.sweep_figure(sweep, unit))]
 
 
 def _noted_sweep(c: Comparison) -> Sweep | None:
@@ -169,9 +215,16 @@ def _bode(source: Source, j: int, signal: int) -> Panel:
     empirical = source.diagnosis.outputs[j].responses[signal]
     total = max(len(s) for s in c.test.segments) * c.dt_s
     hz = np.geomspace(max(2.0 / total, 1e-4), 0.5 / c.dt_s, 120)
-    known = {
-        role: curves(c.fitted[role.model], hz, (j, signal), source.sure(role.model)) for role in roles(c)
+    asked = {
+        role: extra(
+            Extra.CURVES,
+            partial(curves, c.fitted[role.model], hz, (j, signal), source.sure(role.model)),
+            None,
+            f"{role.model} on {source.channel}",
+        )
+        for role in roles(c)
     }
+    known = {role: found for role, found in asked.items() if found is not None}
     rules = ", ".join(one_line(r.label) for r in rules_of(c))
     solid = f" Solid: {rules}, in the colours of the table of rules." if rules else ""
     seen = (
@@ -231,18 +284,20 @@ def _step(source: Source, j: int, signal: int) -> Panel:
     )
 
 
-def _poles(source: Source, j: int, signal: int) -> Panel | None:
+def _poles(source: Source, j: int, signal: int) -> list[Panel]:
     c = source.comparison
     found = {role: poles_and_zeros(c.fitted[role.model], j, signal) for role in roles(c)}
     found = {role: rules for role, rules in found.items() if rules}
     if not any(role.shown for role in found):
-        return None
-    return Panel(
-        "Poles and zeros",
-        "Crosses: poles; circles: zeros; dashed: the unit circle. A pole outside it is unstable. Zeros far "
-        "away and poles of pure delay are left out.",
-        modelfigures.pole_map(found, "Poles and zeros in the z plane"),
-    )
+        return []
+    return [
+        Panel(
+            "Poles and zeros",
+            "Crosses: poles; circles: zeros; dashed: the unit circle. A pole outside it is unstable. Zeros "
+            "far away and poles of pure delay are left out.",
+            modelfigures.pole_map(found, "Poles and zeros in the z plane"),
+        )
+    ]
 
 
 def _static(source: Source, j: int, signal: int, *, time_constants: float = 3.0) -> Panel:

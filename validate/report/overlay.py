@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
 from markupsafe import Markup
 
 from flysid.dataset import FloatArray
+from flysid.extras import Extra, extra
 from flysid.validate.bands import free_run_band
 from flysid.validate.comparison import Comparison
 from flysid.validate.report.channel_data import Source
@@ -139,7 +141,8 @@ def _bands(
         if name in trial.diverged_s or any(np.allclose(run, other, atol=0.0) for other in banded):
             continue
         model = source.comparison.fitted[name]
-        band = free_run_band(model, segment, trial.first, source.sure(name))
+        make = partial(free_run_band, model, segment, trial.first, source.sure(name))
+        band = extra(Extra.BANDS, make, None, f"{name} on {source.channel}")
         if band is not None:
             banded.append(run)
             yield css, band[0][rows, output], band[1][rows, output]

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from markupsafe import Markup
 
+from flysid.extras import Extra, extra
 from flysid.loops.judged import CAUTION
 from flysid.validate.cautions import cautions
 from flysid.validate.comparison import Comparison, ModelInfo, Pair
@@ -33,6 +35,7 @@ from flysid.validate.words import (
 from flysid.version import __version__
 
 NUMBERS_ON_PAGE = 90_000
+NOTHING = (Markup(""), "")
 VERSION = "version of "
 LONG = 400  # characters of a fact that are read in passing
 
@@ -48,7 +51,15 @@ def write_report(path: str | Path, context: ReportContext) -> Path:
 
 
 def render(context: ReportContext) -> str:
-    """The page; equal contexts give equal pages."""
+    """The page; equal contexts give equal pages. What of it breaks is left out, and named on it."""
+    with context.missing.gathering():
+        filled = _filled(context)
+    missing = [one_line(words) for words in context.missing.sentences]
+    return environment().get_template("page.html.j2").render(filled, missing=missing)
+
+
+def _filled(context: ReportContext) -> dict[str, Any]:
+    """All that the template prints."""
     comparisons = context.comparisons
     diagnoses = context.diagnoses
     parts = _sections(context, diagnoses)
@@ -56,35 +67,32 @@ def render(context: ReportContext) -> str:
     idle = narrative.as_good_as_constant(comparisons)
     styles = load_asset("uPlot.min.css") + "\n" + load_asset("page.css")
     scripts = [load_asset("uPlot.iife.min.js"), load_asset("page.js")]
-    return (
-        environment()
-        .get_template("page.html.j2")
-        .render(
-            csp=security_policy(scripts, styles),
-            styles=Markup(styles),
-            scripts=[Markup(s) for s in scripts],
-            data=Markup(script_json([s.data for s in parts])),
-            remark=one_line(context.remark),
-            masthead=masthead(context.flights, sorted({1.0 / c.dt_s for c in comparisons.values()})),
-            title=narrative.title(pairs, idle),
-            subtitle=" ".join([*narrative.worse_than_constant(comparisons), narrative.subtitle(pairs, idle)])
-            if pairs
-            else narrative.alone(comparisons),
-            basis=narrative.basis(comparisons, _seconds_of_training(context)),
-            skipped=[(one_line(name), one_line(why)) for name, why in context.skipped.items()],
-            cards=_cards(comparisons, diagnoses),
-            drawn=_drawn(comparisons),
-            cautions=cautions(comparisons, diagnoses, context.doubts),
-            rows=_rows(comparisons),
-            models=_models(context),
-            sections=parts,
-            loops=loop_panels(context.loops),
-            loops_caution=CAUTION,
-            command=one_line(context.command),
-            provenance=_provenance(context),
-            version=__version__,
-        )
-    )
+    rates = sorted({1.0 / c.dt_s for c in comparisons.values()})
+    return {
+        "csp": security_policy(scripts, styles),
+        "styles": Markup(styles),
+        "scripts": [Markup(s) for s in scripts],
+        "data": Markup(script_json([s.data for s in parts])),
+        "remark": one_line(context.remark),
+        "masthead": extra(Extra.MASTHEAD, partial(masthead, context.flights, rates), ()),
+        "title": narrative.title(pairs, idle),
+        "subtitle": " ".join([*narrative.worse_than_constant(comparisons), narrative.subtitle(pairs, idle)])
+        if pairs
+        else narrative.alone(comparisons),
+        "basis": narrative.basis(comparisons, _seconds_of_training(context)),
+        "skipped": [(one_line(name), one_line(why)) for name, why in context.skipped.items()],
+        "cards": _cards(comparisons, diagnoses),
+        "drawn": _drawn(comparisons),
+        "cautions": cautions(comparisons, diagnoses, context.doubts),
+        "rows": _rows(comparisons),
+        "models": _models(context),
+        "sections": parts,
+        "loops": extra(Extra.LOOP_PANELS, partial(loop_panels, context.loops), ()),
+        "loops_caution": CAUTION,
+        "command": one_line(context.command),
+        "provenance": _provenance(context),
+        "version": __version__,
+    }
 
 
 def _sections(context: ReportContext, diagnoses: Mapping[str, Diagnosis]) -> list[Section]:
@@ -136,14 +144,17 @@ def _cards(comparisons: Mapping[str, Comparison], diagnoses: Mapping[str, Diagno
     cards = []
     for channel, c in comparisons.items():
         for j, (output, pair) in enumerate(c.verdict.items()):
+            name = channel or output
             trials = diagnoses[channel].free_runs
-            shown, where = telling(c, trials, j) if trials else (Markup(""), "")
+            draw = partial(telling, c, trials, j)
+            shown, where = extra(Extra.TELLING, draw, NOTHING, name) if trials else NOTHING
+            moved = diagnoses[channel].outputs[j].main_input
             entry = c.entry(output, c.head)
             base, model = (entry.models[m].scores for m in (pair.baseline, pair.model))
             sizes = [c.models[m] for m in (pair.baseline, pair.model)]
             cards.append(
                 {
-                    "name": one_line(channel or output),
+                    "name": one_line(name),
                     "signals": f"{', '.join(one_line(s.name) for s in c.test.inputs)} → "
                     + one_line(f"{output}, {entry.output.unit}" if entry.output.unit else output),
                     "badge": narrative.badge(pair),
@@ -153,9 +164,9 @@ def _cards(comparisons: Mapping[str, Comparison], diagnoses: Mapping[str, Diagno
                     "telling": shown,
                     "where": where,
                     "nonlinear": _nonlinear(diagnoses[channel], j),
-                    "physics": " ".join(physics_words(c, output)),
-                    "answer": answer(c, (j, diagnoses[channel].outputs[j].main_input)),
-                    "bar": interval_bar(pair, reach, narrative.css(pair), scale=True),
+                    "physics": extra(Extra.PHYSICS, partial(_physics, c, output), "", name),
+                    "answer": extra(Extra.ANSWER, partial(answer, c, (j, moved)), "", name),
+                    "bar": _bar(pair, reach, name, scale=True),
                     "interval": interval_words(pair),
                     "reason": pair.reason,
                     "rmse": (base.rmse, model.rmse),
@@ -165,6 +176,17 @@ def _cards(comparisons: Mapping[str, Comparison], diagnoses: Mapping[str, Diagno
                 }
             )
     return cards
+
+
+def _bar(pair: Pair, reach: tuple[float, float], of: str, **form: Any) -> Markup:
+    """The picture of a change and its interval."""
+    return extra(
+        Extra.INTERVAL_BAR, partial(interval_bar, pair, reach, narrative.css(pair), **form), Markup(""), of
+    )
+
+
+def _physics(c: Comparison, output: str) -> str:
+    return " ".join(physics_words(c, output))
 
 
 def _nonlinear(diagnosis: Diagnosis, output: int) -> str:
@@ -205,7 +227,7 @@ def _rows(comparisons: Mapping[str, Comparison]) -> list[dict[str, Any]]:
                         "headline": entry.horizon == c.head,
                         "base": base,
                         "other": other,
-                        "bar": interval_bar(pair, reach, narrative.css(pair), 190.0) if pair else "",
+                        "bar": _bar(pair, reach, channel or output.name, width=190.0) if pair else "",
                         "change": change_words(pair) if pair else "",
                         "interval": interval_words(pair) if pair else "",
                         "badge": narrative.badge(pair) if pair else None,

@@ -5,22 +5,26 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 from markupsafe import Markup
 
-from flysid.dataset import Dataset, FloatArray
+from flysid.dataset import Dataset, FloatArray, Signal
+from flysid.extras import Extra, extra
 from flysid.model.base import OperatingPoint, Rule
 from flysid.model.capabilities import HasMemberships, HasOperatingPoints, HasRuleOutputs
 from flysid.model.polynomials import ROUNDING
 from flysid.model.rules.operating_words import sentences
+from flysid.model.rules.phrases import places_of
 from flysid.validate.comparison import Comparison
 from flysid.validate.report import figures, overlay, rulefigures
 from flysid.validate.report.channel_data import Source
 from flysid.validate.report.checktable import CheckRow, check_rows, coefficient_rows, interval_text
 from flysid.validate.report.modelpanels import (
     Panel,
+    drawn_panels,
     dynamics_panels,
     gain_unit,
     residual_panels,
@@ -90,15 +94,17 @@ def sections(source: Source, number_of: int) -> list[Section]:
 def _section(source: Source, j: int, anchor: str) -> Section:
     c = source.comparison
     signal = source.diagnosis.outputs[j].main_input
-    pieces = overlay.strips(source, j, signal)
-    longest = max(range(len(pieces)), key=lambda i: pieces[i].t[-1] - pieces[i].t[0])
+    of = source.channel or c.test.outputs[j].name
+    pieces = extra(Extra.STRIPS, partial(overlay.strips, source, j, signal), (), of)
+    longest = max(range(len(pieces)), key=lambda i: pieces[i].t[-1] - pieces[i].t[0], default=0)
     titles = (
         with_unit(c.test.outputs[j].name, c.test.outputs[j].unit),
         with_unit("error (measured − simulated)", c.test.outputs[j].unit),
         "input " + with_unit(c.test.inputs[signal].name, c.test.inputs[signal].unit),
     )
     labels = [one_line(c.segments[p.index]) for p in pieces]
-    name = one_line(source.channel or c.test.outputs[j].name)
+    shown = list(zip(pieces, labels, strict=True))[longest : longest + 1]
+    name = one_line(of)
     return Section(
         anchor=anchor,
         name=name if len(c.test.outputs) == 1 else f"{name}/{one_line(c.test.outputs[j].name)}",
@@ -106,25 +112,21 @@ def _section(source: Source, j: int, anchor: str) -> Section:
         comparison=c,
         output=j,
         badge=badge(c.verdict[c.test.outputs[j].name]) if c.verdict else None,
-        still=overlay.still(
-            pieces[longest], titles, f"Measured and simulated {titles[0]}, {labels[longest]}"
-        ),
+        still=extra(Extra.STRIPS, partial(_still, shown, titles), Markup(""), of),
         buttons=overlay.buttons(c, pieces, j),
         left_out=overlay.left_out(len(source.diagnosis.free_runs), len(pieces)),
         residuals=residual_panels(source, j),
         dynamics=dynamics_panels(source, j, signal),
-        rules=_named_rules(
-            [(m, _rule_rows(source, m, css, (j, signal))) for m, css in reversed(overlay.drawn(c))]
-        ),
+        rules=extra(Extra.RULE_TABLE, partial(_rules, source, j, signal), (), of),
         sets=_sets(source, j, signal),
-        wide=_wide(source, j, pieces[longest].index, labels[longest]),
+        wide=tuple(panel for p, label in shown for panel in _wide(source, j, p.index, label)),
         models=tuple(one_line(m).upper() for m, _ in overlay.drawn(c)),
-        checks=check_rows(c, source.diagnosis, j),
-        coefficients=coefficient_rows(c, source.diagnosis, j),
+        checks=extra(Extra.CHECK_TABLE, partial(check_rows, c, source.diagnosis, j), (), of),
+        coefficients=extra(Extra.COEFFICIENTS, partial(coefficient_rows, c, source.diagnosis, j), (), of),
         simpler=_simpler(source),
         said=_said(source, j),
         gain_unit=gain_unit(c, j, signal),
-        key=_key(c),
+        key=extra(Extra.RULE_KEY, partial(_key, c), (), of),
         data={
             "segments": [overlay.as_json(p, label) for p, label in zip(pieces, labels, strict=True)],
             "shown": longest,
@@ -135,6 +137,19 @@ def _section(source: Source, j: int, anchor: str) -> Section:
             "names": [one_line(m) for m in (*(m for m, _ in overlay.drawn(c)), *overlay.list_pickable(c))],
         },
     )
+
+
+def _still(shown: Sequence[tuple[overlay.Strip, str]], titles: tuple[str, str, str]) -> Markup:
+    """The picture of one segment; nothing where none is drawn."""
+    return Markup("").join(
+        overlay.still(piece, titles, f"Measured and simulated {titles[0]}, {label}") for piece, label in shown
+    )
+
+
+def _rules(source: Source, j: int, signal: int) -> tuple[tuple[str, tuple[RuleRow, ...]], ...]:
+    """The If-Then tables of the models drawn, the contender's first."""
+    named = reversed(overlay.drawn(source.comparison))
+    return _named_rules([(m, _rule_rows(source, m, css, (j, signal))) for m, css in named])
 
 
 def _simpler(source: Source) -> str:
@@ -186,9 +201,12 @@ def _rule_rows(source: Source, name: str, css: str, place: tuple[int, int]) -> t
     rules = source.comparison.fitted[name].rules()
     colours = [css] if len(rules) == 1 else [f"r{i % 8 + 1}" for i in range(len(rules))]
     checks = source.diagnosis.checks.get(name)
-    known = any(rule.here for rule in rules)
+    known = [bool(places_of(at, rules)) for at in range(len(rules))]
     alone = next((p for p in answers(source.comparison.fitted[name]) if p.output == place[0]), None)
-    rows = [_rule_row(r, colour, place, alone, known=known) for r, colour in zip(rules, colours, strict=True)]
+    rows = [
+        _rule_row(r, colour, place, alone, known=told)
+        for r, colour, told in zip(rules, colours, known, strict=True)
+    ]
     if checks is None or checks.intervals is None:
         return tuple(rows)
     sure = checks.intervals
@@ -245,26 +263,38 @@ def _typeset(words: str) -> str:
 def _sets(source: Source, j: int, signal: int) -> tuple[Panel, ...]:
     """Membership functions and data coverage."""
     c = source.comparison
-    panels = []
+    return drawn_panels(
+        source,
+        {
+            "membership functions": partial(_memberships, source),
+            "input coverage": partial(_coverage, source, "u", signal, c.test.inputs[signal]),
+            "output coverage": partial(_coverage, source, "y", j, c.test.outputs[j]),
+        },
+    )
+
+
+def _memberships(source: Source) -> list[Panel]:
+    c = source.comparison
     model = c.fitted[c.contender] if c.contender else None
-    if isinstance(model, HasMemberships):
-        units = {s.name: s.unit for s in (*c.test.inputs, *c.test.outputs)}
-        drawn = rulefigures.membership_figures(model, source.train or c.test, units)
-        panels += [Panel("Membership functions", "grade of every rule's set", figure) for figure in drawn]
-    for side, i, s in (("u", signal, c.test.inputs[signal]), ("y", j, c.test.outputs[j])):
-        train = None if source.train is None else _column(source.train, side, i)
-        panels.append(
-            Panel(
-                f"{'Input' if side == 'u' else 'Output'} coverage",
-                "grey: training; line: held out; red: outside training"
-                if train is not None
-                else "line: held out",
-                figures.coverage(
-                    train, _column(c.test, side, i), (with_unit(s.name, s.unit), f"Histogram of {s.name}")
-                ),
-            )
+    if not isinstance(model, HasMemberships):
+        return []
+    units = {s.name: s.unit for s in (*c.test.inputs, *c.test.outputs)}
+    drawn = rulefigures.membership_figures(model, source.train or c.test, units)
+    return [Panel("Membership functions", "grade of every rule's set", figure) for figure in drawn]
+
+
+def _coverage(source: Source, side: str, i: int, signal: Signal) -> list[Panel]:
+    train = None if source.train is None else _column(source.train, side, i)
+    words = (with_unit(signal.name, signal.unit), f"Histogram of {signal.name}")
+    return [
+        Panel(
+            f"{'Input' if side == 'u' else 'Output'} coverage",
+            "grey: training; line: held out; red: outside training"
+            if train is not None
+            else "line: held out",
+            figures.coverage(train, _column(source.comparison.test, side, i), words),
         )
-    return tuple(panels)
+    ]
 
 
 def _column(data: Dataset, side: str, i: int) -> FloatArray:
@@ -273,33 +303,46 @@ def _column(data: Dataset, side: str, i: int) -> FloatArray:
 
 def _wide(source: Source, j: int, index: int, label: str) -> tuple[Panel, ...]:
     """Degree of fulfilment and rule outputs along one segment, for a model of several rules."""
+    return drawn_panels(
+        source,
+        {
+            "degree of fulfilment": partial(_fulfilment, source, index, label),
+            "output of individual rules": partial(_rule_outputs, source, j, index, label),
+        },
+    )
+
+
+def _fulfilment(source: Source, index: int, label: str) -> list[Panel]:
     c = source.comparison
-    model = c.fitted[c.contender] if c.contender else None
-    if model is None:
-        return ()
     segment = c.test.segments[index]
-    strengths = rulefigures.firing_along(model, segment)
+    strengths = rulefigures.firing_along(c.fitted[c.contender], segment) if c.contender else None
     if strengths is None:
-        return ()
+        return []
     t = c.dt_s * np.arange(len(segment), dtype=np.float64)
-    panels = [
+    return [
         Panel(
             "Degree of fulfilment",
             f"normalised weight of every rule, stacked, segment {label}",
             rulefigures.fulfilment(strengths, t, f"Degree of fulfilment in {label}"),
         )
     ]
-    if isinstance(model, HasRuleOutputs):
-        out = np.asarray(model.rule_outputs(segment.u, segment.y))[:, :, j]
-        words = (
-            with_unit(c.test.outputs[j].name, c.test.outputs[j].unit),
-            f"Output of every rule in {label}",
+
+
+def _rule_outputs(source: Source, j: int, index: int, label: str) -> list[Panel]:
+    c = source.comparison
+    segment = c.test.segments[index]
+    model = c.fitted[c.contender] if c.contender else None
+    strengths = None if model is None else rulefigures.firing_along(model, segment)
+    if strengths is None or not isinstance(model, HasRuleOutputs):
+        return []
+    t = c.dt_s * np.arange(len(segment), dtype=np.float64)
+    out = np.asarray(model.rule_outputs(segment.u, segment.y))[:, :, j]
+    output = c.test.outputs[j]
+    words = (with_unit(output.name, output.unit), f"Output of every rule in {label}")
+    return [
+        Panel(
+            "Output of individual rules",
+            "one step ahead, where the weight is at least 0.25; grey: measured",
+            rulefigures.rule_output_figure(out, strengths, segment.y[:, j], t, words),
         )
-        panels.append(
-            Panel(
-                "Output of individual rules",
-                "one step ahead, where the weight is at least 0.25; grey: measured",
-                rulefigures.rule_output_figure(out, strengths, segment.y[:, j], t, words),
-            )
-        )
-    return tuple(panels)
+    ]

@@ -7,12 +7,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
 from scipy import stats
 
 from flysid.errors import DataError, UsageError
+from flysid.extras import Extra, extra
 from flysid.fleet.models.band import band_of
 from flysid.fleet.models.common_grid import Sampling
 from flysid.fleet.models.differences import FlightPart
@@ -155,11 +157,18 @@ def fit_groups(gathered: Gathered, by: Sequence[str]) -> FleetFit:
             for key, own in _grouped(useful, by).items()
         ]
         groups += found
-        try:
-            scatter[channel] = pool([g.response for g in found if g.response is not None], channel)
-        except DataError:
-            continue  # then no interval is given
+        pooled = extra(Extra.SCATTER, partial(_pool, found, channel), None, channel)
+        if pooled is not None:
+            scatter[channel] = pooled
     return FleetFit(tuple(by), gathered.samplings, tuple(groups), scatter, omegas, gathered.skipped)
+
+
+def _pool(groups: Sequence[Group], channel: str) -> Scatter | None:
+    """The scatter between flights; None where there are too few, and no interval is given."""
+    try:
+        return pool([g.response for g in groups if g.response is not None], channel)
+    except DataError:
+        return None
 
 
 def _frequencies(parts: Sequence[FlightPart], sampling: Sampling, channel: str) -> Any:
@@ -195,5 +204,6 @@ def _group(
         models = tuple(fit_group(triangles, rows, sampling, i) for i in range(len(sampling.outputs)))
     except DataError as error:
         return Group(key, channel, flights, (), None, error.message)
-    response = response_of(models[0], sampling, omega) if len(omega) else None
+    make = partial(response_of, models[0], sampling, omega)
+    response = extra(Extra.GROUP_RESPONSE, make, None, channel) if len(omega) else None
     return Group(key, channel, flights, models, response)

@@ -114,10 +114,12 @@ function show(view, run, channel, segment, data, worst) {
     view.flown = flown;
   }
 
+  const left = (missing) => (missing || []).map((sentence) => el("p", { class: "hint" }, sentence));
+
   async function tell(x) {
     const row = Math.min(Math.max(Math.round(x / dt_s), first), data.y.length - 1), k = row - first;
     const said = await get("runs/" + run.id + "/explanation", { ch: channel, segment, row });
-    words.replaceChildren(el("h2", {}, "At " + plain(row * dt_s) + " s: measured " + plain(+data.y[row][0].toPrecision(4)) + " " + unit_y));
+    words.replaceChildren(...left(data.missing), ...left(said.missing), el("h2", {}, "At " + plain(row * dt_s) + " s: measured " + plain(+data.y[row][0].toPrecision(4)) + " " + unit_y));
     labels.forEach((name) => {
       const model = models[name];
       words.append(el("p", {}, swatch(COLOURS[labels.indexOf(name)]), " " + name + " in free run: ", el("b", {}, plain(+model.yh[k][0].toPrecision(4)) + " " + unit_y)));

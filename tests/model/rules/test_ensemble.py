@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,10 +11,14 @@ from scipy.signal import lfilter
 
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, FitError, UsageError
+from flysid.ingest.synth.synth import WRITERS, Order, flights
 from flysid.model.arx import ARX
 from flysid.model.base import Fitted
-from flysid.model.ensemble import Ensemble, without_block
+from flysid.model.ensemble import Ensemble, FittedEnsemble, without_block
 from flysid.model.static_ts import StaticTS
+from flysid.model.ts import TS
+from tests.command import call
+from tests.contest import linear_side
 
 B = [0.0, 0.2]
 A = [1.0, -0.8]
@@ -103,3 +108,39 @@ def test_a_reason_comes_with_one_hint() -> None:
     with pytest.raises(FitError, match="never changes") as caught:
         Ensemble(StaticTS(rules=2), members=2).fit(data)
     assert str(caught.value).count("Try:") == 1
+
+
+def test_an_ensemble_of_rules_is_told_in_words(tmp_path: Path) -> None:
+    """A member's rule that is never the strongest at rest is told of by the member's own places at rest."""
+    suffix, encode = WRITERS["tlog"]
+    order = Order(plant="ardrone", plan="demo", duration_s=8.0)
+    for recording in list(flights(order))[:3]:
+        (tmp_path / f"{recording.name}{suffix}").write_bytes(encode(recording))
+    words = (
+        "-r",
+        "ardrone-synthetic",
+        "-c",
+        "lateral",
+        "-m",
+        "ensemble",
+        "--rules",
+        "3",
+        "--effort",
+        "quick",
+    )
+    with linear_side("arx"):
+        done = call("fit", ".", *words, "--no-rotate", "-j", "1", "-q", "-o", "run", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "could not be given" not in done.stderr
+    text = (tmp_path / "run" / "lateral" / "ensemble.txt").read_text("utf-8")
+    assert "never the strongest at rest, at most" in text
+    assert call("validate", "run", cwd=tmp_path).returncode == 0
+
+
+def test_a_member_that_comes_to_no_rest_is_told_by_its_own_gain() -> None:
+    u, y = experiment(3)
+    resting = TS(rules=2, na=1, nb=1, nk=1).fit(Dataset.from_arrays(u, y, 0.1))
+    restless = replace(resting, operating_points=())
+    told = str(FittedEnsemble((restless, resting), ())).splitlines()
+    assert not any("at rest" in line for line in told if line.strip().startswith("M1."))
+    assert any("at rest" in line for line in told if line.strip().startswith("M2."))
