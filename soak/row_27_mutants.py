@@ -26,10 +26,13 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
+import pytest
+
 from soak import Budget, Campaign, Outcome
 from soak.mutating import Mutant, draw, find_sites
 from soak.private_tree import copy_tree, forget_compiled, stamp
 from soak.reach import FOLDERS, REACH_FILE, Mentions, Reach
+from soak.selected import FAILED_FILE, NAMES_FILE, files_of
 
 ROOT = Path(__file__).resolve().parents[1]
 COUNT = 150
@@ -126,7 +129,7 @@ def open_record(folder: Path, seed: int | None, drawn: Callable[[int], Sequence[
 
 @dataclass(frozen=True)
 class Ran:
-    """A run of pytest: whether all passed, what failed, the CPU seconds of it and its children."""
+    """A run of pytest: whether none failed, what failed, the CPU seconds of it and its children."""
 
     passed: bool
     failed: list[str]
@@ -137,32 +140,32 @@ def run_tests(tree: Path, names: Sequence[str], expected_s: float) -> Ran:
     """Run tests in a tree until the first fails; what takes far longer than expected fails, too."""
     limit_s = int(PATIENCE * (expected_s + TESTS_S))
     began = _children_s()
-    command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", "--tb=no", *names]
-    with subprocess.Popen(
-        command,
-        cwd=tree,
-        env=_environment(tree),
-        stdout=subprocess.PIPE,
-        stderr=subprocess.DEVNULL,
-        text=True,
-        start_new_session=True,
-        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_CPU, (limit_s, limit_s)),
-    ) as process:
-        try:
-            out, _ = process.communicate(timeout=10 * limit_s)
-        except subprocess.TimeoutExpired:
-            out = ""
-        finally:
-            _end(process)
-    failed = [
-        line.partition(" ")[2].partition(" - ")[0]
-        for line in out.splitlines()
-        if line.startswith(("FAILED ", "ERROR "))
-    ]
-    return Ran(process.returncode == 0, failed, _children_s() - began)
+    command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", "-p", "soak.selected"]
+    with tempfile.TemporaryDirectory() as place:
+        wanted, failed = Path(place) / "names", Path(place) / "failed"
+        wanted.write_text("\n".join(names), "utf-8")
+        failed.touch()
+        with subprocess.Popen(
+            [*command, *files_of(names)],
+            cwd=tree,
+            env=_environment(tree) | {NAMES_FILE: str(wanted), FAILED_FILE: str(failed)},
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            start_new_session=True,
+            preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_CPU, (limit_s, limit_s)),
+        ) as process:
+            try:
+                process.wait(10 * limit_s)
+            except subprocess.TimeoutExpired:
+                pass
+            finally:
+                _end(process)
+        blamed = failed.read_text("utf-8").splitlines()
+    passed = process.returncode in (pytest.ExitCode.OK, pytest.ExitCode.NO_TESTS_COLLECTED)
+    return Ran(passed, blamed, _children_s() - began)
 
 
-def _end(process: subprocess.Popen[str]) -> None:
+def _end(process: subprocess.Popen[bytes]) -> None:
     """End a process with all that it started."""
     try:
         os.killpg(process.pid, signal.SIGKILL)
@@ -179,7 +182,7 @@ def _children_s() -> float:
 
 def _environment(tree: Path) -> dict[str, str]:
     threads = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
-    return os.environ | threads | {"PYTHONPATH": str(tree), "COLUMNS": "400"}
+    return os.environ | threads | {"PYTHONPATH": str(tree)}
 
 
 @dataclass

@@ -13,7 +13,7 @@ from soak import Budget, row_27_mutants
 from soak.mutating import Mutant, draw, find_sites, sites_of
 from soak.private_tree import forget_compiled, stamp
 from soak.reach import Mentions, Place, Reach
-from soak.row_27_mutants import Bench, Record, Trial, measure
+from soak.row_27_mutants import Bench, Record, Trial, measure, run_tests
 
 ROOT = Path(__file__).resolve().parents[2]
 SITES = find_sites(ROOT)
@@ -275,3 +275,28 @@ def test_what_a_fixture_reaches_counts_for_all_who_use_it(small: Path, tmp_path:
     name = "tests/model/test_known.py::test_"
     assert set(reach.seconds) == {name + word for word in ("first", "second", "third")}
     assert reach.lines["model/known.py"][2] == [name + "first", name + "second"]
+
+
+CASES = """
+import pytest
+@pytest.mark.parametrize("x", [1, 2], ids=["one - of two", "two"])
+def test_case(x): assert x == 2
+def test_other(): assert False
+"""
+
+
+def test_the_tests_that_are_named_run_in_their_order(small: Path) -> None:
+    """A case whose name is gone says nothing; a crash fails without a name."""
+    file = small / "tests" / "model" / "test_cases.py"
+    file.write_text(CASES)
+    name = "tests/model/test_cases.py::test_"
+    gone = run_tests(small, [name + "case[three]"], 1.0)
+    assert (gone.passed, gone.failed) == (True, [])
+    mixed = run_tests(small, [name + "case[two]", name + "case[one - of two]", name + "other"], 1.0)
+    assert (mixed.passed, mixed.failed) == (False, [name + "case[one - of two]"])
+    assert run_tests(small, ["tests/model"], 1.0).failed != []
+    file.write_text("import os\ndef test_other(): os.abort()\n")
+    crashed = run_tests(small, [name + "other"], 1.0)
+    assert (crashed.passed, crashed.failed) == (False, [])
+    file.write_text("import nothing_of_this_name")
+    assert run_tests(small, [name + "other"], 1.0).failed == ["tests/model/test_cases.py"]
