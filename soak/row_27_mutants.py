@@ -43,7 +43,9 @@ TESTS_S = 60.0
 """CPU of the tests of one change, as measured under coverage: for 117 of 150 changes all that reach them."""
 DOORS_S = 120.0
 """Their budget."""
-PATIENCE = 4.0
+START_S = 20.0
+"""CPU until the first test runs: imports, and kernels compiled anew."""
+PATIENCE = 3.0
 """A run ends after so many times its expected CPU, or ten times that on the clock: others compute, too."""
 
 NOT_NOTICED = "not noticed"
@@ -138,7 +140,7 @@ class Ran:
 
 def run_tests(tree: Path, names: Sequence[str], expected_s: float) -> Ran:
     """Run tests in a tree until the first fails; what takes far longer than expected fails, too."""
-    limit_s = int(PATIENCE * (expected_s + TESTS_S))
+    limit_s = int(PATIENCE * (START_S + expected_s))
     began = _children_s()
     command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", "-p", "soak.selected"]
     with tempfile.TemporaryDirectory() as place:
