@@ -26,10 +26,12 @@ class Budget:
     ----------
     seconds : wall time of the whole campaign; None for as long as its full size takes.
     subjects : try these only; all where there are none.
+    seed : of a campaign that draws a fresh one otherwise; the others have one of their own.
     """
 
     seconds: float | None = None
     subjects: tuple[str, ...] = ()
+    seed: int | None = None
 
     def chosen(self, names: Sequence[str]) -> list[str]:
         """Those of the subjects' names that shall be tried."""

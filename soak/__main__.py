@@ -1,9 +1,10 @@
 """`make soak`: runs long campaigns and writes their outcomes into `docs/reliability.md`.
 
-    python -m soak [NAME...] [--minutes M] [--subject S] [--list] [--dry]
+    python -m soak [NAME...] [--minutes M] [--subject S] [--seed N] [--list] [--dry]
 
 NAME is a row number or a part of a campaign's name; all campaigns run without one. `--minutes` bounds each
-campaign; without it each runs at its full size. Ends with 1 where a promise was broken.
+campaign; without it each runs at its full size. `--seed` repeats the draws of a campaign that prints its
+seed. Ends with 1 where a promise was broken.
 """
 
 from __future__ import annotations
@@ -56,6 +57,7 @@ def run_apart(module: str, budget: Budget) -> Iterator[Outcome]:
     command = [sys.executable, "-m", "soak", "--inside", module]
     command += [] if budget.seconds is None else ["--minutes", str(budget.seconds / 60)]
     command += [word for subject in budget.subjects for word in ("--subject", subject)]
+    command += [] if budget.seed is None else ["--seed", str(budget.seed)]
     with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
         for text in process.stdout:
@@ -87,12 +89,13 @@ def main() -> int:
     parser.add_argument("names", nargs="*", help="row numbers or parts of names; all without")
     parser.add_argument("--minutes", type=float, help="wall time for each campaign")
     parser.add_argument("--subject", action="append", default=[], help="rows 1 to 5 and 7: this format only")
+    parser.add_argument("--seed", type=int, help="row 27: draw with this seed, not with a fresh one")
     parser.add_argument("--list", action="store_true", help="name the campaigns and stop")
     parser.add_argument("--dry", action="store_true", help="leave docs/reliability.md as it is")
     parser.add_argument("--inside", help=argparse.SUPPRESS)
     options = parser.parse_args()
     seconds = None if options.minutes is None else options.minutes * 60
-    budget = Budget(seconds, tuple(options.subject))
+    budget = Budget(seconds, tuple(options.subject), options.seed)
     if options.inside:
         run_inside(options.inside, budget)
         return 0

@@ -111,6 +111,28 @@ def test_a_voltage_without_sense_is_refused(fitted: FittedMultirotor) -> None:
         program_of(Multirotor().fit(data))
 
 
+def test_the_gain_of_its_rule_is_what_a_small_step_of_a_command_leads_to() -> None:
+    """About the mean command, where the curve of the thrust bends the response."""
+    rng = np.random.default_rng(6)
+    x = np.repeat(rng.uniform(0.2, 1.0, (200, 2)), 10, axis=0)
+    theta = np.zeros(len(NAMES) + 2)
+    theta[:3] = 0.04, 0.01, 0.8
+    theta[-2:] = -15.0, 9.0
+    y = free_run(x, 0.0, theta, 0.01, False, False) + 0.01 * rng.standard_normal(len(x))
+    commands = [Signal("front", ""), Signal("back", "")]
+    data = Dataset.from_arrays(x, y, 0.01, inputs=commands, outputs=[Signal("az", "m/s/s")])
+    model = Multirotor().fit(data)
+    (rule,) = model.rules()
+    step = 0.01
+    for j, direction in enumerate(step * np.eye(2)):
+        above, below = (
+            model.simulate(np.tile(x.mean(axis=0) + d, (200, 1)))[-1] for d in (direction, -direction)
+        )
+        assert rule.dc_gain[0, j] == pytest.approx((above - below).item() / (2.0 * step), rel=1e-3)
+    assert rule.time_constant_s == pytest.approx(0.04, rel=0.05)  # the lag of the motors
+    assert rule.pole_radius == pytest.approx(np.exp(-0.01 / rule.time_constant_s))
+
+
 def test_a_row_rate_does_not_change_the_motors() -> None:
     """Motors and torques are exact: held commands at twice the rows give the same rates."""
     rng = np.random.default_rng(1)

@@ -81,6 +81,14 @@ def test_segments_are_named_by_flight_and_by_time_where_it_has_several() -> None
     assert segment_names(data) == ("hover 0:30", "hover 2:05", "climb")
 
 
+def test_without_a_beginning_times_count_from_the_first_segment_of_the_flight() -> None:
+    data = parts(
+        ("hover-0123abcd", 130.0, 100.0), ("hover-0123abcd", 225.4, 100.0), ("climb-89abcdef", 7.0, 0.0)
+    )
+    bare = data.with_segments([replace(s, marks={}) for s in data.segments])
+    assert segment_names(bare) == ("hover 0:00", "hover 1:35", "climb")
+
+
 def test_a_hash_stays_where_the_rest_names_two_flights() -> None:
     assert segment_names(parts(("a-0123abcd", 0.0, 0.0), ("a-89abcdef", 0.0, 0.0))) == (
         "a-0123abcd",

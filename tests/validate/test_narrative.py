@@ -64,3 +64,11 @@ def test_a_baseline_worse_than_the_mean_is_said_first() -> None:
     assert f"to {number(rmse['ts'])}." in words
     assert words in Page(render(ReportContext.of({"roll": c}))).words
     assert narrative.worse_than_constant({"roll": compare([ARX, TS], test, train=train)}) == []
+
+
+def test_gains_of_four_channels_are_listed_and_of_more_left_to_the_table() -> None:
+    c = compare([ARX, TS], flown(TS, [300] * 6, noise=0.02), train=flown(TS, [300], noise=0.02, seed=5))
+    first_screens = [
+        Page(render(ReportContext.of({f"axis{k}": c for k in range(count)}))).words for count in (4, 5)
+    ]
+    assert [words.count("% smaller on axis") for words in first_screens] == [4, 0]

@@ -44,6 +44,32 @@ def fitted(seed: int) -> FittedTF:
     return TF(poles=2, zeros=0, dead_time_s=0.0).fit(data, data)
 
 
+def test_a_dead_time_is_as_unsure_as_it_scatters() -> None:
+    """Over 16 flights; a pole's or a gain's interval in its place is several times as wide, or as narrow."""
+    b, a, _ = cont2discrete(([3.0], [1.0, 2.0]), 0.05, "zoh")
+    found = []
+    for seed in range(16):
+        rng = np.random.default_rng(seed)
+        u = np.repeat(rng.choice([-1.0, 1.0], 120), 5)
+        y = lfilter(np.append(np.zeros(2), b.ravel()), a.ravel(), u) + 0.05 * rng.standard_normal(len(u))
+        model = TF(poles=1, zeros=0, dead_time_s=(None,)).fit(Dataset.from_arrays(u, y, 0.05))
+        found.append(model.transfer().dead_time)
+    scatter = np.std([f.value for f in found], ddof=1)
+    claimed = np.mean([f.error for f in found])
+    assert 0.6 < scatter / claimed < 1.6
+
+
+def test_an_offset_is_found_without_refinement() -> None:
+    """A flight that begins far from where its inputs lead: its means are not those of a steady state."""
+    rng = np.random.default_rng(3)
+    u = 4.0 + np.repeat(rng.choice([-1.0, 1.0], 200), 4)
+    b, a, _ = cont2discrete(([3.0], [1.0, 0.5]), 0.05, "zoh")
+    y = 7.0 + lfilter(b.ravel(), a.ravel(), u)
+    model = TF(poles=1, zeros=0, dead_time_s=0.0, refine=False).fit(Dataset.from_arrays(u, y, 0.05))
+    free_run = model.simulate(u[:, None], y[: model.n_init, None])[:, 0]
+    assert np.sqrt(np.mean((free_run - y) ** 2)) < 0.04 * y.std()
+
+
 def test_intervals_hold_the_truth_in_coloured_noise() -> None:
     """16 flights, 6 figures each; the larger campaign is bench/frequency_coverage.py."""
     num, den = PLANTS["longitudinal"]

@@ -7,7 +7,7 @@ import pytest
 
 from flysid.dataset import FloatArray
 from flysid.model.linear_matrix_inequalities import cheapest
-from flysid.model.rules.lyapunov import certificate_of, common_lyapunov
+from flysid.model.rules.lyapunov import MOST_STATES, certificate_of, common_lyapunov
 
 
 def with_common_function(n: int, condition: float, rho: float, seed: int) -> list[FloatArray]:
@@ -41,6 +41,13 @@ def test_one_that_exists_is_found_and_is_a_proof(n: int, condition: float, rho: 
         assert np.linalg.eigvalsh(A.T @ P @ A - decay**2 * P).max() < 1e-9 * size
         assert np.linalg.eigvalsh(A.T @ P @ A - P).max() < 0.0
     assert decay < 0.2 + 0.8 * rho
+
+
+def test_it_is_looked_for_up_to_the_most_states_and_not_beyond() -> None:
+    for n, is_found in ((MOST_STATES, True), (MOST_STATES + 1, False)):
+        found = common_lyapunov([0.5 * np.eye(n), 0.6 * np.eye(n)])
+        assert (found is not None) == is_found
+        assert certificate_of([0.5 * np.eye(n), 0.6 * np.eye(n)]).proved == is_found
 
 
 def test_slow_rules_of_high_order_at_a_fast_clock() -> None:

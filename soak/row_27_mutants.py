@@ -1,0 +1,356 @@
+"""Row 27: 150 random changes of our own code, each against the tests that reach it, then against the doors.
+
+`soak.mutating` says which changes there are and which are left out, `soak.reach` which tests reach one. Every
+change is made in a private copy of the repository. A failure counts only if the test holds in the unchanged
+copy right afterwards. Passes when at least 80 % of the changes are noticed.
+
+`.bench/mutants/<stamp of code and tests>` keeps the tests that reach each line, measured once a stamp, and
+what became of each change, a line each. A campaign that was ended goes on where it stopped, with its seed;
+`--seed` repeats another one, or begins it.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import resource
+import secrets
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+
+import pytest
+
+from soak import Budget, Campaign, Outcome
+from soak.mutating import Mutant, draw, find_sites
+from soak.private_tree import copy_tree, forget_compiled, stamp
+from soak.reach import FOLDERS, REACH_FILE, Mentions, Reach
+from soak.selected import FAILED_FILE, NAMES_FILE, files_of
+
+ROOT = Path(__file__).resolve().parents[1]
+COUNT = 150
+LEAST_NOTICED = 0.8
+TEST_FOLDERS = ("tests/model", "tests/validate", "tests/flysid")
+DOORS = "tests/doors"
+TESTS_S = 60.0
+"""CPU of the tests of one change, as measured under coverage: for 117 of 150 changes all that reach them."""
+DOORS_S = 120.0
+"""Their budget."""
+START_S = 20.0
+"""CPU until the first test runs: imports, and kernels compiled anew."""
+PATIENCE = 3.0
+"""A run ends after so many times its expected CPU, or ten times that on the clock: others compute, too."""
+
+NOT_NOTICED = "not noticed"
+
+
+@dataclass(frozen=True)
+class Trial:
+    """What became of one change.
+
+    Attributes
+    ----------
+    key, change, kind : of the mutant.
+    noticed_by : the test; NOT_NOTICED if there is none.
+    tests : how many were chosen, of `reaching` that reach the change.
+    doubted : tests that failed in the unchanged copy as well, and so did not count.
+    cpu_s : of all runs of this change.
+    """
+
+    key: str
+    change: str
+    kind: str
+    noticed_by: str
+    tests: int
+    reaching: int
+    doubted: list[str] = field(default_factory=list)
+    cpu_s: float = 0.0
+
+    @property
+    def is_noticed(self) -> bool:
+        return self.noticed_by != NOT_NOTICED
+
+
+class Record:
+    """The trials of one seed, in a file with a line each, safe against a kill at any time."""
+
+    def __init__(self, file: Path) -> None:
+        self._file = file
+        self.trials: dict[str, Trial] = {}
+        for line in file.read_text("utf-8").splitlines() if file.exists() else []:
+            try:
+                trial = Trial(**json.loads(line))
+            except json.JSONDecodeError:  # cut off by a kill
+                continue
+            self.trials[trial.key] = trial
+
+    @property
+    def seed(self) -> int:
+        return int(self._file.stem)
+
+    def add(self, trial: Trial) -> None:
+        """Keep a trial."""
+        self.trials[trial.key] = trial
+        end = "\n" if self._is_cut() else ""
+        with self._file.open("a", encoding="utf-8") as file:
+            file.write(f"{end}{json.dumps(asdict(trial))}\n")
+
+    def waiting(self, mutants: Sequence[Mutant]) -> list[Mutant]:
+        """Those that were not tried yet."""
+        return [mutant for mutant in mutants if mutant.key not in self.trials]
+
+    def _is_cut(self) -> bool:
+        text = self._file.read_bytes() if self._file.exists() else b""
+        return text != b"" and not text.endswith(b"\n")
+
+
+def open_record(folder: Path, seed: int | None, drawn: Callable[[int], Sequence[Mutant]]) -> Record:
+    """The record of a seed; without one, the last that is not complete, or a new one of a fresh seed.
+
+    Parameters
+    ----------
+    folder : of the records; it exists.
+    seed : None for any.
+    drawn : the mutants of a seed.
+    """
+    if seed is not None:
+        return Record(folder / f"{seed}.jsonl")
+    for file in sorted(folder.glob("*.jsonl"), key=lambda file: file.stat().st_mtime, reverse=True):
+        record = Record(file)
+        if record.waiting(drawn(record.seed)):
+            return record
+    return Record(folder / f"{secrets.randbits(32)}.jsonl")
+
+
+@dataclass(frozen=True)
+class Ran:
+    """A run of pytest: whether none failed, what failed, the CPU seconds of it and its children."""
+
+    passed: bool
+    failed: list[str]
+    cpu_s: float
+
+
+def run_tests(tree: Path, names: Sequence[str], expected_s: float) -> Ran:
+    """Run tests in a tree until the first fails; what takes far longer than expected fails, too."""
+    limit_s = int(PATIENCE * (START_S + expected_s))
+    began = _children_s()
+    command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", "-p", "soak.selected"]
+    with tempfile.TemporaryDirectory() as place:
+        wanted, failed = Path(place) / "names", Path(place) / "failed"
+        wanted.write_text("\n".join(names), "utf-8")
+        failed.touch()
+        with subprocess.Popen(
+            [*command, *files_of(names)],
+            cwd=tree,
+            env=_environment(tree) | {NAMES_FILE: str(wanted), FAILED_FILE: str(failed)},
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            start_new_session=True,
+            preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_CPU, (limit_s, limit_s)),
+        ) as process:
+            try:
+                process.wait(10 * limit_s)
+            except subprocess.TimeoutExpired:
+                pass
+            finally:
+                _end(process)
+        blamed = failed.read_text("utf-8").splitlines()
+    passed = process.returncode in (pytest.ExitCode.OK, pytest.ExitCode.NO_TESTS_COLLECTED)
+    return Ran(passed, blamed, _children_s() - began)
+
+
+def _end(process: subprocess.Popen[bytes]) -> None:
+    """End a process with all that it started."""
+    try:
+        os.killpg(process.pid, signal.SIGKILL)
+    except ProcessLookupError:
+        return
+    finally:
+        process.wait()
+
+
+def _children_s() -> float:
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
+
+
+def _environment(tree: Path) -> dict[str, str]:
+    threads = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
+    return os.environ | threads | {"PYTHONPATH": str(tree)}
+
+
+@dataclass
+class Bench:
+    """The unchanged copy, and what is known of it.
+
+    Attributes
+    ----------
+    whole : the copy.
+    reach, mentions : which tests reach what.
+    """
+
+    whole: Path
+    reach: Reach
+    mentions: Mentions
+
+    def attempt(self, mutant: Mutant) -> Trial:
+        """Change a fresh copy, and look for a test that notices."""
+        tree = copy_tree(self.whole, self.whole.parent / "changed")
+        try:
+            file = tree / mutant.place.path
+            file.write_bytes(mutant.apply(file.read_bytes()))
+            forget_compiled(tree, mutant.place.path)
+            return self._judge(tree, mutant)
+        finally:
+            shutil.rmtree(tree)
+
+    def _judge(self, tree: Path, mutant: Mutant) -> Trial:
+        reaching = self.reach.tests_of(mutant.place, self.mentions)
+        chosen = self.affordable(reaching)
+        runs = [(chosen, sum(self.reach.seconds[name] for name in chosen))] if chosen else []
+        runs += [([DOORS], DOORS_S)] if (tree / DOORS).is_dir() else []
+        doubted: list[str] = []
+        cpu_s = 0.0
+        noticed_by = NOT_NOTICED
+        for names, expected_s in runs:
+            noticed_by, used_s = self._notice(tree, names, expected_s, doubted)
+            cpu_s += used_s
+            if noticed_by != NOT_NOTICED:
+                break
+        return Trial(
+            mutant.key,
+            str(mutant),
+            mutant.kind,
+            noticed_by,
+            len(chosen),
+            len(reaching),
+            doubted,
+            round(cpu_s, 1),
+        )
+
+    def affordable(self, names: Sequence[str]) -> list[str]:
+        """As many of the tests as TESTS_S allows, in their order; at least one."""
+        chosen: list[str] = []
+        left_s = TESTS_S
+        for name in names:
+            if not chosen or self.reach.seconds[name] <= left_s:
+                chosen.append(name)
+                left_s -= self.reach.seconds[name]
+        return chosen
+
+    def _notice(
+        self, tree: Path, names: list[str], expected_s: float, doubted: list[str]
+    ) -> tuple[str, float]:
+        """The test that fails in a changed tree, not in the unchanged one; the CPU seconds of all runs."""
+        cpu_s = 0.0
+        while names:
+            ran = run_tests(tree, names, expected_s)
+            cpu_s += ran.cpu_s
+            if ran.passed:
+                break
+            blamed = ran.failed or names
+            again = run_tests(self.whole, blamed, expected_s)
+            cpu_s += again.cpu_s
+            if again.passed:
+                return blamed[0] if ran.failed else f"time or crash in {names[0]} or later", cpu_s
+            doubted += blamed
+            names = [name for name in names if name not in blamed and name != DOORS]
+        return NOT_NOTICED, cpu_s
+
+
+def measure(whole: Path, folder: Path) -> Reach:
+    """Which tests reach each line; measured where that is not in the folder yet."""
+    files = []
+    for tests in TEST_FOLDERS:
+        file = folder / f"{tests.replace('/', '-')}.json"
+        files.append(file)
+        if file.exists():
+            continue
+        part = file.with_suffix(".part")
+        command = [sys.executable, "-m", "pytest", "-q", "-p", "soak.reach", "-p", "no:cacheprovider", tests]
+        subprocess.run(
+            command,
+            cwd=whole,
+            env=_environment(whole) | {REACH_FILE: str(part)},
+            stdout=subprocess.DEVNULL,
+            check=False,  # a test that fails under coverage is left out
+        )
+        part.rename(file)
+    return Reach.read(files)
+
+
+def run(budget: Budget) -> Iterator[Outcome]:
+    """One outcome per folder of code."""
+    folder = ROOT / ".bench" / "mutants" / stamp(ROOT)
+    folder.mkdir(parents=True, exist_ok=True)
+    goes_on = budget.clock()
+    with tempfile.TemporaryDirectory() as place:
+        whole = copy_tree(ROOT, Path(place) / "whole")
+        subprocess.run(
+            [sys.executable, "-m", "tests.kernels"], cwd=whole, env=_environment(whole), check=True
+        )
+        bench = Bench(whole, measure(whole, folder), Mentions.find(whole))
+        sites = find_sites(whole)
+        record = open_record(folder, budget.seed, lambda seed: draw(sites, seed, COUNT))
+        mutants = draw(sites, record.seed, COUNT)
+        waiting = record.waiting(mutants)
+        say(f"seed {record.seed}: {len(waiting)} of {len(mutants)} changes to try, at {len(sites)} sites")
+        for mutant in waiting:
+            if not goes_on():
+                break
+            if _folder(mutant) in budget.chosen(FOLDERS):
+                began = time.monotonic()
+                record.add(bench.attempt(mutant))
+                say(f"{time.monotonic() - began:.0f} s, {describe(record.trials[mutant.key])}")
+        yield from outcomes([m for m in mutants if m.key in record.trials], record, budget)
+
+
+def outcomes(mutants: Sequence[Mutant], record: Record, budget: Budget) -> Iterator[Outcome]:
+    """Counts by folder; a failure a change that was not noticed, where these are too many."""
+    for name in budget.chosen(FOLDERS):
+        trials = [record.trials[m.key] for m in mutants if _folder(m) == name]
+        missed = [trial for trial in trials if not trial.is_noticed]
+        outcome = Outcome(name, len(trials))
+        noticed = len(trials) - len(missed)
+        share = noticed / max(1, len(trials))
+        by_doors = sum(DOORS in trial.noticed_by for trial in trials)
+        kinds = Counter(trial.kind for trial in missed)
+        left = ", ".join(f"{n} {kind}" for kind, n in kinds.most_common()) or "none"
+        outcome.remark = (
+            f"noticed {noticed} ({100 * share:.0f} %), {by_doors} by the doors alone; not noticed: {left}; "
+            f"seed {record.seed}"
+        )
+        if trials and share < LEAST_NOTICED:
+            outcome.failures += [trial.change for trial in missed]
+        for trial in missed:
+            say(describe(trial))
+        yield outcome
+
+
+def describe(trial: Trial) -> str:
+    """One line for a person."""
+    return (
+        f"{trial.kind} {trial.change}: {trial.noticed_by} "
+        f"({trial.tests} tests of {trial.reaching}, {trial.cpu_s:.0f} s of CPU)"
+    )
+
+
+def say(text: str) -> None:
+    """A line beside the outcomes."""
+    sys.stderr.write(text + "\n")
+    sys.stderr.flush()
+
+
+def _folder(mutant: Mutant) -> str:
+    return mutant.place.path.partition("/")[0]
+
+
+CAMPAIGN = Campaign(27, "changes of our own code", run)

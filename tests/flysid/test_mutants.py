@@ -1,0 +1,302 @@
+"""The soak's changes of our own code: one node each, the same for a seed, and a campaign that goes on."""
+
+from __future__ import annotations
+
+import ast
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+
+from soak import Budget, row_27_mutants
+from soak.mutating import Mutant, draw, find_sites, sites_of
+from soak.private_tree import forget_compiled, stamp
+from soak.reach import Mentions, Place, Reach
+from soak.row_27_mutants import Bench, Record, Trial, measure, run_tests
+
+ROOT = Path(__file__).resolve().parents[2]
+SITES = find_sites(ROOT)
+
+
+def news(text: str) -> set[tuple[str, str]]:
+    """Kind and new file of every change of a text."""
+    source = text.encode()
+    return {(m.kind, m.apply(source).decode()) for site in sites_of(source, "model/a.py") for m in site}
+
+
+def differing(one: ast.AST, other: ast.AST) -> int:
+    """The smallest nodes in which two trees differ."""
+    if type(one) is not type(other):
+        return 1
+    count = 0
+    for name, value in ast.iter_fields(one):
+        pairs = zip(*(v if isinstance(v, list) else [v] for v in (value, getattr(other, name))), strict=True)
+        for a, b in pairs:
+            count += differing(a, b) if isinstance(a, ast.AST) else a != b
+    return count
+
+
+def test_a_change_changes_one_node_and_compiles() -> None:
+    for mutant in draw(SITES, 1, 100):
+        source = (ROOT / mutant.place.path).read_bytes()
+        new = mutant.apply(source)
+        compile(new, mutant.place.path, "exec")
+        assert differing(ast.parse(source), ast.parse(new)) == 1, str(mutant)
+        line = source.splitlines()[mutant.line - 1].decode()
+        assert mutant.before.splitlines()[0] in line, str(mutant)
+
+
+@pytest.mark.parametrize(
+    ("text", "changed"),
+    [
+        ("x = 4", {("number", f"x = {n}") for n in (2, 8, 3, 5)}),
+        ("x = 0.5", {("number", f"x = {n}") for n in (0.25, 1.0, 1.5, "(-0.5)")}),
+        ("x = 1e-12", {("number", f"x = {n}") for n in (1.000000000001, "(-0.999999999999)")}),
+        ("x = 50", {("number", f"x = {n}") for n in (25, 100)}),
+        ("x = True", {("truth", "x = False")}),
+        ("x = a < b", {("boundary", "x = (a <= b)"), ("comparison", "x = (a >= b)")}),
+        ("x = a in b", {("comparison", "x = (a not in b)")}),
+        ("x = a is b", {("comparison", "x = (a is not b)")}),
+        ("x = a - b", {("sign", "x = (a + b)")}),
+        ("x = -a", {("sign", "x = (a)")}),
+        ("x += a", {("sign", "x -= a")}),
+        ("x = a and not b", {("logic", "x = (a or not b)"), ("logic", "x = a and (b)")}),
+        ("x = a < 0.3 * 0", {("comparison", "x = (a >= 0.3 * 0)"), ("boundary", "x = (a <= 0.3 * 0)")}),
+        (
+            "x = a < b == c",
+            {
+                ("boundary", "x = (a <= b == c)"),
+                ("comparison", "x = (a >= b == c)"),
+                ("comparison", "x = (a < b != c)"),
+            },
+        ),
+    ],
+)
+def test_the_changes_of_a_site(text: str, changed: set[tuple[str, str]]) -> None:
+    found = news(text)
+    assert changed <= found
+    assert len(found) == len(changed) or "0.3" in text  # whose own changes are not listed
+
+
+@pytest.mark.parametrize("text", ["x = a < 0.3", "x = 0.3 < a", "T = 0.3\nx = a < T"])
+def test_no_boundary_is_shifted_beside_what_is_measured(text: str) -> None:
+    assert "comparison" in {kind for kind, _ in news(text)}
+    assert "boundary" not in {kind for kind, _ in news(text)}
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        '"""Of 3 kinds: a < b."""',
+        "def f(a: Literal[3] = x) -> Annotated[int, 3]:\n    '3 of them'",
+        "@cached(maxsize=3)\ndef f(): ...",
+        "x: Annotated[int, 3]",
+        "Kind = Literal[1, 2]",
+        "x = f'{a + 1:.3f}'",
+        "raise ValueError(a + 3)",
+        "tell(a, 3)",
+        "warnings.warn(a, stacklevel=3)",
+        "assert a < 3",
+        "x = np.random.default_rng(3)",
+        "_SEED = 3",
+        "fit(x, seed=3)",
+        "x = zip(a, b, strict=True)",
+        "x = field(repr=False, kw_only=True)",
+        "match x:\n    case 3: ...",
+        "x = 'a' + b",
+        "x = a + [b]",
+        "x = 1e300",
+        "from matplotlib.axes import Axes\nx = 3 - a",
+        "def f():\n    import matplotlib\n    return 3 - a",
+    ],
+)
+def test_what_decides_nothing_is_left_alone(text: str) -> None:
+    assert news(text) == set()
+
+
+def test_where_something_is_drawn_comparisons_count() -> None:
+    assert news("import matplotlib\nx = a == 3") == {("comparison", "import matplotlib\nx = (a != 3)")}
+    around = "def f():\n    import matplotlib\ndef g():\n    return a - b"
+    assert {kind for kind, _ in news(around)} == {"sign"}
+
+
+def test_a_seed_draws_the_same_and_no_site_twice() -> None:
+    drawn = draw(SITES, 7, 500)
+    assert drawn == draw(SITES, 7, 500)
+    assert drawn != draw(SITES, 8, 500)
+    assert len({(m.place.path, m.start, m.end) for m in drawn}) == 500
+    assert len({m.key for m in draw(SITES, 7, len(SITES) + 1)}) == len(SITES)
+
+
+KERNEL = """
+SIZE = 3
+def kernel(x):
+    return inner(x)
+def inner(x):
+    return x + 1
+def caller(
+    x,
+    by=2,
+):
+    return kernel(x) * by + SIZE
+"""
+
+
+def test_tests_are_found_by_line_or_through_who_names_it(tmp_path: Path) -> None:
+    (tmp_path / "model").mkdir()
+    (tmp_path / "model" / "a.py").write_text(KERNEL)
+    reach = Reach({"t.py::one": 3.0, "t.py::two": 1.0, "u.py::far": 1.0})
+    reach.lines["model/a.py"] = {11: ["t.py::one"], 1: ["u.py::far", "t.py::two"]}
+    mentions = Mentions.find(tmp_path)
+    found = {}
+    for site in sites_of(KERNEL.encode(), "model/a.py"):
+        found[site[0].line] = reach.tests_of(site[0].place, mentions)
+    assert set(found) == {2, 6, 9, 11}
+    assert set(map(tuple, found.values())) == {("t.py::one", "t.py::two")}  # never that of line 1
+    assert reach.tests_of(Place("model/b.py", 1, 1, ("nobody",)), mentions) == []
+
+
+def test_what_was_compiled_from_a_changed_file_is_forgotten(tmp_path: Path) -> None:
+    """Kernels of others with it, if these import it: Numba looks at their own files only."""
+    sources = {
+        "base": "",
+        "user": "from flysid.model.base import f",
+        "far": "from flysid.model import user",
+        "other": "",
+    }
+    (tmp_path / "model" / "__pycache__").mkdir(parents=True)
+    for name, text in sources.items():
+        (tmp_path / "model" / f"{name}.py").write_text(text)
+        for end in ("cpython-311.pyc", "f-1.py311.nbi", "f-1.py311.1.nbc"):
+            (tmp_path / "model" / "__pycache__" / f"{name}.{end}").touch()
+    assert sorted(forget_compiled(tmp_path, "model/base.py")) == [
+        "base.cpython-311.pyc",
+        "base.f-1.py311.1.nbc",
+        "base.f-1.py311.nbi",
+        "far.f-1.py311.1.nbc",
+        "far.f-1.py311.nbi",
+        "user.f-1.py311.1.nbc",
+        "user.f-1.py311.nbi",
+    ]
+
+
+def test_a_record_survives_a_line_that_was_cut_off(tmp_path: Path) -> None:
+    record = Record(tmp_path / "5.jsonl")
+    first, second, third = (Trial(key, "x", "sign", "a test", 1, 1) for key in "abc")
+    record.add(first)
+    record.add(second)
+    file = tmp_path / "5.jsonl"
+    file.write_text(file.read_text()[:-20])
+    again = Record(file)
+    assert list(again.trials) == ["a"]
+    again.add(third)
+    assert list(Record(file).trials) == ["a", "c"]
+
+
+@pytest.fixture
+def small(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A repository of two functions, a test that judges one of them, and one that merely calls the other."""
+    root = tmp_path / "small"
+    for folder in ("model", "validate", "flysid", "tests/model", "tests/validate", "tests/flysid"):
+        (root / folder).mkdir(parents=True)
+    for package in ("flysid", "tests"):
+        (root / package / "__init__.py").touch()
+    (root / "flysid" / "model").symlink_to("../model")
+    shutil.copytree(ROOT / "soak", root / "soak")
+    (root / "tests" / "kernels.py").touch()
+    (root / "model" / "known.py").write_text("def known(x):\n    return x > 3\n")
+    (root / "model" / "unknown.py").write_text("def unknown(x):\n    return x > 3\n")
+    (root / "tests" / "model" / "test_known.py").write_text(
+        "from flysid.model.known import known\nfrom flysid.model.unknown import unknown\n"
+        "def test_it(): assert [known(x) for x in (2, 3, 3.5, 4, 5)] == [False, False, True, True, True]\n"
+        "def test_call(): unknown(1)\n"
+    )
+    monkeypatch.setattr(row_27_mutants, "ROOT", root)
+    monkeypatch.setattr(row_27_mutants, "COUNT", 4)
+    return root
+
+
+def _records(root: Path) -> list[dict[str, object]]:
+    (file,) = (root / ".bench" / "mutants" / stamp(root)).glob("*.jsonl")
+    return [json.loads(line) for line in file.read_text().splitlines()]
+
+
+def test_a_campaign_goes_on_where_it_was_ended(small: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    attempt = Bench.attempt
+    tried: list[str] = []
+
+    def killed(self: Bench, mutant: Mutant) -> Trial:
+        if len(tried) == 2:
+            raise KeyboardInterrupt
+        tried.append(mutant.key)
+        return attempt(self, mutant)
+
+    monkeypatch.setattr(Bench, "attempt", killed)
+    with pytest.raises(KeyboardInterrupt):
+        list(row_27_mutants.run(Budget()))
+    assert len(_records(small)) == 2
+
+    def goes_on(self: Bench, mutant: Mutant) -> Trial:
+        tried.append(mutant.key)
+        return attempt(self, mutant)
+
+    monkeypatch.setattr(Bench, "attempt", goes_on)
+    measured = {file: file.stat().st_mtime_ns for file in small.rglob("tests-*.json")}
+    model, validate = row_27_mutants.run(Budget())
+    assert len(set(tried)) == len(tried) == 4
+    assert {file: file.stat().st_mtime_ns for file in small.rglob("tests-*.json")} == measured
+    assert (model.trials, validate.trials) == (4, 0)
+    by_file: dict[str, set[bool]] = {}
+    for trial in _records(small):
+        file = str(trial["change"]).partition(":")[0]
+        by_file.setdefault(file, set()).add(trial["noticed_by"] == "tests/model/test_known.py::test_it")
+    assert by_file == {"model/known.py": {True}, "model/unknown.py": {False}}
+    assert model.remark.startswith("noticed 2 (50 %), 0 by the doors alone; not noticed: ")
+    assert len(model.failures) == 2
+    assert all("model/unknown.py:2: " in failure for failure in model.failures)
+
+
+SHARED = """
+import pytest
+from flysid.model.known import known
+@pytest.fixture(scope="module")
+def shared(): return known(5)
+def test_first(shared): assert shared
+def test_second(shared): assert shared
+def test_third(): pass
+def test_fails(): assert not known(5)
+"""
+
+
+def test_what_a_fixture_reaches_counts_for_all_who_use_it(small: Path, tmp_path: Path) -> None:
+    (small / "tests" / "model" / "test_known.py").write_text(SHARED)
+    reach = measure(small, tmp_path)
+    name = "tests/model/test_known.py::test_"
+    assert set(reach.seconds) == {name + word for word in ("first", "second", "third")}
+    assert reach.lines["model/known.py"][2] == [name + "first", name + "second"]
+
+
+CASES = """
+import pytest
+@pytest.mark.parametrize("x", [1, 2], ids=["one - of two", "two"])
+def test_case(x): assert x == 2
+def test_other(): assert False
+"""
+
+
+def test_the_tests_that_are_named_run_in_their_order(small: Path) -> None:
+    """A case whose name is gone says nothing; a crash fails without a name."""
+    file = small / "tests" / "model" / "test_cases.py"
+    file.write_text(CASES)
+    name = "tests/model/test_cases.py::test_"
+    gone = run_tests(small, [name + "case[three]"], 1.0)
+    assert (gone.passed, gone.failed) == (True, [])
+    mixed = run_tests(small, [name + "case[two]", name + "case[one - of two]", name + "other"], 1.0)
+    assert (mixed.passed, mixed.failed) == (False, [name + "case[one - of two]"])
+    assert run_tests(small, ["tests/model"], 1.0).failed != []
+    file.write_text("import os\ndef test_other(): os.abort()\n")
+    crashed = run_tests(small, [name + "other"], 1.0)
+    assert (crashed.passed, crashed.failed) == (False, [])
+    file.write_text("import nothing_of_this_name")
+    assert run_tests(small, [name + "other"], 1.0).failed == ["tests/model/test_cases.py"]
