@@ -27,6 +27,8 @@ def call(*args: str | Path, cwd: Path) -> Done:
     words = ["flysid", *map(str, args)]
     with pytest.MonkeyPatch.context() as patch, contextlib.chdir(cwd):
         patch.setattr(sys, "argv", words)
+        patch.setenv("PYTHONSAFEPATH", "1")  # the command sets it for the processes that it begins
+        patch.setattr(sys, "path", list(sys.path))
         with CliRunner().isolation(env={"NO_COLOR": "1"}) as (out, err, _):
             try:
                 main()

@@ -10,18 +10,18 @@ goes to stderr.
 
 from __future__ import annotations
 
-import os
 import sys
 from pathlib import Path
 
 import click
 
 import flysid
-from flysid.cli.config import FILE, defaults_of, environment_of
+from flysid.cli.config import take_settings
 from flysid.cli.lazy import LazyVerbs
 from flysid.cli.output import printable
 from flysid.errors import FlysidError
 from flysid.showing import WIDTH
+from flysid.surroundings import keep_working_folder_out, refuse_numba_settings
 
 VERBS = {
     "compare": "Compare the models of two runs on flights that neither has trained on.",
@@ -80,11 +80,8 @@ STEPS = {
 @click.pass_context
 def root(ctx: click.Context) -> None:
     """Flight logs in, trustworthy models out."""
-    verb = ctx.invoked_subcommand
-    command = root.get_command(ctx, verb) if verb else None
-    if verb and command is not None:
-        said = defaults_of(verb, command, VERBS, Path(FILE)) | environment_of(verb, command, os.environ)
-        ctx.default_map = {verb: said}
+    refuse_numba_settings(Path.cwd())
+    take_settings(ctx)
 
 
 def report_error(error: FlysidError) -> None:
@@ -98,6 +95,7 @@ def report_error(error: FlysidError) -> None:
 
 def main() -> None:
     """Entry point of the `flysid` command."""
+    keep_working_folder_out()
     try:
         code = root.main(prog_name="flysid", standalone_mode=False)
     except FlysidError as error:

@@ -23,6 +23,7 @@ from flysid.cli.source import (
     selection_options,
     words_options,
 )
+from flysid.cli.trust import Own, ProjectFile, Setting
 from flysid.errors import UsageError
 from flysid.progress import part
 
@@ -70,6 +71,7 @@ def _held(_ctx: click.Context, _param: click.Parameter, words: tuple[str, ...]) 
     "--channel",
     "-c",
     "channels",
+    cls=Setting,
     multiple=True,
     shell_complete=complete.channels,
     help="Only this channel; repeatable.",
@@ -77,6 +79,7 @@ def _held(_ctx: click.Context, _param: click.Parameter, words: tuple[str, ...]) 
 @click.option(
     "--models",
     "-m",
+    cls=ProjectFile,
     default="",
     metavar="A,B",
     shell_complete=complete.models,
@@ -85,9 +88,21 @@ def _held(_ctx: click.Context, _param: click.Parameter, words: tuple[str, ...]) 
     "[default: line,polynarx,static_ts,ts]",
 )
 @click.option(
-    "--rules", default="auto", callback=_rules, show_default=True, help="Number of rules of the TS model."
+    "--rules",
+    cls=Setting,
+    default="auto",
+    callback=_rules,
+    show_default=True,
+    help="Number of rules of the TS model.",
 )
-@click.option("--antecedent", "-a", "antecedents", multiple=True, help="Variable that chooses between rules.")
+@click.option(
+    "--antecedent",
+    "-a",
+    "antecedents",
+    cls=Setting,
+    multiple=True,
+    help="Variable that chooses between rules.",
+)
 @click.option(
     "--effort",
     default="normal",
@@ -97,6 +112,7 @@ def _held(_ctx: click.Context, _param: click.Parameter, words: tuple[str, ...]) 
 )
 @click.option(
     "--holdout",
+    cls=Setting,
     multiple=True,
     metavar="SHARE|FLIGHT[@FROM..TO]",
     callback=_held,
@@ -119,14 +135,17 @@ def _held(_ctx: click.Context, _param: click.Parameter, words: tuple[str, ...]) 
 )
 @click.option(
     "--memory",
+    cls=Own,
     default=64.0,
     show_default=True,
     metavar="MB",
     type=click.FloatRange(0.0),
     help="Samples of a channel above this are fitted from disk, by arx, fir, iv, statespace.",
 )
-@click.option("--jobs", "-j", default=0, metavar="N", help="Channels in parallel.  [default: one per core]")
-@click.option("--force", is_flag=True, help="Replace the run if it exists.")
+@click.option(
+    "--jobs", "-j", cls=Own, default=0, metavar="N", help="Channels in parallel.  [default: one per core]"
+)
+@click.option("--force", cls=Own, is_flag=True, help="Replace the run if it exists.")
 @click.option("--json", "as_json", is_flag=True, help="Print the run as JSON.")
 @progress_options
 def command(
