@@ -2,11 +2,13 @@
 
 Python looks for modules there when it is started as `python -c` or `python -m`, as every worker process is:
 a `threading.py` beside the logs would be run. Numba reads `.numba_config.yaml` there, and that file can name
-a cache, whose entries are unpickled.
+a cache, whose entries are unpickled. Matplotlib takes its style from a `matplotlibrc` there, which can have
+LaTeX run.
 """
 
 from __future__ import annotations
 
+import importlib.util
 import os
 import sys
 from collections.abc import Mapping
@@ -15,6 +17,7 @@ from pathlib import Path
 from flysid.errors import UsageError
 
 SAFE_PATH = "PYTHONSAFEPATH"
+STYLE_FILE = "matplotlibrc"
 NUMBA_FILE = ".numba_config.yaml"
 _OURS = "FLYSID_KEEPS_FOLDER_OUT"
 
@@ -43,3 +46,23 @@ def refuse_numba_settings(folder: Path) -> None:
             path=path,
             hint="remove the file, or run flysid in another folder; NUMBA_... variables set the same",
         )
+
+
+def ignore_matplotlib_style(folder: Path) -> None:
+    """Pictures are drawn in the user's own style, or the usual one, not in that of this folder.
+
+    Raises
+    ------
+    UsageError : Matplotlib does not understand the file, and so cannot be imported.
+    """
+    path = folder / STYLE_FILE
+    if not path.exists() or importlib.util.find_spec("matplotlib") is None:
+        return
+    try:
+        import matplotlib
+    except Exception as error:  # whatever a stranger's file brings about
+        raise UsageError(
+            f"Matplotlib cannot read it: {error}", path=path, hint="remove it, or work in another folder"
+        ) from error
+    if os.path.samefile(matplotlib.matplotlib_fname(), path):
+        matplotlib.rcdefaults()

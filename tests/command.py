@@ -48,13 +48,13 @@ def call_quick(*args: str | Path, cwd: Path) -> Done:
         return call(*args, cwd=cwd)
 
 
-def shell(*args: str | Path, cwd: Path) -> Done:
+def shell(*args: str | Path, cwd: Path, **environment: str) -> Done:
     """Run flysid in folder `cwd` in a fresh process."""
     return subprocess.run(
         [sys.executable, "-m", "flysid", *map(str, args)],
         capture_output=True,
         text=True,
         cwd=cwd,
-        env=os.environ | {"PYTHONPATH": str(ROOT), "NO_COLOR": "1"},
+        env=os.environ | {"PYTHONPATH": str(ROOT), "NO_COLOR": "1"} | environment,
         timeout=120,
     )

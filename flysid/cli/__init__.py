@@ -21,7 +21,7 @@ from flysid.cli.lazy import LazyVerbs
 from flysid.cli.output import printable
 from flysid.errors import FlysidError
 from flysid.showing import WIDTH
-from flysid.surroundings import keep_working_folder_out, refuse_numba_settings
+from flysid.surroundings import ignore_matplotlib_style, keep_working_folder_out, refuse_numba_settings
 
 VERBS = {
     "compare": "Compare the models of two runs on flights that neither has trained on.",
@@ -81,6 +81,7 @@ STEPS = {
 def root(ctx: click.Context) -> None:
     """Flight logs in, trustworthy models out."""
     refuse_numba_settings(Path.cwd())
+    ignore_matplotlib_style(Path.cwd())
     take_settings(ctx)
 
 

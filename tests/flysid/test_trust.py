@@ -22,7 +22,7 @@ from flysid.cli import VERBS, root
 from flysid.cli.config import own_file
 from flysid.cli.tomllines import lines_of
 from flysid.cli.trust import Own, Who, is_declared, who_may_set
-from tests.command import call
+from tests.command import call, shell
 
 SWITCHES = {
     "--all", "--csv", "--events", "--fail", "--feed-forward", "--fields", "--float32", "--halves",
@@ -360,6 +360,23 @@ def test_a_cache_that_numba_is_sent_to_is_refused(tmp_path: Path) -> None:
     done = call("recipes", cwd=tmp_path)
     assert done.returncode == 2
     assert ".numba_config.yaml" in done.stderr
+
+
+def test_a_style_beside_the_logs_is_ignored(tmp_path: Path) -> None:
+    program = tmp_path / "bin" / "latex"
+    program.parent.mkdir()
+    program.write_text(f"#!/bin/sh\ntouch {tmp_path}/ran\nexit 1\n")
+    program.chmod(0o755)
+    folder = tmp_path / "strangers"
+    folder.mkdir()
+    (folder / "matplotlibrc").write_text("text.usetex: True\nbackend: module://evilmod\n")
+    (folder / "flight.csv").write_text("time,x\n" + "".join(f"{k / 50},{k % 7}\n" for k in range(200)))
+    done = shell(
+        "plot", "flight.csv", "x", "-o", "../x.svg", cwd=folder, PATH=f"{program.parent}:/usr/bin:/bin"
+    )
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "x.svg").is_file()
+    assert not (tmp_path / "ran").exists()
 
 
 def test_every_verb_was_tried() -> None:
