@@ -12,7 +12,7 @@ from types import MappingProxyType
 from typing import Any
 
 from flysid.catalogue import FlightFacts
-from flysid.errors import DataError, UsageError
+from flysid.errors import DataError, StoreError, UsageError
 from flysid.files import replacing_folder, write_atomically
 from flysid.ingest.lake.chosen_flights import Selection
 from flysid.ingest.lake.lake import open as open_lake
@@ -29,7 +29,7 @@ from flysid.validate.paperfigures import write_figures
 from flysid.validate.report.context import ReportContext
 from flysid.validate.report.narrative import worse_than_constant
 from flysid.validate.report.page import render
-from flysid.validate.run import Beside, FitSettings, HeldOut, Run, asked_for, held_out, with_models
+from flysid.validate.run import Beside, FitSettings, HeldOut, Run, asked_for, held_out, run_file, with_models
 from flysid.validate.tables import to_csv, to_markdown
 from flysid.validate.terminal import summary, table
 from flysid.validate.words import one_line, physics_words
@@ -205,8 +205,8 @@ def write_judgement(judgement: Judgement, folder: Path, figures: str | None = No
 
 def remember(judgement: Judgement) -> None:
     """Leave the document in the run, where `flysid runs` looks; one that cannot be written stays as it is."""
-    place = judgement.run.folder / REPORT
-    with suppress(OSError):
+    with suppress(OSError, StoreError):
+        place = run_file(judgement.run.folder, REPORT)
         place.mkdir(exist_ok=True)
         write_atomically(place / DOCUMENT, _written(judgement))
 

@@ -284,10 +284,9 @@ def transfer_lines(run: Run, channel: ChannelRun) -> list[str]:
     """The transfer functions of a channel's TF model with their intervals; nothing where it has none."""
     if "tf" not in channel.models:
         return []
-    from flysid.model.base import load
     from flysid.model.transfer_function import FittedTF
 
-    model = load(run.folder / channel.models["tf"])
+    model = run.model(channel.models["tf"])
     if not isinstance(model, FittedTF):
         return []
     return [line for t in model.transfers for line in ["", f"{channel.name}:", *str(t).split("\n")]] + [""]

@@ -176,7 +176,7 @@ def _begun(
 def _of_run(folder: Path, channels: tuple[str, ...], data: Path | None) -> Beginning:
     from flysid.plan.briefing import axes_of_last_flight
     from flysid.plan.precision import band_of_models, known_of_channel
-    from flysid.validate.run import RECIPE_FILE, held_out, open_run
+    from flysid.validate.run import RECIPE_FILE, held_out, open_run, run_file
 
     run = open_run(folder)
     names = [c.name for c in run.channels]
@@ -197,7 +197,7 @@ def _of_run(folder: Path, channels: tuple[str, ...], data: Path | None) -> Begin
         for name, found in known.items()
         if not found
     ]
-    recipe = folder / RECIPE_FILE
+    recipe = run_file(folder, RECIPE_FILE)
     return Beginning(
         _once([axes_of_last_flight(h.train) for h in held]),
         band_of_models([h.models[h.channel.baseline] for h in held if h.channel.baseline in h.models]),

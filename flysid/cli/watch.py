@@ -125,13 +125,13 @@ def calibrate(
 def recipe_of(run: Run, source: str) -> Recipe:
     """How a run's channels are read from a log or a link; raises UsageError where the run does not say."""
     from flysid.ingest.align.recipe import load_recipe
-    from flysid.validate.run import RECIPE_FILE
+    from flysid.validate.run import RECIPE_FILE, run_file
 
     if not run.recipe:
         raise UsageError(
             f"this run was fitted to a dataset file: it does not say how to read {source}", path=run.folder
         )
-    return load_recipe(run.folder / RECIPE_FILE)
+    return load_recipe(run_file(run.folder, RECIPE_FILE))
 
 
 def look_back(
