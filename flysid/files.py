@@ -116,7 +116,8 @@ def write_atomically(path: Path, content: bytes) -> None:
     """Write a file that appears whole or not at all (temporary file, fsync, rename). Raises OSError."""
     temporary = path.with_name(f".{path.name}.{os.getpid()}")
     try:
-        with temporary.open("wb") as file:
+        temporary.unlink(missing_ok=True)  # a link there is not followed
+        with temporary.open("xb") as file:
             file.write(content)
             file.flush()
             os.fsync(file.fileno())

@@ -11,7 +11,7 @@ import os
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import suppress
 from functools import lru_cache
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import Any
 
 import msgspec
@@ -20,6 +20,7 @@ from msgspec import field
 from flysid import mirror
 from flysid.errors import StoreError, UsageError
 from flysid.flight import ClockMap, Damage, Source, resolve_stream
+from flysid.foreign import inner_path, why_outside
 from flysid.showing import Table, as_html, as_text, counted
 from flysid.version import check_version
 
@@ -140,7 +141,7 @@ def read_manifest(folder: str | Path) -> Manifest:
     ------
     StoreError : missing, damaged, or written by a newer flysid.
     """
-    path = mirror.fetch(Path(folder) / MANIFEST_FILE)
+    path = mirror.fetch(inner_path(Path(folder), MANIFEST_FILE, folder))
     return parse_manifest(_read(path), path)
 
 
@@ -149,9 +150,18 @@ def parse_manifest(text: bytes, path: str | Path) -> Manifest:
     _check_head(text, FLIGHT_FORMAT, VERSION, path)
     try:
         facts = msgspec.structs.asdict(msgspec.json.decode(text, type=_Stored))
+        check_id(facts["id"], path)
         return Manifest(**{**facts, "streams": tuple(_entry(stored) for stored in facts["streams"])})
     except msgspec.ValidationError as error:
         raise StoreError(f"damaged manifest: {error}", path=path, hint="ingest the log again") from error
+
+
+def check_id(flight: str, document: str | Path) -> None:
+    """Raise StoreError where the id of a flight is not the name of a folder."""
+    if why_outside(flight) or PurePath(flight).name != flight:
+        raise StoreError(
+            f"{flight!r} is not the id of a flight", path=document, hint="do not use it: no flysid wrote it"
+        )
 
 
 def _entry(stored: _StoredEntry) -> StreamEntry:

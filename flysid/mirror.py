@@ -73,10 +73,14 @@ def mark(data: Path, address: str) -> None:
 
 
 def address_of(data: Path) -> str:
-    """The lake that a data folder mirrors; "" where it is a folder of its own."""
+    """The lake that a data folder mirrors; "" where it is a folder of its own.
+
+    Only a folder of the user's cache mirrors one: a stranger's could name an address to be connected to.
+    """
     try:
-        return (data / MARKER).read_text("utf-8")
-    except OSError:
+        address = (data / MARKER).read_text("utf-8")
+        return address if data.samefile(folder_for(address)) else ""
+    except (OSError, ValueError):
         return ""
 
 

@@ -25,6 +25,7 @@ from flysid.files import filling, put_in_place, slug, write_atomically, writing_
 from flysid.files import locked as locked_file
 from flysid.flight import BOOT, TIME, ClockMap, Damage, Flight, Source
 from flysid.flightwriter import FlightWriter, in_order
+from flysid.foreign import inner_path
 from flysid.manifest import (
     DATA_FILE,
     DATA_FORMAT,
@@ -53,6 +54,7 @@ __all__ = [
     "clean",
     "create_data_folder",
     "discard",
+    "entry_path",
     "find_flight",
     "list_flights",
     "locked",
@@ -102,10 +104,12 @@ def create_data_folder(data: str | Path) -> Path:
     Raises
     ------
     UsageError : it exists, is not empty and is not an ingested folder.
+    StoreError : its flights are a link that leads elsewhere.
     WriteError : it cannot be made.
     """
     data = Path(data)
     if (data / DATA_FILE).is_file():
+        inner_path(data, FLIGHTS, data)  # writers remove there what has no manifest
         return check_data_folder(data)
     if data.is_file() or (data.is_dir() and not all(_is_own(p) for p in data.iterdir())):
         what = "a file, not a folder" if data.is_file() else "not an ingested folder, and not empty"
@@ -282,11 +286,14 @@ def read_stream(data: str | Path, flight: str, stream: str, columns: Sequence[st
     return read_entry(Path(data) / FLIGHTS / manifest.id, manifest.stream(stream), columns)
 
 
+def entry_path(folder: Path, entry: StreamEntry) -> Path:
+    """The file of one entry of a manifest; `folder` is the flight's folder. Raises StoreError."""
+    return inner_path(folder, entry.file, folder / MANIFEST_FILE)
+
+
 def read_entry(folder: Path, entry: StreamEntry, columns: Sequence[str] | None = None) -> pa.Table:
     """The table of one entry of a manifest; `folder` is the flight's folder."""
-    path = folder / entry.file
-    if Path(entry.file).name != entry.file:
-        raise StoreError(f"damaged manifest: {entry.file!r} is not a file name", path=folder)
+    path = entry_path(folder, entry)
     unknown = sorted(set(columns or ()) - {c.name for c in entry.columns})
     if unknown:
         raise UsageError(

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from flysid.errors import UsageError
+from flysid.escaping import picture_text
 
 if TYPE_CHECKING:
     from flysid.dataset import FloatArray
@@ -19,9 +20,9 @@ def plot_step(model: Fitted, output: int = 0, ax: Any = None) -> Any:
     samples = _length(model)
     t = model.dt_s * np.arange(samples)
     for j, signal in enumerate(model.inputs):
-        axes.plot(t, _response(model, j, 1.0, samples)[:, output], label=signal.name)
+        axes.plot(t, _response(model, j, 1.0, samples)[:, output], label=picture_text(signal.name))
     axes.set_xlabel("time, s")
-    axes.set_ylabel(_label(model.outputs[output].name, model.outputs[output].unit))
+    axes.set_ylabel(picture_text(_label(model.outputs[output].name, model.outputs[output].unit)))
     axes.set_title(f"{model.structure}: unit steps from rest")
     axes.legend()
     return axes
@@ -37,11 +38,10 @@ def plot_bode(model: Fitted, output: int = 0, ax: Any = None) -> Any:
     magnitude, phase = ax if ax is not None else _axes(2)
     frequency_hz, responses = bode(model, output)
     for signal, response in zip(model.inputs, responses, strict=True):
-        magnitude.semilogx(
-            frequency_hz, 20.0 * np.log10(np.maximum(np.abs(response), 1e-300)), label=signal.name
-        )
+        gain_db = 20.0 * np.log10(np.maximum(np.abs(response), 1e-300))
+        magnitude.semilogx(frequency_hz, gain_db, label=picture_text(signal.name))
         phase.semilogx(frequency_hz, np.degrees(np.unwrap(np.angle(response))))
-    magnitude.set_ylabel(f"{model.outputs[output].name}, dB")
+    magnitude.set_ylabel(picture_text(f"{model.outputs[output].name}, dB"))
     magnitude.set_title(f"{model.structure}: frequency response")
     magnitude.legend()
     phase.set_ylabel("phase, deg")

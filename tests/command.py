@@ -27,6 +27,8 @@ def call(*args: str | Path, cwd: Path) -> Done:
     words = ["flysid", *map(str, args)]
     with pytest.MonkeyPatch.context() as patch, contextlib.chdir(cwd):
         patch.setattr(sys, "argv", words)
+        patch.setenv("PYTHONSAFEPATH", "1")  # the command sets it for the processes that it begins
+        patch.setattr(sys, "path", list(sys.path))
         with CliRunner().isolation(env={"NO_COLOR": "1"}) as (out, err, _):
             try:
                 main()
@@ -46,13 +48,13 @@ def call_quick(*args: str | Path, cwd: Path) -> Done:
         return call(*args, cwd=cwd)
 
 
-def shell(*args: str | Path, cwd: Path) -> Done:
+def shell(*args: str | Path, cwd: Path, **environment: str) -> Done:
     """Run flysid in folder `cwd` in a fresh process."""
     return subprocess.run(
         [sys.executable, "-m", "flysid", *map(str, args)],
         capture_output=True,
         text=True,
         cwd=cwd,
-        env=os.environ | {"PYTHONPATH": str(ROOT), "NO_COLOR": "1"},
+        env=os.environ | {"PYTHONPATH": str(ROOT), "NO_COLOR": "1"} | environment,
         timeout=120,
     )

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from flysid.dataset import FloatArray
+from flysid.escaping import picture_text
 from flysid.model.frequency.response import MeasuredResponse
 from flysid.model.polynomials import DB
 from flysid.validate.pictures import check_picture, save_picture
@@ -50,7 +51,7 @@ def draw_bode(channels: Sequence[ChannelTransfers], path: str | Path) -> None:
 def _column(panels: Any, channel: ChannelTransfers, output: int, source: int) -> None:
     measured = channel.measured[output]
     names = f"{channel.data.inputs[source].name} to {channel.data.outputs[output].name}"
-    panels[0].set_title(f"{channel.name}: {names}", fontsize=9, loc="left")
+    panels[0].set_title(picture_text(f"{channel.name}: {names}"), fontsize=9, loc="left")
     high = 0.95 * np.pi / channel.data.dt_s
     omega = np.geomspace(high / 1000.0, high, 200) if measured is None else _dense(measured.omega)
     g, gain_band, phase_band = channel.response(output, source, omega)

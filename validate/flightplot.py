@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from flysid.errors import UsageError
+from flysid.escaping import picture_text
 from flysid.ingest.lake.timeline import Timeline, Trace
 from flysid.validate.pictures import check_picture, save_picture
 from flysid.validate.report.decimate import extremes
@@ -39,10 +40,10 @@ def draw_flights(timelines: Sequence[Timeline], path: str | Path, title: str = "
             _draw_panel(axis, panel)
             _draw_modes(axis, timeline, named=axis is drawn[0])
         if len(timelines) > 1:
-            drawn[0].set_title(timeline.name, loc="left", fontsize=9)
+            drawn[0].set_title(picture_text(timeline.name), loc="left", fontsize=9)
         drawn[-1].set_xlabel("time, s", fontsize=8)
     if title:
-        figure.suptitle(title, fontsize=10)
+        figure.suptitle(picture_text(title), fontsize=10)
     save_picture(figure, path)
 
 
@@ -78,7 +79,7 @@ def _draw_panel(axis: Any, panel: Sequence[Trace], *, most_samples: int = 20_000
     """`most_samples`: samples of a line: more than any page shows."""
     for trace in panel:
         time_s, values = _thin(trace, most_samples)
-        axis.plot(time_s, values, linewidth=0.9, label=_label(trace))
+        axis.plot(time_s, values, linewidth=0.9, label=picture_text(_label(trace)))
     axis.legend(fontsize=7, loc="upper right", ncols=4)
     axis.tick_params(labelsize=7)
     axis.grid(linewidth=0.3)
@@ -93,7 +94,7 @@ def _draw_modes(axis: Any, timeline: Timeline, named: bool) -> None:
             axis.text(
                 start_s,
                 1.02,
-                f" {name}",
+                f" {picture_text(name)}",
                 transform=axis.get_xaxis_transform(),
                 fontsize=7,
                 color=INK,

@@ -20,7 +20,7 @@ from flysid.errors import StoreError, UsageError
 from flysid.manifest import DATA_FILE
 from flysid.validate.compare_models import CONTENDERS
 from flysid.validate.judge import DOCUMENT, REPORT
-from flysid.validate.run import RUN_FILE, Run, open_run
+from flysid.validate.run import RUN_FILE, Run, open_run, run_file
 from flysid.validate.trials import FREE_RUN
 from flysid.validate.verdict import Verdict
 from flysid.validate.words import named
@@ -143,7 +143,7 @@ def _fitted_at(run: Run) -> str:
 
 def _judge(run: Run) -> list[RunChannel] | None:
     """The channels as the run's report tells of them; None where there is no report."""
-    path = run.folder / REPORT / DOCUMENT
+    path = run_file(run.folder, f"{REPORT}/{DOCUMENT}")
     if not path.is_file():
         return None
     try:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import shlex
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
@@ -13,7 +13,7 @@ from types import MappingProxyType
 from typing import Any
 
 from flysid.catalogue import FlightFacts
-from flysid.errors import DataError, UsageError
+from flysid.errors import DataError, StoreError, UsageError
 from flysid.extras import Extra, Missing, extra
 from flysid.files import replacing_folder, write_atomically
 from flysid.ingest.lake.chosen_flights import Selection
@@ -32,7 +32,7 @@ from flysid.validate.report.context import ReportContext
 from flysid.validate.report.html import plain_page
 from flysid.validate.report.narrative import worse_than_constant
 from flysid.validate.report.page import render
-from flysid.validate.run import Beside, FitSettings, HeldOut, Run, asked_for, held_out, with_models
+from flysid.validate.run import Beside, FitSettings, HeldOut, Run, asked_for, held_out, run_file, with_models
 from flysid.validate.tables import to_csv, to_markdown
 from flysid.validate.terminal import summary, table
 from flysid.validate.words import one_line, physics_words
@@ -244,8 +244,8 @@ def remember(judgement: Judgement) -> None:
 
 
 def _remember(judgement: Judgement) -> None:
-    place = judgement.run.folder / REPORT
-    with suppress(OSError):
+    with suppress(OSError, StoreError):
+        place = run_file(judgement.run.folder, REPORT)
         place.mkdir(exist_ok=True)
         write_atomically(place / DOCUMENT, _written(judgement))
 
@@ -290,26 +290,27 @@ def _loops(run: Run, data: str | Path | None) -> tuple[Judged, ...]:
 
 
 def fit_command(run: Run) -> str:
-    """The command line that fits the run again, without its folder."""
+    """The command line that fits the run again, without its folder.
+
+    Every word is quoted: a run may be a stranger's, and the line is there to be copied into a shell.
+    """
     settings = run.settings
-    words = [
-        "flysid fit DATA",
-        *([f"--recipe {run.recipe}"] if run.recipe else []),
-        *(
-            [f"--holdout {shlex.quote(part)}" for part in settings.held]
-            or [f"--holdout {settings.holdout:g}"]
-        ),
-        f"--by {settings.by}",
-    ]
-    words += [f"--seed {settings.seed}", f"--rules {settings.rules}"]
-    words += [f"--antecedent '{a}'" for a in settings.antecedents]
-    words += [f"--channel '{c}'" for c in settings.channels]
-    words += settings.selection.options
-    words += [f"--models {','.join(settings.models)}"] if settings.models else []
-    words += [f"--effort {settings.effort}"] if settings.effort != FitSettings.effort else []
-    words += [] if settings.rotate else ["--no-rotate"]
-    words += [f"--memory {settings.memory_mb:g}"] if settings.memory_mb != FitSettings.memory_mb else []
-    return " ".join(words)
+    words: list[tuple[str, object]] = [("--recipe", run.recipe)] if run.recipe else []
+    words += [("--holdout", part) for part in settings.held] or [("--holdout", f"{settings.holdout:g}")]
+    words += [("--by", settings.by), ("--seed", settings.seed), ("--rules", settings.rules)]
+    words += [("--antecedent", name) for name in settings.antecedents]
+    words += [("--channel", name) for name in settings.channels]
+    more: list[tuple[str, object]] = [("--models", ",".join(settings.models))] if settings.models else []
+    more += [("--effort", settings.effort)] if settings.effort != FitSettings.effort else []
+    rotates = [] if settings.rotate else ["--no-rotate"]
+    memory = [] if settings.memory_mb == FitSettings.memory_mb else [f"--memory {settings.memory_mb:g}"]
+    return " ".join(
+        ["flysid fit DATA", *_quoted(words), *settings.selection.options, *_quoted(more), *rotates, *memory]
+    )
+
+
+def _quoted(words: Sequence[tuple[str, object]]) -> list[str]:
+    return [f"{option} {shlex.quote(str(value))}" for option, value in words]
 
 
 def split_words(split: Mapping[str, Any]) -> str:

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from flysid.errors import UsageError, WriteError
+from flysid.escaping import picture_text
 from flysid.files import write_atomically
 from flysid.model.capabilities import HasMemberships
 from flysid.validate.comparison import Comparison
@@ -22,7 +23,6 @@ from flysid.validate.report.overlay import drawn
 from flysid.validate.report.rulefigures import antecedent_range
 from flysid.validate.responses import responses, steady_outputs
 from flysid.validate.trials import FREE_RUN, StructureTrial, run_trials
-from flysid.validate.words import one_line
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -131,14 +131,9 @@ def _render(drawing: Callable[[], Figure], kind: str) -> bytes:
     return buffer.getvalue()
 
 
-def _literal(text: str) -> str:
-    """`text` for matplotlib, which reads $...$ as mathematics: names come from logs."""
-    return one_line(text).replace("$", r"\$")
-
-
 def axis_label(name: str, unit: str = "") -> str:
     """ "v_x, m/s" for an axis, taken literally."""
-    return _literal(f"{name}, {unit}" if unit else name)
+    return picture_text(f"{name}, {unit}" if unit else name)
 
 
 def _longest(trials: tuple[StructureTrial, ...]) -> StructureTrial:
@@ -173,11 +168,13 @@ def _draw_free_run(axes: Axes, c: Comparison, trial: StructureTrial, j: int) -> 
     y = trial.y[:, j]
     reach = float(np.ptp(y)) or 1.0
     for name, css in drawn(c):
-        axes.plot(t, trial.yh[name][:, j], label=f"{_literal(name).upper()}, free run", **STYLES[css])
+        axes.plot(t, trial.yh[name][:, j], label=f"{picture_text(name).upper()}, free run", **STYLES[css])
     axes.plot(t, y, color="black", linewidth=0.8, label="measured")
     axes.set_ylim(float(y.min()) - 0.3 * reach, float(y.max()) + 0.3 * reach)
     axes.set_ylabel(axis_label(c.test.outputs[j].name, c.test.outputs[j].unit))
-    axes.set_title(f"{_literal(c.channel or c.test.outputs[j].name)}: {_literal(c.segments[trial.segment])}")
+    axes.set_title(
+        f"{picture_text(c.channel or c.test.outputs[j].name)}: {picture_text(c.segments[trial.segment])}"
+    )
 
 
 def _time_panels(panels: tuple[Axes, Axes, Axes], context: ReportContext, channel: str, j: int) -> None:

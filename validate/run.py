@@ -23,6 +23,7 @@ from typing import Any
 from flysid.dataset import Dataset
 from flysid.datasetfile import DatasetFile, open_dataset
 from flysid.errors import StoreError, UsageError
+from flysid.foreign import inner_path
 from flysid.ingest.align.doubts import Doubt
 from flysid.ingest.align.recipe import Recipe, load_recipe
 from flysid.ingest.lake.chosen_flights import Selection
@@ -246,7 +247,7 @@ def open_run(folder: str | Path) -> Run:
             path=folder,
             hint="make one with 'flysid fit DATA --recipe R -o RUN'",
         )
-    path = folder / RUN_FILE
+    path = run_file(folder, RUN_FILE)
     if not path.exists():
         raise StoreError(f"not a run: it has no {RUN_FILE}", path=folder, hint=_meant_by(folder))
     try:
@@ -334,7 +335,7 @@ def held_out(run: Run, data: str | Path | None = None) -> list[HeldOut]:
         file = open_dataset(place)
         return [_held_out_channel(run, c, file if c.on_disk else file.read()) for c in run.channels]
     then = replace(open_lake(place).only(run.flights), stretches=run.settings.selection.stretches)
-    recipe = load_recipe(run.folder / RECIPE_FILE)
+    recipe = load_recipe(run_file(run.folder, RECIPE_FILE))
     return [_held_out_of_lake(run, channel, then, recipe) for channel in run.channels]
 
 
@@ -382,15 +383,17 @@ def asked_for(labels: Sequence[str], models: Mapping[str, Fitted], baseline: str
 
 
 def _load(folder: Path, file: str) -> Fitted:
-    path = _inside(folder, file)
+    path = run_file(folder, file)
     if not path.is_file():
         raise StoreError("a model of the run is missing", path=path, hint="fit it again")
     return load(path)
 
 
-def _inside(folder: Path, file: str) -> Path:
-    """`folder / file`, which must not leave `folder`: run files may come from others."""
-    path = (folder / file).resolve()
-    if not path.is_relative_to(folder.resolve()):
-        raise StoreError(f"the run names a file outside its folder: {file!r}", path=folder / RUN_FILE)
-    return path
+def run_file(folder: Path, name: object) -> Path:
+    """A file of a run, whose name stands in its document, or is usual. A run may be a stranger's.
+
+    Raises
+    ------
+    StoreError : it is not in the folder (`flysid.foreign.inner_path`).
+    """
+    return inner_path(folder, name, folder / RUN_FILE)

@@ -9,6 +9,7 @@ from typing import Any
 
 from flysid.dataset import Dataset
 from flysid.errors import DataError, RecipeError, UsageError
+from flysid.escaping import picture_text
 from flysid.ingest.align.modes import COPTER, PLANE, PX4
 from flysid.ingest.align.recipe import load_recipe
 from flysid.ingest.lake.lake import Lake
@@ -141,10 +142,12 @@ def draw_steps(steps: Sequence[ChannelStep], path: str | Path) -> None:
         for step in (s for s in steps if s.name == name):
             r = step.response
             low, high = r.interval
-            (line,) = axis.plot(r.time_s, r.step, label=", ".join(filter(None, (step.of, r.words))) or name)
+            (line,) = axis.plot(
+                r.time_s, r.step, label=picture_text(", ".join(filter(None, (step.of, r.words))) or name)
+            )
             axis.fill_between(r.time_s, low, high, color=line.get_color(), alpha=0.25, linewidth=0)
-            axis.set_ylabel(f"{r.output.name}, {r.output.unit}", fontsize=8)
-        axis.set_title(f"{name}: a step of {r.input.name}", loc="left", fontsize=9)
+            axis.set_ylabel(picture_text(f"{r.output.name}, {r.output.unit}"), fontsize=8)
+        axis.set_title(picture_text(f"{name}: a step of {r.input.name}"), loc="left", fontsize=9)
         axis.grid(True, linewidth=0.3, alpha=0.6)
         axis.legend(fontsize=7)
     axes[-1].set_xlabel("s")

@@ -6,14 +6,12 @@ Names come from logs: Markdown's signs are escaped, and a CSV cell that a spread
 
 from __future__ import annotations
 
-import csv
-import io
-import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from markupsafe import Markup
 
+from flysid.escaping import csv_line, markdown, one_line
 from flysid.validate.caution import Caution
 from flysid.validate.comparison import Comparison, Entry, Pair
 from flysid.validate.metrics import Scores
@@ -23,7 +21,6 @@ from flysid.validate.words import (
     horizon_words,
     interval_words,
     number,
-    one_line,
     percentage,
 )
 
@@ -34,7 +31,6 @@ CSV_HEADER = (
 )  # fmt: skip
 
 
-FORMULA = ("=", "+", "-", "@", "\t", "\r")
 Cell = str | float | int | None
 Seconds = Mapping[str, Mapping[str, float]]
 
@@ -88,16 +84,16 @@ def to_markdown(
     channels that no verdict is about, with the reason.
     """
     said = [
-        f"- **{_escape(name)}**: {_sentence(cells, _escape)}" for name, *cells in summary_cells(comparisons)
+        f"- **{markdown(name)}**: {_sentence(cells, markdown)}" for name, *cells in summary_cells(comparisons)
     ]
-    said += [f"- **{_escape(name)}**: not judged: {_escape(why)}" for name, why in (skipped or {}).items()]
+    said += [f"- **{markdown(name)}**: not judged: {markdown(why)}" for name, why in (skipped or {}).items()]
     which = " ".join(of_which(comparisons))
     said += [f"- {which}"] if which else []
     if cautions:
         said += ["", "Before you rely on this:", ""]
-        said += [f"- {c.level}: {_escape(f'{c.text} {c.todo}'.strip())}" for c in cautions]
+        said += [f"- {c.level}: {markdown(f'{c.text} {c.todo}'.strip())}" for c in cautions]
     lines = [f"| {' | '.join(HEADINGS)} |", "|---|---|---|---:|---:|---:|---:|---|---:|---:|---:|---|"]
-    lines += [f"| {' | '.join(_cells(row, _escape))} |" for row in _rank(comparisons, seconds)]
+    lines += [f"| {' | '.join(_cells(row, markdown))} |" for row in _rank(comparisons, seconds)]
     return "\n".join([*said, "", *lines] if said else lines) + "\n"
 
 
@@ -128,25 +124,18 @@ def _cells(row: _Row, escape: Callable[[str], str]) -> list[str]:
     ]
 
 
-def _escape(name: str) -> str:
-    """Markdown's signs get a backslash; a round bracket means nothing without a square one before it."""
-    return re.sub(r"([\\`*_{}\[\]#+!|<>~&$@-])", r"\\\1", one_line(name))
-
-
 def to_csv(comparisons: Mapping[str, Comparison]) -> str:
     """One row per model, horizon and segment; before them one for all segments, whose segment is empty."""
-    out = io.StringIO()
-    writer = csv.writer(out, lineterminator="\n")
-    writer.writerow(CSV_HEADER)
+    lines = [",".join(CSV_HEADER)]
     for row in _rank(comparisons, every=True):
         score = row.entry.models[row.model]
         head = [row.channel, row.entry.output.name, row.entry.output.unit, row.entry.horizon, row.model]
         first = min((s.diverged_s for s in score.diverged if s.diverged_s is not None), default=None)
-        writer.writerow(_safe([*head, "", "", *_numbers(score.scores), first, *_judge(row.pair)]))
+        lines.append(csv_line([*head, "", "", *_numbers(score.scores), first, *_judge(row.pair)]))
         for s in score.segments:
             where: list[Cell] = [s.segment + 1, s.flight]
-            writer.writerow(_safe([*head, *where, *_numbers(s.scores), s.diverged_s, *_judge(None)]))
-    return out.getvalue()
+            lines.append(csv_line([*head, *where, *_numbers(s.scores), s.diverged_s, *_judge(None)]))
+    return "\n".join([*lines, ""])
 
 
 def _numbers(s: Scores) -> list[Cell]:
@@ -158,17 +147,6 @@ def _judge(pair: Pair | None) -> list[Cell]:
         return [""] * 6
     low, high = pair.ci95 or (None, None)
     return [pair.change_pct, low, high, pair.p_holm, str(pair.verdict), " ".join(pair.short_of)]
-
-
-def _safe(cells: list[Cell]) -> list[Cell]:
-    return [
-        "'" + one_line(c)
-        if isinstance(c, str) and c[:1] in FORMULA
-        else one_line(c)
-        if isinstance(c, str)
-        else c
-        for c in cells
-    ]
 
 
 def to_html(comparisons: Mapping[str, Comparison]) -> Markup:

@@ -5,17 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from flysid.escaping import one_line as one_line
 from flysid.validate.comparison import Comparison, Pair
 from flysid.validate.intervals import FEW, Scope
 from flysid.validate.trials import FREE_RUN
 from flysid.validate.verdict import ALPHA, LARGE_PCT, MARGIN_PCT, Verdict
 
 BELOW = "< resolution"
-
-
-def one_line(text: str) -> str:
-    """`text` without control characters or line breaks: names come from logs."""
-    return "".join(c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in text)
 
 
 def number(value: float | None, digits: int = 3) -> str:

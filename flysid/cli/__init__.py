@@ -10,7 +10,6 @@ goes to stderr.
 
 from __future__ import annotations
 
-import os
 import sys
 from functools import cache
 from pathlib import Path
@@ -18,12 +17,13 @@ from pathlib import Path
 import click
 
 import flysid
-from flysid.cli.config import FILE, defaults_of, environment_of
+from flysid.cli.config import take_settings
 from flysid.cli.lazy import LazyVerbs
 from flysid.cli.output import explain, printable
 from flysid.errors import FlysidError
 from flysid.extras import hearing
 from flysid.showing import WIDTH
+from flysid.surroundings import ignore_matplotlib_style, keep_working_folder_out, refuse_numba_settings
 
 VERBS = {
     "compare": "Compare the models of two runs on flights that neither has trained on.",
@@ -83,11 +83,9 @@ STEPS = {
 def root(ctx: click.Context) -> None:
     """Flight logs in, trustworthy models out."""
     ctx.with_resource(hearing(cache(explain)))  # each sentence once
-    verb = ctx.invoked_subcommand
-    command = root.get_command(ctx, verb) if verb else None
-    if verb and command is not None:
-        said = defaults_of(verb, command, VERBS, Path(FILE)) | environment_of(verb, command, os.environ)
-        ctx.default_map = {verb: said}
+    refuse_numba_settings(Path.cwd())
+    ignore_matplotlib_style(Path.cwd())
+    take_settings(ctx)
 
 
 def report_error(error: FlysidError) -> None:
@@ -101,6 +99,7 @@ def report_error(error: FlysidError) -> None:
 
 def main() -> None:
     """Entry point of the `flysid` command."""
+    keep_working_folder_out()
     try:
         code = root.main(prog_name="flysid", standalone_mode=False)
     except FlysidError as error:

@@ -6,6 +6,8 @@ import re
 
 import click
 
+from flysid.cli.trust import Own
+
 MEMORY = {"": 1.0, "B": 1.0, "KB": 10**3, "MB": 10**6, "GB": 10**9, "KIB": 2**10, "MIB": 2**20, "GIB": 2**30}
 TIME = {"": 1.0, "MS": 1e-3, "S": 1.0, "MIN": 60.0, "H": 3600.0}
 LEAST_MEMORY = 256 * 10**6
@@ -41,6 +43,7 @@ def _time(_ctx: click.Context, _param: click.Parameter, value: str) -> float | N
 
 memory_option = click.option(
     "--max-memory",
+    cls=Own,
     default="4GB",
     show_default=True,
     metavar="SIZE",
@@ -50,6 +53,7 @@ memory_option = click.option(
 )
 time_option = click.option(
     "--max-time",
+    cls=Own,
     default="10min",
     show_default=True,
     metavar="TIME",

@@ -10,6 +10,7 @@ import click
 from flysid.cli.display import Display, progress_options
 from flysid.cli.output import check_target, chosen_form, comparison_forms, finish
 from flysid.cli.source import given, selection_options
+from flysid.cli.trust import Own, Setting
 from flysid.progress import part
 
 if TYPE_CHECKING:
@@ -26,12 +27,15 @@ FOLDER = click.Path(path_type=Path)
     "--model",
     "-m",
     "label",
+    cls=Setting,
     help="Model of the headline, in both runs [default: ts, else the baseline of RUN_B].",
 )
 @click.option("--data-a", type=FOLDER, help="The ingested folder of RUN_A, if it has moved since the fit.")
 @click.option("--data-b", type=FOLDER, help="The ingested folder of RUN_B, if it has moved since the fit.")
-@click.option("--fail-if", "condition", help="Exit with 4 if this holds, e.g. 'free_run.change_pct > 5'.")
-@click.option("--force", is_flag=True, help="Replace the report if it exists.")
+@click.option(
+    "--fail-if", "condition", cls=Setting, help="Exit with 4 if this holds, e.g. 'free_run.change_pct > 5'."
+)
+@click.option("--force", cls=Own, is_flag=True, help="Replace the report if it exists.")
 @selection_options
 @comparison_forms
 @progress_options

@@ -14,6 +14,7 @@ import click
 
 from flysid.cli.display import Display, progress_options
 from flysid.cli.output import check_target, cores, say
+from flysid.cli.trust import Own
 from flysid.errors import UsageError
 from flysid.progress import part, tell
 
@@ -77,7 +78,7 @@ class Stages:
     "--plant", default="ardrone", show_default=True, type=click.Choice(list(PLANS)), help="Vehicle."
 )
 @click.option("--seed", default=1, show_default=True)
-@click.option("--force", is_flag=True, help="Replace an earlier demo in that folder.")
+@click.option("--force", cls=Own, is_flag=True, help="Replace an earlier demo in that folder.")
 @progress_options
 def command(output: Path, plant: str, seed: int, force: bool, quiet: bool, display: Display) -> None:
     """Simulate flights, ingest, fit (--effort quick) and validate them; print the path of the report.

@@ -11,6 +11,7 @@ import click
 
 from flysid.cli.display import Display, progress_options
 from flysid.cli.output import align_columns, check_target, printable, say
+from flysid.cli.trust import Own, ProjectFile, Setting
 from flysid.errors import UsageError
 
 if TYPE_CHECKING:
@@ -33,7 +34,9 @@ def a_range(_ctx: click.Context, _param: click.Parameter, value: str | None) -> 
 
 @click.command("design")
 @click.argument("run", type=click.Path(path_type=Path))
-@click.option("--channel", "-c", "channels", multiple=True, help="Only this channel; repeatable.")
+@click.option(
+    "--channel", "-c", "channels", cls=Setting, multiple=True, help="Only this channel; repeatable."
+)
 @click.option(
     "--method",
     type=click.Choice(["pid", "pdc"]),
@@ -51,6 +54,7 @@ def a_range(_ctx: click.Context, _param: click.Parameter, value: str | None) -> 
 )
 @click.option(
     "--old",
+    cls=ProjectFile,
     metavar="FILE",
     help="Parameter file with the present gains; 'published' for those that come with tum-ardrone.",
 )
@@ -60,14 +64,22 @@ def a_range(_ctx: click.Context, _param: click.Parameter, value: str | None) -> 
 )
 @click.option("--noise", type=float, help="Largest input per m/s of noise.  [default: 5 % of what was flown]")
 @click.option("--limit", type=float, help="Input limit, in its unit.")
-@click.option("--gain", callback=a_range, metavar="LOW..HIGH", help="Range of the plant's gain, as a factor.")
-@click.option("--delay", callback=a_range, metavar="LOW..HIGH", help="Range of additional delay, s.")
+@click.option(
+    "--gain",
+    cls=Setting,
+    callback=a_range,
+    metavar="LOW..HIGH",
+    help="Range of the plant's gain, as a factor.",
+)
+@click.option(
+    "--delay", cls=Setting, callback=a_range, metavar="LOW..HIGH", help="Range of additional delay, s."
+)
 @click.option("--feed-forward", is_flag=True, help="Also find the input per unit of reference speed.")
 @click.option("--data", type=click.Path(path_type=Path), help="The run's data, if they have moved.")
 @click.option(
     "-o", "--out", type=click.Path(path_type=Path), help="Folder for design.json, old.param, new.param."
 )
-@click.option("--force", is_flag=True, help="Replace the folder if it exists.")
+@click.option("--force", cls=Own, is_flag=True, help="Replace the folder if it exists.")
 @click.option("--json", "as_json", is_flag=True, help="Print the design as JSON.")
 @progress_options
 def command(

@@ -25,6 +25,7 @@ from flysid.cli.output import (
     shorten,
 )
 from flysid.cli.source import format_option, time_unit_option
+from flysid.cli.trust import Own
 from flysid.errors import UsageError
 from flysid.progress import tell
 from flysid.showing import WIDTH, counted, first_of, fold
@@ -53,6 +54,7 @@ SHORTEST_NAME = 12
 )
 @click.option(
     "--correct",
+    cls=Own,
     default="",
     metavar="RECIPE",
     shell_complete=complete.recipes,

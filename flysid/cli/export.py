@@ -9,6 +9,7 @@ import click
 from flysid.cli.addresses import SOURCE
 from flysid.cli.display import Display
 from flysid.cli.source import Words, opened_flights, reading_options
+from flysid.cli.trust import Own, Setting
 from flysid.errors import UsageError
 from flysid.progress import tell
 
@@ -26,7 +27,7 @@ KINDS = ("csv", "parquet", "mat", "xlsx", "mcap")
     show_default=True,
     help="File type, for a flight.",
 )
-@click.option("--flight", default="", help="The flight of a folder, by id or its beginning.")
+@click.option("--flight", cls=Setting, default="", help="The flight of a folder, by id or its beginning.")
 @click.option(
     "--rate",
     "rate_hz",
@@ -52,12 +53,16 @@ KINDS = ("csv", "parquet", "mat", "xlsx", "mcap")
     help="A model as affine systems and their weights, in physical units.",
 )
 @click.option("--float32", is_flag=True, help="C in float32, if it is accurate enough on the training data.")
-@click.option("--channel", "-c", default="", help="Channel of the run.")
+@click.option("--channel", "-c", cls=Setting, default="", help="Channel of the run.")
 @click.option(
-    "--model", "label", default="", help="Model of the channel.  [default: the one that the verdict is of]"
+    "--model",
+    "label",
+    cls=Setting,
+    default="",
+    help="Model of the channel.  [default: the one that the verdict is of]",
 )
 @click.option("--data", type=SOURCE, help="The run's data, if they have moved since the fit.")
-@click.option("--force", is_flag=True, help="Replace the target if it exists.")
+@click.option("--force", cls=Own, is_flag=True, help="Replace the target if it exists.")
 def command(
     source: Path,
     streams: tuple[str, ...],

@@ -24,6 +24,7 @@ from flysid.cli.source import (
     selection_options,
     words_options,
 )
+from flysid.cli.trust import Own, ProjectFile, Setting
 from flysid.errors import UsageError
 from flysid.extras import Extra, extra
 from flysid.progress import part
@@ -72,6 +73,7 @@ def _held(_ctx: click.Context, _param: click.Parameter, words: tuple[str, ...]) 
     "--channel",
     "-c",
     "channels",
+    cls=Setting,
     multiple=True,
     shell_complete=complete.channels,
     help="Only this channel; repeatable.",
@@ -79,6 +81,7 @@ def _held(_ctx: click.Context, _param: click.Parameter, words: tuple[str, ...]) 
 @click.option(
     "--models",
     "-m",
+    cls=ProjectFile,
     default="",
     metavar="A,B",
     shell_complete=complete.models,
@@ -87,9 +90,21 @@ def _held(_ctx: click.Context, _param: click.Parameter, words: tuple[str, ...]) 
     "[default: line,polynarx,static_ts,ts]",
 )
 @click.option(
-    "--rules", default="auto", callback=_rules, show_default=True, help="Number of rules of the TS model."
+    "--rules",
+    cls=Setting,
+    default="auto",
+    callback=_rules,
+    show_default=True,
+    help="Number of rules of the TS model.",
 )
-@click.option("--antecedent", "-a", "antecedents", multiple=True, help="Variable that chooses between rules.")
+@click.option(
+    "--antecedent",
+    "-a",
+    "antecedents",
+    cls=Setting,
+    multiple=True,
+    help="Variable that chooses between rules.",
+)
 @click.option(
     "--effort",
     default="normal",
@@ -99,6 +114,7 @@ def _held(_ctx: click.Context, _param: click.Parameter, words: tuple[str, ...]) 
 )
 @click.option(
     "--holdout",
+    cls=Setting,
     multiple=True,
     metavar="SHARE|FLIGHT[@FROM..TO]",
     callback=_held,
@@ -121,14 +137,17 @@ def _held(_ctx: click.Context, _param: click.Parameter, words: tuple[str, ...]) 
 )
 @click.option(
     "--memory",
+    cls=Own,
     default=64.0,
     show_default=True,
     metavar="MB",
     type=click.FloatRange(0.0),
     help="Samples of a channel above this are fitted from disk, by arx, fir, iv, statespace.",
 )
-@click.option("--jobs", "-j", default=0, metavar="N", help="Channels in parallel.  [default: one per core]")
-@click.option("--force", is_flag=True, help="Replace the run if it exists.")
+@click.option(
+    "--jobs", "-j", cls=Own, default=0, metavar="N", help="Channels in parallel.  [default: one per core]"
+)
+@click.option("--force", cls=Own, is_flag=True, help="Replace the run if it exists.")
 @click.option("--json", "as_json", is_flag=True, help="Print the run as JSON.")
 @progress_options
 def command(
@@ -270,10 +289,9 @@ def transfer_lines(run: Run, channel: ChannelRun) -> list[str]:
     """The transfer functions of a channel's TF model with their intervals; nothing where it has none."""
     if "tf" not in channel.models:
         return []
-    from flysid.model.base import load
     from flysid.model.transfer_function import FittedTF
 
-    model = load(run.folder / channel.models["tf"])
+    model = run.model(channel.models["tf"])
     if not isinstance(model, FittedTF):
         return []
     return [line for t in model.transfers for line in ["", f"{channel.name}:", *str(t).split("\n")]] + [""]

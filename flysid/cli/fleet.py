@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import click
 
+from flysid.cli.config import take_settings
 from flysid.cli.lazy import LazyVerbs
 
 FLEET_VERBS: dict[str, str] = {
@@ -18,5 +19,7 @@ FLEET_VERBS: dict[str, str] = {
 
 
 @click.group("fleet", cls=LazyVerbs, verbs=FLEET_VERBS, modules="flysid.cli.fleet_{}", parent="fleet")
-def command() -> None:
+@click.pass_context
+def command(ctx: click.Context) -> None:
     """Many logs of many vehicles: their catalogue, their upkeep, their models."""
+    take_settings(ctx)

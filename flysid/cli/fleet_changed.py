@@ -13,6 +13,7 @@ import click
 from flysid.cli.display import Display, progress_options
 from flysid.cli.fleet_data import FleetData, fleet_data_options
 from flysid.cli.output import ExitCode, check_target, say
+from flysid.cli.trust import Own, Setting
 from flysid.errors import UsageError
 from flysid.showing import counted
 
@@ -36,7 +37,7 @@ def _day(_ctx: click.Context, _param: click.Parameter, value: str) -> int | None
 @fleet_data_options
 @click.option("--output", "-o", type=click.Path(path_type=Path), help="Folder of the page.  [LAKE/changed]")
 @click.option(
-    "--before", "before_ns", default="", metavar="DATE", callback=_day,
+    "--before", "before_ns", cls=Setting, default="", metavar="DATE", callback=_day,
     help="Compare flights before this date (UTC) with later ones.",
 )  # fmt: skip
 @click.option(
@@ -52,7 +53,7 @@ def _day(_ctx: click.Context, _param: click.Parameter, value: str) -> int | None
 @click.option(
     "--fail-if", type=click.Choice(["changed", "unlike"]), help="Exit with 4 if a vehicle is flagged."
 )
-@click.option("--force", is_flag=True, help="Replace the page if it exists.")
+@click.option("--force", cls=Own, is_flag=True, help="Replace the page if it exists.")
 @click.option("--json", "as_json", is_flag=True, help="Print the findings as JSON.")
 @progress_options
 def command(

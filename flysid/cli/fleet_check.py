@@ -11,6 +11,7 @@ import click
 from flysid.cli.display import Display, progress_options
 from flysid.cli.lakeoptions import seconds
 from flysid.cli.output import ExitCode, printable, say
+from flysid.cli.trust import Own
 from flysid.showing import counted
 
 if TYPE_CHECKING:
@@ -20,10 +21,14 @@ if TYPE_CHECKING:
 @click.command("check")
 @click.argument("lake", metavar="LAKE")
 @click.option(
-    "--repair", is_flag=True, help="Rebuild the catalogue and remove objects that belong to no flight."
+    "--repair",
+    cls=Own,
+    is_flag=True,
+    help="Rebuild the catalogue and remove objects that belong to no flight.",
 )
 @click.option(
     "--older",
+    cls=Own,
     default="1d",
     show_default=True,
     callback=seconds,

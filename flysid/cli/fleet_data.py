@@ -15,6 +15,7 @@ from flysid.cli import complete
 from flysid.cli.addresses import SOURCE
 from flysid.cli.lakeoptions import check_one_cluster, cluster_options, dask_cluster
 from flysid.cli.output import cores, say
+from flysid.cli.trust import Own, ProjectFile, Setting
 from flysid.errors import UsageError
 from flysid.showing import counted
 
@@ -102,7 +103,9 @@ def fleet_data_options(function: F) -> F:
 
     decorated: Any = cluster_options(verb)
     for option in (
-        click.option("--jobs", "-j", default=0, metavar="N", help="Processes; one per core when not given."),
+        click.option(
+            "--jobs", "-j", cls=Own, default=0, metavar="N", help="Processes; one per core when not given."
+        ),
         click.option(
             "--grid",
             "rate_hz",
@@ -110,9 +113,16 @@ def fleet_data_options(function: F) -> F:
             metavar="HZ",
             help="Rate of the grid.",
         ),
-        click.option("--channel", "-c", "channels", multiple=True, help="Only this channel; repeatable."),
         click.option(
-            "--recipe", "-r", required=True, shell_complete=complete.recipes, help="Name or .toml file."
+            "--channel", "-c", "channels", cls=Setting, multiple=True, help="Only this channel; repeatable."
+        ),
+        click.option(
+            "--recipe",
+            "-r",
+            cls=ProjectFile,
+            required=True,
+            shell_complete=complete.recipes,
+            help="Name or .toml file.",
         ),
         click.argument("lake", type=SOURCE),
     ):

@@ -4,12 +4,18 @@ from __future__ import annotations
 
 import click
 
+from flysid.cli.trust import Own
+
 
 @click.command("files")
 @click.argument("lake", metavar="LAKE")
 @click.argument("message", metavar="MESSAGE")
 @click.option(
-    "--where", default="", metavar="SQL", help="Only flights for which this holds, in their own tables."
+    "--where",
+    cls=Own,
+    default="",
+    metavar="SQL",
+    help="Only flights for which this holds, in their own tables.",
 )
 def command(lake: str, message: str, where: str) -> None:
     """Print the addresses of a message's parquet files: compacted parts, and tables of other flights."""

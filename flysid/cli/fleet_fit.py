@@ -11,6 +11,7 @@ import click
 from flysid.cli.display import Display, progress_options
 from flysid.cli.fleet_data import FleetData, fleet_data_options
 from flysid.cli.output import align_columns, check_target, explain, say, say_left_out
+from flysid.cli.trust import Own, ProjectFile, Setting
 from flysid.extras import Missing
 from flysid.showing import counted
 
@@ -26,18 +27,25 @@ HEADINGS = ("GROUP", "CHANNEL", "FLIGHTS", "SAMPLES", "RMSE", "GAIN", "AT")
 @click.command("fit")
 @fleet_data_options
 @click.option(
-    "--by", default="vehicle", show_default=True, metavar="A,B", help="Group by vehicle, firmware, month."
+    "--by",
+    cls=Setting,
+    default="vehicle",
+    show_default=True,
+    metavar="A,B",
+    help="Group by vehicle, firmware, month.",
 )
 @click.option("--output", "-o", type=click.Path(path_type=Path), help="Folder for the models.")
 @click.option("--ts", is_flag=True, help="Also a run for each vehicle, as 'fit --vehicle' makes it.")
-@click.option("--models", "-m", default="", metavar="A,B", help="Models of those runs, as for 'fit'.")
+@click.option(
+    "--models", "-m", cls=ProjectFile, default="", metavar="A,B", help="Models of those runs, as for 'fit'."
+)
 @click.option(
     "--effort",
     default="normal",
     type=click.Choice(["quick", "normal", "thorough"]),
     help="Effort of the search for rules in these runs.",
 )
-@click.option("--force", is_flag=True, help="Replace the models if they exist.")
+@click.option("--force", cls=Own, is_flag=True, help="Replace the models if they exist.")
 @click.option("--json", "as_json", is_flag=True, help="Print the models as JSON.")
 @progress_options
 def command(

@@ -6,6 +6,7 @@ import click
 
 from flysid.cli.display import Display, progress_options
 from flysid.cli.output import printable, say
+from flysid.cli.trust import Own
 from flysid.errors import UsageError
 from flysid.showing import counted
 
@@ -14,8 +15,8 @@ SHOWN = 3
 
 @click.command("forget")
 @click.argument("lake", metavar="LAKE")
-@click.option("--vehicle", required=True, metavar="NAME", help="Full name of the vehicle.")
-@click.option("--yes", is_flag=True, help="Do not ask.")
+@click.option("--vehicle", cls=Own, required=True, metavar="NAME", help="Full name of the vehicle.")
+@click.option("--yes", cls=Own, is_flag=True, help="Do not ask.")
 @progress_options
 def command(lake: str, vehicle: str, yes: bool, quiet: bool, display: Display) -> None:
     """Remove a vehicle's flights: objects, rows, its part of compacted tables, and the catalogue's history.

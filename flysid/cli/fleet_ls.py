@@ -10,6 +10,7 @@ import click
 
 from flysid.cli.ls import clock_text
 from flysid.cli.output import align_columns, say
+from flysid.cli.trust import Own, Setting
 from flysid.showing import counted
 
 if TYPE_CHECKING:
@@ -21,11 +22,17 @@ COLUMNS = ("flight", "vehicle", "firmware", "start", "duration_s", "rows", "lost
 
 @click.command("ls")
 @click.argument("lake", metavar="LAKE|DATA")
-@click.option("--vehicle", default="", metavar="NAME", help="Only flights of this vehicle.")
-@click.option("--firmware", default="", metavar="NAME", help="Only flights with this firmware.")
-@click.option("--where", default="", metavar="SQL", help="Only flights for which this condition holds.")
-@click.option("--sql", default="", metavar="SELECT", help="Run this query on the table 'flights' instead.")
-@click.option("--by", default="", metavar="COLUMN", help="Print flights and hours per group instead.")
+@click.option("--vehicle", cls=Setting, default="", metavar="NAME", help="Only flights of this vehicle.")
+@click.option("--firmware", cls=Setting, default="", metavar="NAME", help="Only flights with this firmware.")
+@click.option(
+    "--where", cls=Own, default="", metavar="SQL", help="Only flights for which this condition holds."
+)
+@click.option(
+    "--sql", cls=Own, default="", metavar="SELECT", help="Run this query on the table 'flights' instead."
+)
+@click.option(
+    "--by", cls=Own, default="", metavar="COLUMN", help="Print flights and hours per group instead."
+)
 @click.option("--json", "as_json", is_flag=True, help="Print JSON, one row per line.")
 def command(lake: str, vehicle: str, firmware: str, where: str, sql: str, by: str, as_json: bool) -> None:
     """List the flights of a fleet: vehicle, firmware and losses.

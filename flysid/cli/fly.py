@@ -10,6 +10,7 @@ import click
 from flysid.cli.design import a_range
 from flysid.cli.display import Display, progress_options
 from flysid.cli.output import ExitCode, align_columns, check_target, say
+from flysid.cli.trust import Own, Setting
 
 
 @click.command("fly")
@@ -19,13 +20,21 @@ from flysid.cli.output import ExitCode, align_columns, check_target, say
     "--wind", default=4.0, show_default=True, help="Strongest wind, m/s; it differs from vehicle to vehicle."
 )
 @click.option("--seed", default=1, show_default=True, help="Seed of vehicles, wind and noise.")
-@click.option("--mass", callback=a_range, metavar="LOW..HIGH", help="Times nominal.  [default: 0.8..1.2]")
-@click.option("--drag", callback=a_range, metavar="LOW..HIGH", help="Times nominal.  [default: 0.6..1.4]")
 @click.option(
-    "--delay", callback=a_range, metavar="LOW..HIGH", help="Delay of the link, s.  [default: 0.02..0.08]"
+    "--mass", cls=Setting, callback=a_range, metavar="LOW..HIGH", help="Times nominal.  [default: 0.8..1.2]"
+)
+@click.option(
+    "--drag", cls=Setting, callback=a_range, metavar="LOW..HIGH", help="Times nominal.  [default: 0.6..1.4]"
+)
+@click.option(
+    "--delay",
+    cls=Setting,
+    callback=a_range,
+    metavar="LOW..HIGH",
+    help="Delay of the link, s.  [default: 0.02..0.08]",
 )
 @click.option("-o", "--out", type=click.Path(path_type=Path), help="The page, an HTML file.")
-@click.option("--force", is_flag=True, help="Replace the page if it exists.")
+@click.option("--force", cls=Own, is_flag=True, help="Replace the page if it exists.")
 @click.option("--json", "as_json", is_flag=True, help="Print the results as JSON.")
 @progress_options
 def command(

@@ -14,6 +14,7 @@ from flysid.cli.addresses import SOURCE, here
 from flysid.cli.display import Display
 from flysid.cli.output import align_columns, check_target, explain, printable, say, say_drawn
 from flysid.cli.source import READING_OF_A_LOOK, Words, opened_flights, reading_options
+from flysid.cli.trust import Own, Setting
 from flysid.extras import Extra, extra
 from flysid.showing import fold
 
@@ -30,11 +31,11 @@ if TYPE_CHECKING:
     type=click.Choice(["roll", "pitch", "yaw"]),
     help="[default: roll, pitch]",
 )
-@click.option("--flight", "flights", multiple=True, help="Only this flight; repeatable.")
+@click.option("--flight", "flights", cls=Setting, multiple=True, help="Only this flight; repeatable.")
 @click.option(
     "--plot", type=click.Path(dir_okay=False, path_type=Path), help="Write a Nyquist plot to this file."
 )
-@click.option("--force", is_flag=True, help="Replace the plot if it exists.")
+@click.option("--force", cls=Own, is_flag=True, help="Replace the plot if it exists.")
 @click.option("--json", "as_json", is_flag=True, help="Print everything as JSON.")
 @reading_options
 def command(

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import click
 
+from flysid.cli.trust import Own, Setting
 from flysid.errors import UsageError
 
 
@@ -17,9 +18,9 @@ from flysid.errors import UsageError
     type=click.Path(path_type=Path),
     help="Run whose signals, units and sample time the model is converted to.",
 )
-@click.option("--channel", "-c", default="", help="Of the run.")
+@click.option("--channel", "-c", cls=Setting, default="", help="Of the run.")
 @click.option("--out", "-o", required=True, type=click.Path(path_type=Path), help="Model file to write.")
-@click.option("--force", is_flag=True, help="Replace the file if it exists.")
+@click.option("--force", cls=Own, is_flag=True, help="Replace the file if it exists.")
 def command(source: Path, run: Path, channel: str, out: Path, force: bool) -> None:
     """Import a linear model from MATLAB or python-control (.mat, .m, .npz, .json).
 

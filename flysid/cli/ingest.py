@@ -13,6 +13,7 @@ from flysid.cli.lakeoptions import LakeOptions, check_pattern, lake_options
 from flysid.cli.losses import report
 from flysid.cli.output import ExitCode, printable, say, say_passed_over
 from flysid.cli.source import format_option, time_unit_option
+from flysid.cli.trust import Own
 from flysid.showing import counted
 
 if TYPE_CHECKING:
@@ -21,20 +22,25 @@ if TYPE_CHECKING:
 
 @click.command("ingest")
 @click.argument("logs", nargs=-1, required=True, metavar="LOG...")
-@click.option("-o", "--output", "data", default="data", show_default=True, help="The folder to fill.")
-@click.option("-j", "--jobs", default=0, metavar="N", help="Worker processes; one per core when not given.")
+@click.option(
+    "-o", "--output", "data", cls=Own, default="data", show_default=True, help="The folder to fill."
+)
+@click.option(
+    "-j", "--jobs", cls=Own, default=0, metavar="N", help="Worker processes; one per core when not given."
+)
 @memory_option
 @time_option
 @format_option
 @time_unit_option
 @click.option(
     "--vehicle-in",
+    cls=Own,
     default="",
     metavar="REGEX",
     help="Pattern of the vehicle's name in a log's path or address, e.g. 'v[0-9]+'.",
 )
 @lake_options
-@click.option("--force", is_flag=True, help="Read logs again even if they are unchanged.")
+@click.option("--force", cls=Own, is_flag=True, help="Read logs again even if they are unchanged.")
 @click.option("--json", "as_json", is_flag=True, help="Print the result for every log as JSON.")
 @progress_options
 def command(

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 
 from flysid.cli.output import say
+from flysid.cli.trust import Own, Setting
 from flysid.errors import UsageError
 from flysid.showing import counted
 
@@ -100,10 +101,15 @@ def cluster_options(function: F) -> F:
     """Adds --cluster and --workers."""
     for option in (
         click.option(
-            "--workers", default=0, metavar="N", help="A Dask cluster of N processes on this machine."
+            "--workers",
+            cls=Own,
+            default=0,
+            metavar="N",
+            help="A Dask cluster of N processes on this machine.",
         ),
         click.option(
             "--cluster",
+            cls=Own,
             default="",
             metavar="ADDRESS",
             help="A Dask scheduler, e.g. tcp://10.0.0.1:8786; it runs code for anyone who can connect.",
@@ -132,10 +138,11 @@ def lake_options(function: F) -> F:
 
     decorated: Any = verb
     for option in (
-        click.option("--retry", is_flag=True, help="From an address: logs in quarantine, too."),
+        click.option("--retry", cls=Own, is_flag=True, help="From an address: logs in quarantine, too."),
         click.option(
             "--watch",
             "watch_s",
+            cls=Own,
             default=None,
             metavar="TIME",
             callback=seconds,
@@ -143,6 +150,7 @@ def lake_options(function: F) -> F:
         ),
         click.option(
             "--since",
+            cls=Setting,
             default=None,
             metavar="DATE",
             callback=_moment,

@@ -112,7 +112,7 @@ def cores() -> int:
 
 def check_target(path: Path, force: bool) -> None:
     """Raise UsageError where `path` exists and may not be replaced."""
-    if path.exists() and not force:
+    if os.path.lexists(path) and not force:
         raise UsageError("the target exists", path=path, hint="choose another with -o, or add --force")
 
 

@@ -12,6 +12,7 @@ import click
 from flysid.cli.display import Display
 from flysid.cli.output import check_target, printable
 from flysid.cli.source import Words, open_source, selection_options, words_options
+from flysid.cli.trust import Own, Setting
 from flysid.errors import UsageError
 
 if TYPE_CHECKING:
@@ -36,11 +37,14 @@ class Beginning:
 @click.option(
     "--axis",
     "axes",
+    cls=Setting,
     multiple=True,
     metavar="NAME=PEAK",
     help="Input and peak amplitude, e.g. theta_in=5deg, instead of those of SOURCE; repeatable.",
 )
-@click.option("--limit", "limits", multiple=True, metavar="NAME=PEAK", help="Largest amplitude of an axis.")
+@click.option(
+    "--limit", "limits", cls=Setting, multiple=True, metavar="NAME=PEAK", help="Largest amplitude of an axis."
+)
 @click.option(
     "--band",
     nargs=2,
@@ -74,12 +78,19 @@ class Beginning:
 @click.option(
     "--aim", type=float, metavar="PERCENT", help="Flight time until every figure is known to this accuracy."
 )
-@click.option("--channel", "-c", "channels", multiple=True, help="Channel of the recipe or run; repeatable.")
+@click.option(
+    "--channel",
+    "-c",
+    "channels",
+    cls=Setting,
+    multiple=True,
+    help="Channel of the recipe or run; repeatable.",
+)
 @click.option(
     "--data", type=click.Path(path_type=Path), help="The run's data, if they have moved since the fit."
 )
 @click.option("-o", "--out", type=click.Path(path_type=Path), help="Folder for the plan's files.")
-@click.option("--force", is_flag=True, help="Replace the folder if it exists.")
+@click.option("--force", cls=Own, is_flag=True, help="Replace the folder if it exists.")
 @click.option("--json", "as_json", is_flag=True, help="Print everything as JSON.")
 @click.option("--quiet", "-q", is_flag=True, help="Print errors and warnings only.")
 @words_options
@@ -165,7 +176,7 @@ def _begun(
 def _of_run(folder: Path, channels: tuple[str, ...], data: Path | None) -> Beginning:
     from flysid.plan.briefing import axes_of_last_flight
     from flysid.plan.precision import band_of_models, known_of_channel
-    from flysid.validate.run import RECIPE_FILE, held_out, open_run
+    from flysid.validate.run import RECIPE_FILE, held_out, open_run, run_file
 
     run = open_run(folder)
     names = [c.name for c in run.channels]
@@ -186,7 +197,7 @@ def _of_run(folder: Path, channels: tuple[str, ...], data: Path | None) -> Begin
         for name, found in known.items()
         if not found
     ]
-    recipe = folder / RECIPE_FILE
+    recipe = run_file(folder, RECIPE_FILE)
     return Beginning(
         _once([axes_of_last_flight(h.train) for h in held]),
         band_of_models([h.models[h.channel.baseline] for h in held if h.channel.baseline in h.models]),

@@ -13,6 +13,7 @@ import click
 from flysid.cli.addresses import SOURCE
 from flysid.cli.display import Display
 from flysid.cli.source import opened_flights, plot_options, reading_options
+from flysid.cli.trust import Own, ProjectFile
 from flysid.showing import first_of
 
 if TYPE_CHECKING:
@@ -29,14 +30,16 @@ PAIRS = ("attitude", "rate", "velocity")
 @click.argument("fields", nargs=-1, metavar="STREAM.FIELD...")
 @plot_options
 @click.option("--pair", type=click.Choice(PAIRS), help="Setpoint and measurement together.")
-@click.option("-r", "--recipe", default="", help="The channels of this recipe instead of fields.")
+@click.option(
+    "-r", "--recipe", cls=ProjectFile, default="", help="The channels of this recipe instead of fields."
+)
 @click.option(
     "-o", "--out", type=click.Path(dir_okay=False, path_type=Path), help="x.html, .png, .svg or .pdf."
 )
 @click.option("--term", is_flag=True, help="Draw in the terminal.")
-@click.option("--open/--no-open", "show", default=False, help="Open the page in the browser.")
+@click.option("--open/--no-open", "show", cls=Own, default=False, help="Open the page in the browser.")
 @reading_options
-@click.option("--force", is_flag=True, help="Replace the file if it exists.")
+@click.option("--force", cls=Own, is_flag=True, help="Replace the file if it exists.")
 def command(
     source: Path,
     fields: tuple[str, ...],

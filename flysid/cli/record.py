@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from flysid.cli.output import ExitCode, say
+from flysid.cli.trust import Own, Setting
 from flysid.errors import UsageError
 from flysid.showing import counted
 
@@ -26,18 +27,25 @@ if TYPE_CHECKING:
     "-o", "--output", required=True, type=click.Path(path_type=Path), help="The file, e.g. flight.tlog."
 )
 @click.option(
-    "--rotate", multiple=True, metavar="WHEN", help="Start a new part: 256MB, 10min or boot; repeatable."
+    "--rotate",
+    cls=Setting,
+    multiple=True,
+    metavar="WHEN",
+    help="Start a new part: 256MB, 10min or boot; repeatable.",
 )
 @click.option("--key", type=click.Path(path_type=Path), help="File of the signing key, mode 0600.")
 @click.option(
     "--unsigned",
+    cls=Own,
     type=click.Choice(["reject", "keep", "radio"]),
     default="reject",
     show_default=True,
     help="With a key: frames without a signature; radio keeps only RADIO_STATUS.",
 )
-@click.option("--heartbeat", is_flag=True, help="Send heartbeats; otherwise nothing is sent.")
-@click.option("--buffer", type=int, metavar="BYTES", help="Socket buffer.  [default: as large as possible]")
+@click.option("--heartbeat", cls=Own, is_flag=True, help="Send heartbeats; otherwise nothing is sent.")
+@click.option(
+    "--buffer", cls=Own, type=int, metavar="BYTES", help="Socket buffer.  [default: as large as possible]"
+)
 @click.option("--for", "seconds", type=float, metavar="S", help="Stop after this many seconds.")
 @click.option("-q", "--quiet", is_flag=True, help="Only paths and errors.")
 def command(

@@ -14,6 +14,7 @@ from flysid.cli.addresses import SOURCE
 from flysid.cli.display import Display
 from flysid.cli.output import ExitCode, explain, printable, say
 from flysid.cli.source import format_option
+from flysid.cli.trust import Own
 from flysid.errors import FormatError
 from flysid.progress import tell
 
@@ -33,7 +34,7 @@ if TYPE_CHECKING:
     help="Move all positions to a neutral place, keeping the motion; or empty them.",
 )
 @format_option
-@click.option("--force", is_flag=True, help="Replace the copy if it exists.")
+@click.option("--force", cls=Own, is_flag=True, help="Replace the copy if it exists.")
 @click.option("--json", "as_json", is_flag=True, help="Print what was removed as JSON.")
 @click.option("--quiet", "-q", is_flag=True)
 def command(log: Path, output: Path, gps: Gps, format_: str, force: bool, as_json: bool, quiet: bool) -> int:

@@ -168,6 +168,7 @@ def _print_events(log: StoredLog, kinds: Sequence[str]) -> None:
 def _print_track(log: StoredLog) -> None:
     from pyarrow import csv
 
+    from flysid.ingest.lake.flight_export import inert
     from flysid.ingest.lake.track import read_track
 
     track = read_track(log)
@@ -175,7 +176,7 @@ def _print_track(log: StoredLog) -> None:
         say("the log holds no positions")
     else:
         text = io.BytesIO()
-        csv.write_csv(track, text)
+        csv.write_csv(inert(track), text)
         click.echo(text.getvalue().decode(), nl=False)
 
 

@@ -15,6 +15,7 @@ import click
 
 from flysid.cli import complete
 from flysid.cli.output import say
+from flysid.cli.trust import ProjectFile, Setting
 from flysid.errors import FlysidError, FormatError, RecipeError, UsageError, WriteError
 from flysid.extras import Extra, extra
 
@@ -49,6 +50,7 @@ def _known_format(_ctx: click.Context, _param: click.Parameter, name: str) -> st
 format_option = click.option(
     "--format",
     "format_",
+    cls=Setting,
     default="",
     metavar="NAME",
     callback=_known_format,
@@ -86,10 +88,18 @@ def words_options(function: F) -> F:
         click.option(
             "--dt", type=float, metavar="SECONDS", help="Sample time of a table without a time column."
         ),
-        click.option("--to", "outputs", multiple=True, metavar="[STREAM.]FIELD", help="Output; repeatable."),
+        click.option(
+            "--to",
+            "outputs",
+            cls=Setting,
+            multiple=True,
+            metavar="[STREAM.]FIELD",
+            help="Output; repeatable.",
+        ),
         click.option(
             "--from",
             "inputs",
+            cls=Setting,
             multiple=True,
             metavar="[STREAM.]FIELD",
             help="Input, instead of a recipe; repeatable.",
@@ -97,6 +107,7 @@ def words_options(function: F) -> F:
         click.option(
             "--recipe",
             "-r",
+            cls=ProjectFile,
             default="",
             shell_complete=complete.recipes,
             help="A shipped recipe, or a .toml file.",
@@ -166,12 +177,14 @@ _FLIGHTS = (
     click.option("--pool", is_flag=True, help="Allow flights of several vehicles."),
     click.option(
         "--vehicle",
+        cls=Setting,
         default="",
         metavar="NAME",
         help="Only this vehicle; part of its name is enough.",
     ),
     click.option(
         "--exclude",
+        cls=Setting,
         multiple=True,
         metavar="FLIGHT[@FROM..TO]",
         shell_complete=complete.flights,
@@ -180,6 +193,7 @@ _FLIGHTS = (
     click.option(
         "--flight",
         "only_flights",
+        cls=Setting,
         multiple=True,
         metavar="FLIGHT",
         shell_complete=complete.flights,
@@ -193,9 +207,17 @@ _MISHAPS = click.option(
     help="Keep crashes, failsafes and losses of control.",
 )
 _STRETCHES = (
-    click.option("--mode", "modes", multiple=True, metavar="MODE", help="Only this flight mode; repeatable."),
+    click.option(
+        "--mode",
+        "modes",
+        cls=Setting,
+        multiple=True,
+        metavar="MODE",
+        help="Only this flight mode; repeatable.",
+    ),
     click.option(
         "--between",
+        cls=Setting,
         default="",
         metavar="FROM..TO",
         help="Only this part of every flight: 12:30..14:00 (min:s).",

@@ -13,6 +13,7 @@ from flysid.cli.addresses import SOURCE
 from flysid.cli.display import Display
 from flysid.cli.output import check_target, printable, say_drawn, say_left_out
 from flysid.cli.source import Words, open_source, say_mixed_gains, selection_options, words_options
+from flysid.cli.trust import Own, Setting
 
 if TYPE_CHECKING:
     from flysid.ingest.lake.chosen_flights import Selection
@@ -23,7 +24,9 @@ if TYPE_CHECKING:
 @click.argument("data", type=SOURCE)
 @words_options
 @selection_options
-@click.option("--channel", "-c", "channels", multiple=True, help="Only this channel; repeatable.")
+@click.option(
+    "--channel", "-c", "channels", cls=Setting, multiple=True, help="Only this channel; repeatable."
+)
 @click.option("--horizon", default=2.0, show_default=True, metavar="S", help="Length of the response.")
 @click.option(
     "--fast",
@@ -33,7 +36,7 @@ if TYPE_CHECKING:
 )
 @click.option("--against", type=SOURCE, help="A second log or folder, drawn over the first.")
 @click.option("--plot", type=click.Path(dir_okay=False, path_type=Path), help="Write a plot to this file.")
-@click.option("--force", is_flag=True, help="Replace the plot if it exists.")
+@click.option("--force", cls=Own, is_flag=True, help="Replace the plot if it exists.")
 @click.option("--json", "as_json", is_flag=True, help="Print everything as JSON.")
 @click.option("--quiet", "-q", is_flag=True, help="Print errors and warnings only.")
 def command(

@@ -13,6 +13,7 @@ import click
 
 from flysid.cli.addresses import SOURCE
 from flysid.cli.output import say
+from flysid.cli.trust import Own
 from flysid.errors import UsageError
 
 if TYPE_CHECKING:
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
 
 @click.command("studio")
 @click.argument("data", default="data", type=SOURCE)
-@click.option("--port", default=0, metavar="N", help="Port on 127.0.0.1; a free one when not given.")
+@click.option("--port", cls=Own, default=0, metavar="N", help="Port on 127.0.0.1; a free one when not given.")
 @click.option(
     "--runs",
     "runs",
@@ -29,9 +30,14 @@ if TYPE_CHECKING:
     type=click.Path(path_type=Path),
     help="Also list the runs in this folder.",
 )
-@click.option("--open/--no-open", "show", default=True, show_default=True, help="Open the browser.")
+@click.option("--open/--no-open", "show", cls=Own, default=True, show_default=True, help="Open the browser.")
 @click.option(
-    "--live", "links", multiple=True, metavar="LINK", help="Record this link and show it in real time."
+    "--live",
+    "links",
+    cls=Own,
+    multiple=True,
+    metavar="LINK",
+    help="Record this link and show it in real time.",
 )
 @click.option(
     "--watch", "run", type=click.Path(path_type=Path), help="With --live: a run's models beside it."

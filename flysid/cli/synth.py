@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from flysid.cli.output import check_target, say
+from flysid.cli.trust import Own, Setting
 from flysid.errors import UsageError
 
 if TYPE_CHECKING:
@@ -36,19 +37,28 @@ def list_all(context: click.Context, _: click.Parameter, wanted: bool) -> None:
 
 @click.command("synth")
 @click.option("-o", "--output", type=click.Path(path_type=Path), help="Folder for the logs.")
-@click.option("--plant", default="ardrone-linear", show_default=True, help="Vehicle; ardrone is nonlinear.")
-@click.option("--plan", default="mixed", show_default=True, help="Manoeuvres; --list names all.")
+@click.option(
+    "--plant", cls=Setting, default="ardrone-linear", show_default=True, help="Vehicle; ardrone is nonlinear."
+)
+@click.option("--plan", cls=Setting, default="mixed", show_default=True, help="Manoeuvres; --list names all.")
 @click.option("--duration", default=120.0, show_default=True, metavar="S", help="Seconds of each flight.")
 @click.option("--amplitude", default=1.0, show_default=True, help="Factor on the plan's amplitudes.")
-@click.option("--sensor", default="telemetry", show_default=True, help="Sensors.")
+@click.option("--sensor", cls=Setting, default="telemetry", show_default=True, help="Sensors.")
 @click.option(
     "--noise", default=0.02, show_default=True, help="Velocity noise of telemetry, m/s (one sigma)."
 )
 @click.option("--wind", default=0.0, show_default=True, metavar="M/S", help="Steady wind with turbulence.")
 @click.option(
-    "--gust", "gusts", multiple=True, metavar="START:RISE:X:Y:Z", help="1 - cosine gust, s and m/s."
+    "--gust",
+    "gusts",
+    cls=Setting,
+    multiple=True,
+    metavar="START:RISE:X:Y:Z",
+    help="1 - cosine gust, s and m/s.",
 )
-@click.option("--without", multiple=True, metavar="EFFECT", help="Switch off an effect of the vehicle.")
+@click.option(
+    "--without", cls=Setting, multiple=True, metavar="EFFECT", help="Switch off an effect of the vehicle."
+)
 @click.option("--altitude", default=20.0, show_default=True, metavar="M", help="Above ground at the start.")
 @click.option(
     "--fleet",
@@ -60,19 +70,34 @@ def list_all(context: click.Context, _: click.Parameter, wanted: bool) -> None:
 @click.option(
     "--change",
     "changes",
+    cls=Setting,
     multiple=True,
     metavar="VEHICLE:FLIGHT:WHAT:FACTOR",
     help="Multiply a vehicle's mass, thrust, drag or lag by FACTOR from this flight on.",
 )
 @click.option("--seed", default=1, show_default=True, help="Same seed, same bytes.")
-@click.option("--format", "formats", multiple=True, metavar="NAME", help="May be repeated.  [default: tlog]")
-@click.option("--dropout", "dropouts", multiple=True, metavar="START:LENGTH", help="Dropout of the link, s.")
-@click.option("--truth/--no-truth", default=True, help="Also write the true signals: NAME.truth.parquet.")
 @click.option(
-    "-j", "--jobs", default=1, show_default=True, metavar="N", help="Processes; 0 for one per core."
+    "--format",
+    "formats",
+    cls=Setting,
+    multiple=True,
+    metavar="NAME",
+    help="May be repeated.  [default: tlog]",
 )
 @click.option(
-    "--live", metavar="udp:HOST:PORT", help="Fly now and send MAVLink there instead of writing logs."
+    "--dropout",
+    "dropouts",
+    cls=Setting,
+    multiple=True,
+    metavar="START:LENGTH",
+    help="Dropout of the link, s.",
+)
+@click.option("--truth/--no-truth", default=True, help="Also write the true signals: NAME.truth.parquet.")
+@click.option(
+    "-j", "--jobs", cls=Own, default=1, show_default=True, metavar="N", help="Processes; 0 for one per core."
+)
+@click.option(
+    "--live", cls=Own, metavar="udp:HOST:PORT", help="Fly now and send MAVLink there instead of writing logs."
 )
 @click.option("--speed", default=1.0, show_default=True, help="Speed of --live: 2 is twice real time.")
 @click.option(
@@ -83,7 +108,7 @@ def list_all(context: click.Context, _: click.Parameter, wanted: bool) -> None:
     callback=list_all,
     help="List the plants, plans, sensors and formats.",
 )
-@click.option("--force", is_flag=True, help="Replace logs that exist.")
+@click.option("--force", cls=Own, is_flag=True, help="Replace logs that exist.")
 @click.option("-q", "--quiet", is_flag=True, help="Only paths and errors.")
 def command(
     output: Path | None,

@@ -21,6 +21,7 @@ from flysid.cli.source import (
     selection_options,
     words_options,
 )
+from flysid.cli.trust import Own, Setting
 from flysid.extras import Missing
 from flysid.showing import fold
 
@@ -49,12 +50,14 @@ def _auto_or(kind: type) -> Any:
     "--channel",
     "-c",
     "channels",
+    cls=Setting,
     multiple=True,
     shell_complete=complete.channels,
     help="Only this channel; repeatable.",
 )
 @click.option(
     "--reference",
+    cls=Setting,
     multiple=True,
     metavar="FIELD",
     help="What drives a closed loop from outside (a chirp, a setpoint), instead of the recipe's; repeatable.",
@@ -66,14 +69,28 @@ def _auto_or(kind: type) -> Any:
     metavar="input|setpoint",
     help="For margins: it enters at the plant's input, or at the controller's setpoint.",
 )
-@click.option("--fail-if", "condition", help="Exit with 4 if this holds: 'loop.phase_margin_deg.low < 45'.")
 @click.option(
-    "--poles", default="auto", callback=_auto_or(int), show_default=True, help="Number of poles, per output."
+    "--fail-if", "condition", cls=Setting, help="Exit with 4 if this holds: 'loop.phase_margin_deg.low < 45'."
 )
 @click.option(
-    "--zeros", default="auto", callback=_auto_or(int), show_default=True, help="Number of zeros, per input."
+    "--poles",
+    cls=Setting,
+    default="auto",
+    callback=_auto_or(int),
+    show_default=True,
+    help="Number of poles, per output.",
 )
-@click.option("--dead-time", default="auto", callback=_auto_or(float), show_default=True, metavar="S")
+@click.option(
+    "--zeros",
+    cls=Setting,
+    default="auto",
+    callback=_auto_or(int),
+    show_default=True,
+    help="Number of zeros, per input.",
+)
+@click.option(
+    "--dead-time", cls=Setting, default="auto", callback=_auto_or(float), show_default=True, metavar="S"
+)
 @click.option(
     "--hold",
     default="zero",
@@ -106,7 +123,7 @@ def _auto_or(kind: type) -> Any:
 @click.option(
     "--plot", type=click.Path(dir_okay=False, path_type=Path), help="Write a Bode plot to this file."
 )
-@click.option("--force", is_flag=True, help="Replace the plot if it exists.")
+@click.option("--force", cls=Own, is_flag=True, help="Replace the plot if it exists.")
 @click.option("--json", "as_json", is_flag=True, help="Print everything as JSON.")
 @progress_options
 def command(

@@ -11,6 +11,7 @@ from flysid.cli.addresses import SOURCE
 from flysid.cli.display import Display, progress_options
 from flysid.cli.output import check_target, chosen_form, comparison_forms, finish
 from flysid.cli.source import given, selection_options
+from flysid.cli.trust import Own, Setting
 from flysid.progress import part
 
 if TYPE_CHECKING:
@@ -24,7 +25,9 @@ if TYPE_CHECKING:
     "--output", "-o", type=click.Path(path_type=Path), help="Folder of the report [default: RUN/report]."
 )
 @click.option("--data", type=SOURCE, help="The ingested folder, if it has moved since the fit.")
-@click.option("--fail-if", "condition", help="Exit with 4 if this holds, e.g. 'free_run.change_pct > 5'.")
+@click.option(
+    "--fail-if", "condition", cls=Setting, help="Exit with 4 if this holds, e.g. 'free_run.change_pct > 5'."
+)
 @click.option(
     "--figures",
     type=click.Choice(["pdf", "svg", "png"]),
@@ -33,6 +36,7 @@ if TYPE_CHECKING:
 @click.option(
     "--with",
     "wanted",
+    cls=Own,
     multiple=True,
     metavar="[CHANNEL/]LABEL=MODEL",
     help="A model of your own beside the run's: .mat, .m, .npz, .json, .fmu, or module:function; repeatable.",
@@ -40,11 +44,12 @@ if TYPE_CHECKING:
 @click.option(
     "--start",
     "starts",
+    cls=Setting,
     multiple=True,
     metavar="LABEL=VARIABLE",
     help="A variable of an FMU that a run starts from; repeatable.",
 )
-@click.option("--force", is_flag=True, help="Replace the report if it exists.")
+@click.option("--force", cls=Own, is_flag=True, help="Replace the report if it exists.")
 @selection_options
 @comparison_forms
 @progress_options

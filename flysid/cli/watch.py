@@ -16,8 +16,10 @@ import click
 
 from flysid.cli.addresses import SOURCE
 from flysid.cli.output import ExitCode, printable, say
+from flysid.cli.trust import Own, Setting
 from flysid.errors import DataError, UsageError
 from flysid.showing import counted
+from flysid.surroundings import environment_of_the_user
 
 if TYPE_CHECKING:
     from flysid.ingest.align.recipe import Recipe
@@ -37,15 +39,16 @@ KINDS = ("udp:", "udpout:", "tcp:", "serial:")
     metavar="RATE",
     help="False alarms per hour of flight, over all channels.",
 )
-@click.option("--model", "label", help="ts, arx, ...  [default: each channel's best linear one]")
-@click.option("--channel", "channels", multiple=True, help="Only this channel; repeatable.")
+@click.option("--model", "label", cls=Setting, help="ts, arx, ...  [default: each channel's best linear one]")
+@click.option("--channel", "channels", cls=Setting, multiple=True, help="Only this channel; repeatable.")
 @click.option("--data", type=SOURCE, help="The run's data, if it has moved.")
 @click.option("-o", "--output", type=click.Path(path_type=Path), help="Also record the link to this file.")
-@click.option("--heartbeat", is_flag=True, help="Send heartbeats; otherwise nothing is sent.")
+@click.option("--heartbeat", cls=Own, is_flag=True, help="Send heartbeats; otherwise nothing is sent.")
 @click.option("--for", "seconds", type=float, metavar="S", help="Stop after this many seconds.")
 @click.option(
     "--exec",
     "hook",
+    cls=Own,
     metavar="COMMAND",
     help="Command to run at every event; it reads the event as JSON from stdin.",
 )
@@ -122,13 +125,13 @@ def calibrate(
 def recipe_of(run: Run, source: str) -> Recipe:
     """How a run's channels are read from a log or a link; raises UsageError where the run does not say."""
     from flysid.ingest.align.recipe import load_recipe
-    from flysid.validate.run import RECIPE_FILE
+    from flysid.validate.run import RECIPE_FILE, run_file
 
     if not run.recipe:
         raise UsageError(
             f"this run was fitted to a dataset file: it does not say how to read {source}", path=run.folder
         )
-    return load_recipe(run.folder / RECIPE_FILE)
+    return load_recipe(run_file(run.folder, RECIPE_FILE))
 
 
 def look_back(
@@ -210,9 +213,11 @@ def line(event: Event) -> str:
 def call(hook: str, event: Event) -> None:
     """Start the user's command with the event on its stdin; it runs beside us."""
     try:
-        process = subprocess.Popen(shlex.split(hook), stdin=subprocess.PIPE, start_new_session=True)
+        process = subprocess.Popen(
+            shlex.split(hook), stdin=subprocess.PIPE, start_new_session=True, env=environment_of_the_user()
+        )
         assert process.stdin is not None
-        with process.stdin as pipe:
+        with suppress(BrokenPipeError), process.stdin as pipe:  # it need not read what it is given
             pipe.write(json.dumps(event.to_dict()).encode() + b"\n")
     except (OSError, ValueError) as error:
         say(f"--exec {hook!r} could not be run: {error}")

@@ -12,6 +12,7 @@ import numpy as np
 
 from flysid.dataset import FloatArray, Signal
 from flysid.errors import UsageError
+from flysid.escaping import markdown
 from flysid.export.program import Program
 from flysid.export.reference import run
 from flysid.version import __version__
@@ -208,6 +209,7 @@ def _environment(single: bool) -> jinja2.Environment:
         autoescape=False,  # C is no HTML
     )
     environment.filters["number"] = lambda text: _number(text, single)
+    environment.filters["markdown"] = markdown
     environment.globals["table"] = lambda kind, name, values: _table(kind, name, values)
     return environment
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from xml.etree import ElementTree
 
 from flysid.dataset import Signal
+from flysid.escaping import one_line
 from flysid.export.program import Program
 from flysid.version import __version__
 
@@ -79,7 +80,7 @@ def facts_of(program: Program, name: str) -> Facts:
         while label in taken:
             label += "_"
         taken.add(label)
-        return Variable(label, signal.unit, {**kind, "variability": "discrete"}, begins)
+        return Variable(label, one_line(signal.unit), {**kind, "variability": "discrete"}, begins)
 
     made = {"causality": "output", "initial": "calculated"}
     held = {"causality": "local", "initial": "exact"}

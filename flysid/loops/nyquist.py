@@ -10,6 +10,7 @@ import numpy as np
 
 from flysid.dataset import FloatArray
 from flysid.errors import UsageError, WriteError
+from flysid.escaping import picture_text
 from flysid.loops.judged import Judged
 from flysid.loops.margins import smooth
 from flysid.loops.stick_response import ComplexArray
@@ -64,7 +65,7 @@ def draw_nyquist(judged: Sequence[Judged], path: Path) -> None:
         curve = curve_of(j)
         if curve is None:
             continue
-        (line,) = axes.plot(curve.loop.real, curve.loop.imag, label=j.lines()[0], linewidth=1.5)
+        (line,) = axes.plot(curve.loop.real, curve.loop.imag, label=picture_text(j.lines()[0]), linewidth=1.5)
         round_it = curve.loop[:, None] + curve.radius[:, None] * turn
         axes.plot(round_it.real.T, round_it.imag.T, color=line.get_color(), alpha=0.15, linewidth=0.6)
     axes.plot([-1.0], [0.0], "k+", markersize=10)

@@ -12,6 +12,7 @@ import numpy as np
 
 from flysid.dataset import FloatArray
 from flysid.errors import UsageError
+from flysid.escaping import csv_line
 from flysid.ingest.synth import manoeuvres
 from flysid.plan.multisines import (
     Lines,
@@ -83,7 +84,7 @@ class FlightPlan:
     def csv(self) -> str:
         """time_s, then one column an axis with its unit in brackets, as `flysid` and spreadsheets read it."""
         heads = [f"{a.name} [{a.unit}]" if a.unit else a.name for a in self.axes]
-        rows = [",".join(["time_s", *heads])]
+        rows = [csv_line(["time_s", *heads])]
         rows += [
             ",".join([f"{k / self.rate_hz:.6f}", *(f"{v:.6g}" for v in row)]) for k, row in enumerate(self.u)
         ]

@@ -25,6 +25,7 @@ from starlette.routing import Route
 
 import flysid
 from flysid.errors import FlysidError, UsageError, WriteError
+from flysid.foreign import inner_path
 from flysid.studio import commands, forms
 from flysid.studio.folders import NotThere, Workspace, is_name
 from flysid.studio.guard import Quiet, RequestBounds, RequestGuard
@@ -169,7 +170,8 @@ class Studio:
         found = [path for path in found if not path.name.startswith(".")]
         if not found:
             raise NotThere(f"no upload {name!r}")
-        return answer(await run_in_threadpool(quick_look, found[0]))
+        log = inner_path(self.workspace.uploads, f"{name}/{found[0].name}", self.workspace.uploads)
+        return answer(await run_in_threadpool(quick_look, log))
 
     async def fit(self, request: Request) -> Response:
         asked = await body_of(request, forms.Fit)
@@ -205,8 +207,7 @@ class Studio:
         job_id = request.path_params["job"]
         if request.method == "DELETE":
             await run_in_threadpool(self.jobs.cancel, job_id)
-        out = self.jobs.place(job_id) / "out"
-        text = out.read_text("utf-8", "replace") if out.is_file() else ""
+        text = self.jobs.text(job_id, "out").decode("utf-8", "replace")
         return answer({**told(self.jobs.get(job_id)), "out": text})
 
     async def job_events(self, request: Request) -> Response:
@@ -426,7 +427,7 @@ def answer(content: object, status: int = 200) -> Response:
 
 def told(job: Job) -> dict[str, Any]:
     """A job as the page shows it."""
-    return {**msgspec.to_builtins(job), "command": job.command}
+    return {**msgspec.to_builtins(msgspec.structs.replace(job, seal="")), "command": job.command}
 
 
 def asset_routes() -> list[Route]:

@@ -14,6 +14,7 @@ import tomli_w
 from flysid.dataset import Dataset
 from flysid.errors import RecipeError, StoreError, UsageError
 from flysid.files import slug, write_atomically
+from flysid.foreign import inner_path
 from flysid.ingest.align.recipe import load_recipe, parse_recipe, recipe_text, shipped_recipes
 from flysid.ingest.lake.stretches import Stretches, beginnings, parse_part
 from flysid.manifest import FLIGHTS, read_manifest
@@ -58,9 +59,10 @@ class Recipes:
 
     def place(self, name: str) -> str:
         """What the command line takes for a recipe: its name, or the path of one's own."""
-        path = self._folder / f"{name}.toml"
-        if slug(name) == name and path.is_file():
-            return str(path)
+        if slug(name) == name:
+            path = inner_path(self._folder, f"{name}.toml", self._folder)
+            if path.is_file():
+                return str(path)
         if name in shipped_recipes():
             return name
         raise NotThere(f"no recipe {name!r}")

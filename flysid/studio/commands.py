@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from flysid.errors import UsageError
 from flysid.files import slug
+from flysid.foreign import inner_path
 from flysid.studio.folders import NotThere, Workspace
 from flysid.studio.forms import Compare, Fit, Upload, Validate
 from flysid.studio.jobs import Jobs, Lane
@@ -32,13 +33,13 @@ def suggestions(jobs: Jobs, workspace: Workspace, flight: str) -> dict[str, Any]
     own = [job for job in jobs.listing() if job.words == tuple(words)]
     job = own[0] if own else jobs.add(words, "read", {"flight": flight})
     if job.state in ("failed", "interrupted", "cancelled"):
-        said = _read(jobs.place(job.id) / "log").strip()
+        said = jobs.text(job.id, "log").decode("utf-8", "replace").strip()
         if len(own) > 1 or job.state == "failed":
             return {"state": job.state, "reason": said, "suggestions": []}
         job = jobs.add(words, "read", {"flight": flight})
     if job.state != "done":
         return {"state": job.state, "job": job.id, "suggestions": []}
-    found = json.loads(_read(jobs.place(job.id) / "out"))["suggestions"]
+    found = json.loads(jobs.text(job.id, "out"))["suggestions"]
     return {"state": "done", "suggestions": found}
 
 
@@ -98,7 +99,7 @@ def comparison_page(workspace: Workspace, name: str) -> Path:
     """The page of a comparison; raises NotThere."""
     from flysid.validate.judge import PAGE
 
-    path = workspace.folder / "comparisons" / name / PAGE
+    path = inner_path(workspace.folder, f"comparisons/{name}/{PAGE}", workspace.folder)
     if slug(name) != name or not path.is_file():
         raise NotThere(f"no comparison {name!r}")
     return path
@@ -118,7 +119,3 @@ def _free_name(folder: Path, wish: str) -> str:
         number += 1
         name = f"{base}-{number}"
     return name
-
-
-def _read(path: Path) -> str:
-    return path.read_text("utf-8", "replace") if path.is_file() else ""

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from flysid.errors import UsageError
 from flysid.files import writing_to
+from flysid.foreign import inner_path
 from flysid.manifest import DATA_FILE
 
 
@@ -68,9 +69,9 @@ class Workspace:
 
     def recipe_of_run(self, run_id: str) -> Path:
         """The recipe that a run was fitted by, as it was; raises NotThere."""
-        from flysid.validate.run import RECIPE_FILE
+        from flysid.validate.run import RECIPE_FILE, run_file
 
-        path = self.run(run_id) / RECIPE_FILE
+        path = run_file(self.run(run_id), RECIPE_FILE)
         if not path.is_file():
             raise NotThere("the run has no recipe", path=path.parent)
         return path
@@ -95,6 +96,7 @@ def open_workspace(data: Path, more_runs: Sequence[Path] = ()) -> Workspace:
     Raises
     ------
     UsageError : `data` exists and is not an ingested folder. WriteError : the folders cannot be made.
+    StoreError : one of them is a link that leads elsewhere.
     """
     if data.is_file():
         raise UsageError(
@@ -108,6 +110,7 @@ def open_workspace(data: Path, more_runs: Sequence[Path] = ()) -> Workspace:
         create_data_folder(data)
     workspace = Workspace(data, tuple(more_runs))
     for folder in (workspace.uploads, workspace.jobs, workspace.runs, workspace.recipes):
+        inner_path(workspace.folder, folder.name, workspace.folder)
         with writing_to(folder):
             folder.mkdir(parents=True, exist_ok=True)
     return workspace

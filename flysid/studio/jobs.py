@@ -2,12 +2,13 @@
 
 A job is a folder: `job.json` (what and how far), `log` (stderr), `out` (stdout), `ended.json` (the exit code,
 written by the job itself). A server that is started later finds the jobs of the one before it, goes on with
-those that still run, and begins those that were waiting.
+those that still run, and begins those that were waiting, where the user has made them (`flysid.studio.seal`).
 """
 
 from __future__ import annotations
 
 import asyncio
+import hmac
 import json
 import os
 import secrets
@@ -25,8 +26,10 @@ import msgspec
 
 from flysid.errors import StoreError
 from flysid.files import write_atomically
+from flysid.foreign import inner_path
 from flysid.studio.folders import NotThere
 from flysid.studio.runner import NOTE
+from flysid.studio.seal import own_key, sealed, state_folder
 from flysid.studio.warm import Warm
 
 PROGRAM = "flysid"
@@ -50,6 +53,7 @@ class Job(msgspec.Struct, frozen=True):
     pid, born : of its process: the number, and when the system says that it began.
     code : the exit code; None before it ended, or where it was killed.
     then : the words of the job that follows where this one is done.
+    seal : of its words and its folder, by the user's key.
     """
 
     id: str
@@ -64,6 +68,7 @@ class Job(msgspec.Struct, frozen=True):
     born: str = ""
     code: int | None = None
     then: tuple[str, ...] = ()
+    seal: str = ""
 
     @property
     def command(self) -> str:
@@ -89,10 +94,13 @@ class Jobs:
         self._folder = folder
         self._jobs: dict[str, Job] = {}
         self._processes: dict[str, subprocess.Popen[bytes]] = {}
+        self._key = own_key(state_folder(os.environ))
         for path in sorted(folder.glob("*/job.json")):
-            with suppress(OSError, msgspec.DecodeError):
-                job = msgspec.json.decode(path.read_bytes(), type=Job)
-                self._jobs[job.id] = job
+            with suppress(OSError, msgspec.DecodeError, StoreError):
+                found = inner_path(folder, f"{path.parent.name}/{path.name}", folder)
+                job = msgspec.json.decode(found.read_bytes(), type=Job)
+                if job.id == path.parent.name:
+                    self._jobs[job.id] = job if self._is_own(job) else _not_to_be_run(job)
 
     def listing(self) -> list[Job]:
         """All jobs, the newest first."""
@@ -104,9 +112,10 @@ class Jobs:
             raise NotThere(f"no job {job_id!r}")
         return self._jobs[job_id]
 
-    def place(self, job_id: str) -> Path:
-        """The folder of a job."""
-        return self._folder / self.get(job_id).id
+    def text(self, job_id: str, name: Literal["log", "out"]) -> bytes:
+        """What a job has printed so far; raises StoreError where the file is a link that leads elsewhere."""
+        path = inner_path(self._folder, f"{self.get(job_id).id}/{name}", self._folder)
+        return path.read_bytes() if path.is_file() else b""
 
     def add(self, words: Sequence[str], lane: Lane, about: dict[str, str], then: Sequence[str] = ()) -> Job:
         """A job that waits for its turn, and the words of the one that follows it.
@@ -118,6 +127,7 @@ class Jobs:
         made = time.time()
         job_id = f"{int(made * 1000):x}-{secrets.token_hex(3)}"
         job = Job(job_id, tuple(words), lane, about=about, made=made, then=tuple(then))
+        job = msgspec.structs.replace(job, seal=self._seal_of(job))
         try:
             (self._folder / job.id).mkdir()
         except OSError as error:
@@ -144,12 +154,11 @@ class Jobs:
 
     async def events(self, job_id: str, after: int) -> AsyncIterator[tuple[int, str]]:
         """Lines of a job's log as (number, text) beyond the first `after`, until it has ended."""
-        path = self.place(job_id) / "log"
         number = 0
         read = 0
         while True:
             has_ended = self.get(job_id).has_ended
-            text = path.read_bytes()[read:] if path.is_file() else b""
+            text = self.text(job_id, "log")[read:]
             whole = text[: text.rfind(b"\n") + 1] if not has_ended else text
             read += len(whole)
             for line in whole.decode("utf-8", "replace").splitlines():
@@ -163,6 +172,12 @@ class Jobs:
     def running(self) -> list[Job]:
         """Jobs with a process."""
         return [job for job in self._jobs.values() if job.state == "running"]
+
+    def _seal_of(self, job: Job) -> str:
+        return sealed(self._key, str((self._folder / job.id).resolve()), job.words, job.lane, job.then)
+
+    def _is_own(self, job: Job) -> bool:
+        return hmac.compare_digest(job.seal.encode(), self._seal_of(job).encode())
 
     async def _begin_next(self, lane: str) -> None:
         own = [job for job in self._jobs.values() if job.lane == lane]
@@ -203,6 +218,12 @@ class Jobs:
         with suppress(OSError):  # the disk is full: the job goes on, and is known as long as this server is
             write_atomically(self._folder / job.id / "job.json", msgspec.json.encode(job))
         return job
+
+
+def _not_to_be_run(job: Job) -> Job:
+    """A job that another user or machine has made: to be seen, and neither begun nor ended."""
+    state: State = job.state if job.has_ended else "interrupted"
+    return msgspec.structs.replace(job, state=state, pid=0, born="", then=())
 
 
 def _process_of(folder: Path) -> subprocess.Popen[bytes]:

@@ -29,7 +29,7 @@ from flysid.flightwriter import int_values
 from flysid.ingest.align.resample import GAP_PERIODS
 from flysid.ingest.lake.timeline import numbers_of
 from flysid.manifest import StreamEntry
-from flysid.store import read_entry
+from flysid.store import entry_path, read_entry
 
 BLOCK = (
     64  # samples under one pair of extremes: a view looks at fewer than this many at either end of a pixel
@@ -249,7 +249,7 @@ def _parts(folder: Path, entry: StreamEntry, columns: list[str]) -> Iterator[pa.
     if not entry.is_sorted:
         yield read_entry(folder, entry, list(dict.fromkeys([TIME, BOOT, *columns])))
         return
-    path = folder / entry.file
+    path = entry_path(folder, entry)
     try:
         file = pq.ParquetFile(path)
         for group in range(file.num_row_groups):

@@ -12,8 +12,10 @@ from flysid.extras import Extra, Missing, extra
 from flysid.studio.folders import NotThere, Workspace
 from flysid.validate.history import RunChannel, run_channels
 from flysid.validate.judge import DOCUMENT, PAGE, REPORT
-from flysid.validate.run import RUN_FILE
+from flysid.validate.run import RUN_FILE, open_run, run_file
 from flysid.validate.trials import FREE_RUN
+
+_JUDGED = f"{REPORT}/{DOCUMENT}"
 
 
 def list_runs(workspace: Workspace) -> dict[str, Any]:
@@ -45,12 +47,12 @@ def describe_run(workspace: Workspace, run_id: str) -> dict[str, Any]:
     """What a run holds: its settings, models, and its report's numbers where it was judged."""
     folder = workspace.run(run_id)
     listed = _summarise(run_id, folder)
-    return {**listed, "run": _document(folder / RUN_FILE), "report": _document(folder / REPORT / DOCUMENT)}
+    return {**listed, "run": _document(folder, RUN_FILE), "report": _document(folder, _JUDGED)}
 
 
 def page_of(workspace: Workspace, run_id: str) -> Path:
     """The run's own page; raises NotThere where it was not judged."""
-    path = workspace.run(run_id) / REPORT / PAGE
+    path = run_file(workspace.run(run_id), f"{REPORT}/{PAGE}")
     if not path.is_file():
         raise NotThere("the run has not been judged", path=path.parent.parent, hint="validate it")
     return path
@@ -61,7 +63,7 @@ def file_of(workspace: Workspace, run_id: str, name: str) -> Path:
     folder = workspace.run(run_id)
     if name not in _files(folder):
         raise NotThere(f"the report has no file {name!r}", path=folder, hint="validate it")
-    return folder / REPORT / name
+    return run_file(folder, f"{REPORT}/{name}")
 
 
 def _files(folder: Path) -> list[str]:
@@ -71,18 +73,21 @@ def _files(folder: Path) -> list[str]:
 
 
 def model_of(workspace: Workspace, run_id: str, channel: str, label: str) -> bytes:
-    """A model's file, as it is; raises NotThere."""
+    """A model's file, as it is; raises NotThere, and StoreError where the run names another file."""
     folder = workspace.run(run_id)
-    for found in (_document(folder / RUN_FILE) or {}).get("channels", []):
-        if found.get("name") == channel and label in found.get("models", {}):
-            return (folder / str(found["models"][label])).read_bytes()
+    for found in open_run(folder).channels:
+        if found.name == channel and label in found.models:
+            path = run_file(folder, found.models[label])
+            if not path.is_file():
+                raise NotThere("a model of the run is missing", path=path, hint="fit it again")
+            return path.read_bytes()
     raise NotThere(f"run {run_id} has no model {label!r} of channel {channel!r}")
 
 
 def _summarise(run_id: str, folder: Path) -> dict[str, Any]:
     channels = run_channels(folder)
-    document = _document(folder / RUN_FILE) or {}
-    judged = (_document(folder / REPORT / DOCUMENT) or {}).get("channels", {})
+    document = _document(folder, RUN_FILE) or {}
+    judged = (_document(folder, _JUDGED) or {}).get("channels", {})
     return {
         "id": run_id,
         "folder": str(folder),
@@ -113,7 +118,8 @@ def _channel(channel: RunChannel, free: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def _document(path: Path) -> dict[str, Any] | None:
+def _document(folder: Path, name: str) -> dict[str, Any] | None:
+    path = run_file(folder, name)
     if not path.is_file():
         return None
     try:

@@ -53,7 +53,7 @@ class Selection:
         found = [f"--{name} {shlex.quote(value)}" for name, values in named for value in values]
         found += [f"--vehicle {shlex.quote(self.vehicle)}"] if self.vehicle else []
         found += ["--pool"] if self.pool else []
-        found += [f"--between {self.stretches.between}"] if self.stretches.between else []
+        found += [f"--between {shlex.quote(self.stretches.between)}"] if self.stretches.between else []
         return [*found, *(["--keep-mishaps"] if self.stretches.mishaps else [])]
 
 

@@ -18,6 +18,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from flysid.errors import UsageError
+from flysid.escaping import inert_cell, one_line
 from flysid.files import new_file, replacing_folder, slug, writing_to
 from flysid.flight import BOOT, RECEIVED, TIME, field_metadata, field_scale, field_unit, resolve_stream
 from flysid.ingest.align.resample import GAP_PERIODS, grid_in, linear, period_ns, spans_between_gaps, tidy
@@ -217,7 +218,16 @@ def _write_csv(path: Path, tables: Mapping[str, pa.Table]) -> None:
     from pyarrow import csv
 
     [table] = tables.values()
-    csv.write_csv(table.rename_columns(_title(table)), path)
+    csv.write_csv(inert(table).rename_columns([inert_cell(title) for title in _title(table)]), path)
+
+
+def inert(table: pa.Table) -> pa.Table:
+    """A table whose texts no spreadsheet takes for formulas."""
+    for at, field in enumerate(table.schema):
+        if pa.types.is_string(field.type) or pa.types.is_large_string(field.type):
+            texts = [None if v is None else inert_cell(v) for v in table.column(at).to_pylist()]
+            table = table.set_column(at, field, pa.array(texts, field.type))
+    return table
 
 
 def _write_parquet(path: Path, tables: Mapping[str, pa.Table]) -> None:
@@ -268,7 +278,6 @@ def _write_xlsx(path: Path, tables: Mapping[str, pa.Table]) -> None:
     if importlib.util.find_spec("openpyxl") is None:
         raise UsageError("openpyxl is not installed", hint='pip install "flysid[xlsx]"')
     from openpyxl import Workbook
-    from openpyxl.cell.cell import ILLEGAL_CHARACTERS_RE
 
     book = Workbook(write_only=True)
     taken: set[str] = set()
@@ -279,16 +288,26 @@ def _write_xlsx(path: Path, tables: Mapping[str, pa.Table]) -> None:
                 hint="--rate HZ thins it; --to csv or parquet hold any number",
             )
         sheet = book.create_sheet(_sheet_name(stream, taken))
-        sheet.append(_title(table))
+        sheet.append([_as_text(sheet, title) for title in _title(table)])
         columns = [column.to_pylist() for column in table.columns]
         for row in zip(*columns, strict=True):
-            sheet.append([ILLEGAL_CHARACTERS_RE.sub("", v) if isinstance(v, str) else v for v in row])
+            sheet.append([_as_text(sheet, v) if isinstance(v, str) else v for v in row])
     book.save(path)
+
+
+def _as_text(sheet: Any, text: str) -> Any:
+    """A cell that is a text, whatever it begins with: openpyxl makes a formula of "=1+1" by itself."""
+    from openpyxl.cell import WriteOnlyCell
+    from openpyxl.cell.cell import ILLEGAL_CHARACTERS_RE
+
+    cell = WriteOnlyCell(sheet, ILLEGAL_CHARACTERS_RE.sub("", text.encode("utf-8", "replace").decode()))
+    cell.data_type = "s"
+    return cell
 
 
 def _sheet_name(stream: str, taken: set[str]) -> str:
     """At most 31 characters without those that Excel refuses."""
-    plain = re.sub(r"[\[\]:*?/\\']", "_", stream)[:31] or "sheet"
+    plain = re.sub(r"[\[\]:*?/\\']", "_", one_line(stream))[:31] or "sheet"
     number = 1
     unique = plain
     while unique.casefold() in taken:

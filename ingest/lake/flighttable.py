@@ -22,6 +22,7 @@ import pyarrow as pa
 from flysid.catalogue import FlightFacts
 from flysid.errors import PlaceError, UsageError
 from flysid.ingest.align.vehicle import vehicle_of
+from flysid.manifest import check_id
 from flysid.place import Place
 
 TABLE = "catalog/flights"
@@ -96,7 +97,7 @@ def _row(facts: FlightFacts) -> dict[str, Any]:
 
 
 def facts_in(rows: pa.Table) -> tuple[FlightFacts, ...]:
-    """Rows of the table as flights, by id."""
+    """Rows of the table as flights, by id; raises StoreError where an id is none."""
     starts = rows["start"].cast(pa.int64()).to_pylist()  # as dates with a zone they would bring pandas in
     found = [
         FlightFacts(
@@ -117,6 +118,8 @@ def facts_in(rows: pa.Table) -> tuple[FlightFacts, ...]:
         )
         for row, start in zip(rows.drop_columns("start").to_pylist(), starts, strict=True)
     ]
+    for facts in found:
+        check_id(facts.id, "the lake's table of flights")
     return tuple(sorted(found, key=lambda facts: facts.id))
 
 

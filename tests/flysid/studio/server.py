@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import http.client
 import json
+import os
 import subprocess
 import sys
 import time
@@ -22,7 +23,8 @@ FIT = {
     "effort": "quick",
     "name": "mine",
 }
-SAMPLES = Path(__file__).parents[3] / "sample_logs"
+ROOT = Path(__file__).resolve().parents[3]
+SAMPLES = ROOT / "sample_logs"
 
 
 @dataclass(frozen=True)
@@ -95,11 +97,13 @@ class Server:
 @contextmanager
 def studio(data: Path, *more: str, module: str = "flysid") -> Iterator[Server]:
     """Start `flysid studio` on a free port; end it as Ctrl-C does."""
+    state = data.absolute().parent.with_suffix(".state")
     process = subprocess.Popen(
         [sys.executable, "-m", module, "studio", str(data), "--no-open", *more],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
+        env=os.environ | {"PYTHONPATH": str(ROOT), "XDG_STATE_HOME": str(state)},
     )
     try:
         assert process.stdout is not None

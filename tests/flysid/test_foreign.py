@@ -1,0 +1,200 @@
+"""Paths in documents of others lead nowhere but into their own folders, for every kind of document."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from flysid import mirror, store
+from flysid.errors import FlysidError, StoreError
+from flysid.foreign import inner_path, why_outside
+from flysid.manifest import read_manifest
+from flysid.validate.run import open_run
+from tests.command import call
+from tests.released_files import released
+
+SECRET = "root:x:0:0"
+OUTER = [
+    "../../secret",
+    "/etc/passwd",
+    "C:\\secret",
+    "\\\\host\\share",
+    "~/secret",
+    "s3://b/x",
+    "",
+    "a/../../../secret",
+]
+
+
+@pytest.fixture
+def place(tmp_path: Path) -> Path:
+    """A stranger's run and data, and beside them what is nobody's business."""
+    for name in ("run", "data"):
+        shutil.copytree(released()[-1] / name, tmp_path / "strangers" / name)
+    (tmp_path / "secret").write_text(SECRET)
+    return tmp_path / "strangers"
+
+
+@pytest.mark.parametrize("name", [*OUTER, None, 3, "x\0y", "a" * 5000])
+def test_a_name_that_leads_out_is_refused_with_its_document(tmp_path: Path, name: object) -> None:
+    with pytest.raises(StoreError) as caught:
+        inner_path(tmp_path, name, tmp_path / "run.json")
+    assert "entry" in caught.value.message
+    assert caught.value.where == str(tmp_path / "run.json")
+
+
+def test_links_and_devices_are_refused_and_what_is_inside_is_not(tmp_path: Path) -> None:
+    inside = tmp_path / "inside"
+    (inside / "deep").mkdir(parents=True)
+    (inside / "deep" / "file").write_text("")
+    (inside / "near").symlink_to("deep/file")
+    (inside / "up").symlink_to("..")
+    (inside / "far").symlink_to("/etc/passwd")
+    (inside / "gone").symlink_to(tmp_path / "not yet")
+    (inside / "round").symlink_to("round")
+    (inside / "zero").symlink_to("/dev/zero")
+    os.mkfifo(inside / "pipe")
+    for name in ("deep/file", "near", "deep", "not yet", "a..b", "..."):
+        assert inner_path(inside, name, "x.json") == inside / name
+    for name in ("up/secret", "far", "gone", "zero", "pipe", "up"):
+        with pytest.raises(StoreError):
+            inner_path(inside, name, "x.json")
+    (tmp_path / "link").symlink_to("inside")
+    assert inner_path(tmp_path / "link", "near", "x.json").read_text() == ""  # the user chose the link
+
+
+def test_a_reason_is_given_for_every_kind_of_name() -> None:
+    assert {why_outside(name) for name in OUTER} == {
+        "leads out of the folder",
+        "is an absolute path, not one below the folder",
+        "is an address, not a file below the folder",
+        "is no file name",
+    }
+
+
+def in_run(place: Path, name: str) -> None:
+    path = place / "run" / "run.json"
+    body = json.loads(path.read_text())
+    for channel in body["channels"]:
+        channel["models"] = dict.fromkeys(channel["models"], name)
+    path.write_text(json.dumps(body))
+
+
+def in_manifest(place: Path, name: str) -> None:
+    for path in (place / "data" / "flights").glob("*/manifest.json"):
+        body = json.loads(path.read_text())
+        for stream in body["streams"]:
+            stream["file"] = name
+        path.write_text(json.dumps(body))
+
+
+def in_id(place: Path, name: str) -> None:
+    for path in (place / "data" / "flights").glob("*/manifest.json"):
+        path.write_text(json.dumps({**json.loads(path.read_text()), "id": name}))
+
+
+def in_recipe(place: Path, name: str) -> None:
+    path = place / "run" / "recipe.toml"
+    path.unlink()
+    path.symlink_to(place / "run" / name)
+
+
+def in_report(place: Path, name: str) -> None:
+    path = place / "run" / "report" / "report.json"
+    path.unlink()
+    path.symlink_to(place / "run" / name)
+
+
+@pytest.mark.parametrize("name", ["../../secret", "/etc/passwd"])
+@pytest.mark.parametrize(
+    ("spoil", "words", "said"),
+    [
+        (in_run, ("validate", "run", "--data", "data", "-o", "page"), "run.json"),
+        (in_run, ("watch", "run", "flight.tlog", "--data", "data"), "run.json"),
+        (in_run, ("export", "run", "--c", "out"), "run.json"),
+        (in_run, ("design", "run", "--data", "data"), "run.json"),
+        (in_recipe, ("validate", "run", "--data", "data", "-o", "page"), "recipe.toml"),
+        (in_recipe, ("plan", "run", "--data", "data", "-o", "page"), "recipe.toml"),
+        (in_report, ("runs", "."), "report.json"),
+        (in_manifest, ("export", "data", "--flight", "01", "1.1/ATTITUDE", "-o", "x.csv"), "manifest.json"),
+        (in_manifest, ("fit", "data", "-r", "ardrone-synthetic", "-o", "new", "-q"), "manifest.json"),
+        (in_manifest, ("plot", "data", "1.1/ATTITUDE.roll", "-o", "x.html"), "manifest.json"),
+        (in_id, ("ls", "data"), "manifest.json"),
+        (in_id, ("show", "data", "01", "1.1/ATTITUDE"), "manifest.json"),
+    ],
+)
+def test_no_verb_follows_a_document_out_of_its_folder(
+    place: Path, spoil: Callable[[Path, str], None], words: tuple[str, ...], said: str, name: str
+) -> None:
+    spoil(place, name)
+    done = call(*words, cwd=place)
+    assert done.returncode != 0
+    assert said in done.stderr
+    assert SECRET not in done.stdout + done.stderr
+    assert not any((place / target).exists() for target in ("page", "out", "x.csv", "x.html", "new"))
+
+
+def test_a_device_in_a_run_ends_at_once(place: Path) -> None:
+    for name in ("run.json", "recipe.toml"):
+        (place / "run" / name).unlink()
+        os.mkfifo(place / "run" / name)
+    done = call("validate", "run", cwd=place)
+    assert done.returncode == 2
+    assert "a device, a pipe or a socket" in done.stderr
+
+
+def test_writers_do_not_remove_what_a_link_leads_to(place: Path, tmp_path: Path) -> None:
+    precious = tmp_path / "home" / "precious" / "file"
+    precious.parent.mkdir(parents=True)
+    precious.write_text("mine")
+    shutil.rmtree(place / "data" / "flights")
+    (place / "data" / "flights").symlink_to("../../home")
+    (place / "log.csv").write_text("time,x\n" + "".join(f"{k / 50},{k % 7}\n" for k in range(200)))
+    done = call("ingest", "log.csv", "-o", "data", cwd=place)
+    assert done.returncode == 2
+    assert "is a link that leads out of the folder" in done.stderr
+    assert precious.read_text() == "mine"
+    assert [p.name for p in (tmp_path / "home").iterdir()] == ["precious"]
+
+
+def test_a_report_is_not_left_where_a_link_leads_to(place: Path, tmp_path: Path) -> None:
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    shutil.rmtree(place / "run" / "report")
+    (place / "run" / "report").symlink_to(elsewhere)
+    call("validate", "run", "--data", "data", "-o", "page", "-q", cwd=place)
+    assert not list(elsewhere.iterdir())
+
+
+def test_only_the_cache_mirrors_a_lake(place: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    asked: list[str] = []
+    monkeypatch.setattr(mirror, "_bring", lambda place, *_: asked.append(str(place)))
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    (place / "data" / ".mirror").write_text("s3://strangers/lake")
+    flight = next((place / "data" / "flights").iterdir())
+    (flight / "manifest.json").unlink()
+    with pytest.raises(FlysidError):
+        read_manifest(flight)
+    assert not asked
+    own = store.mirror_of("s3://own/lake")
+    with pytest.raises(FlysidError):
+        read_manifest(own / "flights" / "log-0123456789abcdef")
+    assert asked == ["s3://own/lake"]
+
+
+def test_a_released_run_is_read_as_before(place: Path) -> None:
+    run = open_run(place / "run")
+    assert all(run.model(file) for channel in run.channels for file in channel.models.values())
+
+
+def test_targets_that_are_links_to_nothing_are_not_written_through(tmp_path: Path) -> None:
+    (tmp_path / "log.csv").write_text("time_s,x\n0,1\n1,2\n2,3\n")
+    (tmp_path / "out.csv").symlink_to(tmp_path / "elsewhere")
+    done = call("export", "log.csv", "x", "-o", "out.csv", cwd=tmp_path)
+    assert done.returncode == 2
+    assert not (tmp_path / "elsewhere").exists()
