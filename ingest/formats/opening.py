@@ -7,6 +7,7 @@ twice: a .gz or .zst file inside a .zip archive. What is packed in any other way
 from __future__ import annotations
 
 import hashlib
+import os
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
@@ -94,7 +95,7 @@ def open_log(path: Path, limits: Limits | None = None) -> Iterator[OpenLog]:
     limits = limits or Limits()
     file, inside = locate(path)
     with ExitStack() as stack:
-        log = OpenLog(file.name, stack.enter_context(map_file(file)))
+        log = OpenLog(readable(file.name), stack.enter_context(map_file(file)))
         if inside or is_archive(log.view):
             member = _member(file, inside)
             name = PurePosixPath(inside or member.name.replace("\\", "/")).name
@@ -105,6 +106,11 @@ def open_log(path: Path, limits: Limits | None = None) -> Iterator[OpenLog]:
             log = _unpack(own_name(log.name), stack.enter_context(packing), log.lost)
         _check(log, path)
         yield log
+
+
+def readable(name: str) -> str:
+    """A file's name as text that can be stored: bytes of another encoding are replaced."""
+    return os.fsencode(name).decode("utf-8", "replace")
 
 
 def identify(path: Path, limits: Limits) -> tuple[str, int]:
@@ -169,9 +175,9 @@ def _shown(file: Path, members: dict[str, Member]) -> str:
 
 def locate(path: Path) -> tuple[Path, str]:
     """The file that holds a log, and which member of it; "" for the file itself."""
-    if not path.exists():
+    if not os.path.exists(path):  # whatever the system says of a name: a member's may be longer than any path
         for parent in path.parents:
-            if parent.is_file():
+            if os.path.isfile(parent):
                 return parent, path.relative_to(parent).as_posix()
     return path, ""
 
