@@ -16,7 +16,7 @@ from __future__ import annotations
 import glob
 import os
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -24,9 +24,10 @@ from pathlib import Path
 from flysid.errors import FormatError, UsageError
 from flysid.ingest.formats.blame import blamed, blaming
 from flysid.ingest.formats.common.zip_members import read_archive
-from flysid.ingest.formats.opening import begins_archive, head_of, names_log, own_name
+from flysid.ingest.formats.opening import PACKED_SUFFIXES, begins_archive, head_of, names_log, own_name
 from flysid.ingest.formats.recognised import TEXT, kind_of, packing_of, stranger
 from flysid.ingest.formats.registry import confidence_of, known_suffixes
+from flysid.ingest.formats.rosbag2.side_files import ALL as SIDE_SUFFIXES
 from flysid.ingest.lake.workers import Bounds, Lost, read_bounded
 from flysid.manifest import DATA_FILE
 
@@ -119,6 +120,19 @@ def judge_name(name: str) -> str:
     return LOG if lower.endswith(known_suffixes()) and not lower.endswith(ANYBODYS_SUFFIXES) else ""
 
 
+def part_of(name: str, names: Container[str]) -> str:
+    """Which file of a folder a side file is read with, as a kind of file; "" where it is none."""
+    plain = own_name(name)
+    for suffix in SIDE_SUFFIXES:
+        base = plain.removesuffix(suffix)
+        if base != plain:
+            whole = next(
+                (base + packing for packing in ("", *PACKED_SUFFIXES) if base + packing in names), ""
+            )
+            return f"part of {whole}" if whole else ""
+    return ""
+
+
 @dataclass
 class Found:
     """What has been found so far, each path once."""
@@ -196,7 +210,7 @@ class _LogSearch:
             folders[:] = sorted(name for name in folders if not name.startswith("."))
             for name in sorted(files):
                 path = Path(parent, name)
-                if kind := judge_name(name):
+                if kind := part_of(name, files) or judge_name(name):
                     found.sort_in(path, kind)
                 elif os.path.isfile(path):
                     self._open(path, found)
@@ -238,7 +252,7 @@ def _judge_members(found: Found, path: Path) -> None:
             with blaming():
                 if member.fault:
                     found.fail(inside, member.fault)
-                elif kind := judge_name(inside.name):
+                elif kind := part_of(name, archive.members) or judge_name(inside.name):
                     found.sort_in(inside, kind)
                 else:
                     _judge_content(found, inside, *head_of(inside))
