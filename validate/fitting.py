@@ -28,7 +28,7 @@ from flysid.ingest.kinematics.telling import Instruments
 from flysid.ingest.lake.chosen_flights import whole_ids
 from flysid.ingest.lake.lake import Lake
 from flysid.ingest.lake.stretches import held_spans
-from flysid.ingest.lake.workers import Bounds, LostWorker, run_bounded
+from flysid.ingest.lake.workers import Bounds, Lost, run_bounded
 from flysid.model.base import Estimator
 from flysid.model.linear_choice import FIRST, choose_baseline, confirm
 from flysid.model.one_rule import linear_rivals
@@ -432,7 +432,7 @@ def _outcomes(queue: Sequence[MemoryJob | DiskJob], jobs: int) -> Iterator[tuple
         yield from ((job.name, job.run()) for job in queue)
         return
     for job, found in run_bounded(_run, queue, min(jobs, len(queue)), Bounds(None, None)):
-        yield job.name, found.reason if isinstance(found, LostWorker) else found
+        yield job.name, found.reason if isinstance(found, Lost) else found
 
 
 def _run(job: MemoryJob | DiskJob) -> ChannelRun | str:

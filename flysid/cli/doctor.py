@@ -91,7 +91,7 @@ def command(
     from flysid.ingest.formats.opening import short_name
     from flysid.ingest.lake.finding import find_logs
     from flysid.ingest.lake.survey import survey_or_reason
-    from flysid.ingest.lake.workers import Bounds, LostWorker, run_bounded
+    from flysid.ingest.lake.workers import Bounds, Lost, read_bounded
     from flysid.place import is_address
 
     if (correct or output) and not kinematics:
@@ -106,8 +106,8 @@ def command(
     look = partial(survey_or_reason, limits=limits)
     with display.shown():
         _begin(found.paths, 0)
-        for done, (path, outcome) in enumerate(run_bounded(look, found.paths, 1, bounds), 1):
-            if isinstance(outcome, (str, LostWorker)):
+        for done, (path, outcome) in enumerate(read_bounded(look, found.paths, 1, bounds), 1):
+            if isinstance(outcome, (str, Lost)):
                 say(f"skipped: {path}: {outcome if isinstance(outcome, str) else outcome.reason}")
                 unreadable += 1
             else:

@@ -63,14 +63,14 @@ def compatibility_or_reason(path: Path, limits: Limits) -> Compatibility | str:
 
 def motions(paths: Sequence[Path], limits: Limits, bounds: Bounds, display: Display) -> Mapping[Path, Motion]:
     """The kinematics of every log."""
-    from flysid.ingest.lake.workers import LostWorker, run_bounded
+    from flysid.ingest.lake.workers import Lost, read_bounded
 
     found: dict[Path, Motion] = {}
     with display.shown():
-        for path, outcome in run_bounded(
+        for path, outcome in read_bounded(
             partial(compatibility_or_reason, limits=limits), list(paths), 1, bounds
         ):
-            if isinstance(outcome, LostWorker):
+            if isinstance(outcome, Lost):
                 found[path] = Motion(reason=outcome.reason)
             elif isinstance(outcome, str):
                 found[path] = Motion(reason=outcome)

@@ -65,14 +65,15 @@ def apart(work: Callable[[Path], Scrubbed], log: Path) -> Scrubbed:
 
     Raises
     ------
-    FormatError : the process ended. Besides, what `work` raises.
+    FormatError : the process ended, or the log cannot be read. Besides, what `work` raises.
     """
-    from flysid.ingest.lake.workers import Bounds, LostWorker, run_bounded
+    from flysid.ingest.lake.workers import Bounds, Lost, read_bounded
 
     bounds = Bounds(memory_bytes=None, seconds=None)
-    ((_, outcome),) = run_bounded(work, [log], 1, bounds)
-    if isinstance(outcome, LostWorker):
-        raise FormatError(outcome.reason, path=log, hint="once it is no longer written, try again")
+    ((_, outcome),) = read_bounded(work, [log], 1, bounds)
+    if isinstance(outcome, Lost):
+        hint = "once it is no longer written, try again" if outcome.has_ended else outcome.error.hint
+        raise FormatError(outcome.error.message, path=log, byte=outcome.error.byte, hint=hint)
     return outcome
 
 

@@ -397,11 +397,13 @@ def _taken_in(logs: Path, place: Path, words: Words, quiet: bool, share: float) 
     from flysid.ingest.formats.base import Limits
     from flysid.ingest.lake.batch import ingest_logs
     from flysid.ingest.lake.finding import find_logs
+    from flysid.ingest.lake.workers import Bounds
     from flysid.progress import part
 
     told = Limits(time_unit=words.time_unit, format=words.format)
     with part(0.0, share):
-        results = list(ingest_logs(find_logs([logs]), place, limits=told))
+        bounds = Bounds()
+        results = list(ingest_logs(find_logs([logs], bounds), place, limits=told, bounds=bounds))
     skipped = [result for result in results if result.skipped]
     if len(skipped) == len(results) == 1:
         reason, _, hint = skipped[0].reason.partition("; try: ")

@@ -30,7 +30,7 @@ from flysid.ingest.formats.base import Limits
 from flysid.ingest.lake.batch import Job, Result, Task, work_on
 from flysid.ingest.lake.events import mode_changes
 from flysid.ingest.lake.lake import StoredLog
-from flysid.ingest.lake.workers import Bounds, LostWorker, run_bounded
+from flysid.ingest.lake.workers import Bounds, Lost, read_bounded
 from flysid.manifest import FLIGHTS
 from flysid.place import Place, is_address
 from flysid.store import create_data_folder
@@ -186,10 +186,8 @@ class _Reader:
         weakref.finalize(self, shutil.rmtree, self._scratch, ignore_errors=True)
         self.data = create_data_folder(self._scratch / "data")
         self._tasks: deque[Task] = deque()
-        self._work = partial(read_log, data=self.data, limits=settings.limits)
-        self._outcomes = None
-        if settings.bounds is not None:
-            self._outcomes = run_bounded(self._work, self._tasks, 1, settings.bounds)
+        work = partial(read_log, data=self.data, limits=settings.limits)
+        self._outcomes = read_bounded(work, self._tasks, 1, settings.bounds)
 
     @contextmanager
     def file_of(self, log: Log) -> Iterator[Path]:
@@ -217,16 +215,16 @@ class _Reader:
         return outcome, modes
 
     def _do(self, task: Task) -> tuple[Job | Result, tuple[str, ...]]:
-        if self._outcomes is None:
-            return self._work(task)
         path = task if isinstance(task, Path) else task.path
         reason = ""
         for _ in range(TRIES):
             self._tasks.append(task)
             _, outcome = next(self._outcomes)
-            if not isinstance(outcome, LostWorker):
+            if not isinstance(outcome, Lost):
                 return outcome
             reason = outcome.reason
+            if not outcome.has_ended:
+                return Result(path, reason=reason), ()
             shutil.rmtree(self.data / FLIGHTS, ignore_errors=True)
             (self.data / FLIGHTS).mkdir()
         return Result(path, reason=f"{reason}, {TRIES} times"), ()

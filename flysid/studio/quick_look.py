@@ -12,7 +12,7 @@ from typing import Any
 
 from flysid.errors import FlysidError
 from flysid.ingest.lake.survey import survey
-from flysid.ingest.lake.workers import Bounds, LostWorker, run_bounded
+from flysid.ingest.lake.workers import Bounds, Lost, read_bounded
 
 for _usual in ("mavlink", "dataflash", "ulog"):
     importlib.import_module(f"flysid.ingest.formats.{_usual}.reader")
@@ -22,7 +22,7 @@ QUICK_BYTES = 4 << 20  # names and rates are known from the beginning of a log
 
 def begin_workers() -> None:
     """Have the process that workers come from begin, before the first log comes."""
-    for _ in run_bounded(_begun, [0], 1, Bounds(seconds=60.0)):
+    for _ in read_bounded(_begun, [0], 1, Bounds(seconds=60.0)):
         pass
 
 
@@ -32,8 +32,8 @@ def _begun(_: int) -> None:
 
 def quick_look(path: Path) -> dict[str, Any]:
     """Streams, rates and fields as the beginning of a log shows them, at once; read in a bounded worker."""
-    for _, outcome in run_bounded(_look, [path], 1, Bounds(memory_bytes=10**9, seconds=20.0)):
-        return {"reason": outcome.reason} if isinstance(outcome, LostWorker) else outcome
+    for _, outcome in read_bounded(_look, [path], 1, Bounds(memory_bytes=10**9, seconds=20.0)):
+        return {"reason": outcome.reason} if isinstance(outcome, Lost) else outcome
     return {"reason": "not read"}
 
 

@@ -7,6 +7,7 @@ twice: a .gz or .zst file inside a .zip archive. What is packed in any other way
 from __future__ import annotations
 
 import hashlib
+import os
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
@@ -36,6 +37,8 @@ from flysid.ingest.formats.common.compression import (
 )
 from flysid.ingest.formats.common.zip_members import ZIP_MAGICS, Member, member_pieces, read_archive
 from flysid.ingest.formats.recognised import TAR_MAGIC, TAR_MAGIC_AT, is_office, packing_of
+from flysid.ingest.formats.rosbag2.side_files import READ, recover
+from flysid.ingest.formats.rosbag2.sqlite_pages import MAGIC as SQLITE_MAGIC
 
 PACKED_SUFFIXES = (".gz", ".zst", ".zstd")
 FIRST_BYTES = 128  # tell a packing, and an archive from a spreadsheet
@@ -53,11 +56,13 @@ class OpenLog:
     name : the log's own name, without what packing added to it.
     view : its bytes, expanded.
     lost : what was lost while it was unpacked; "" for nothing.
+    beside : what of its side files was left out; "" for nothing.
     """
 
     name: str
     view: memoryview
     lost: str = ""
+    beside: str = ""
 
     @property
     def head(self) -> bytes:
@@ -67,20 +72,21 @@ class OpenLog:
         return bytes(self.view[first : first + HEAD_BYTES])
 
     def read(self, fmt: Format, limits: Limits) -> Parts:
-        """The parts of the log; what its packing lost counts as damage."""
+        """The parts of the log; what its packing and its side files lost counts as damage."""
         return self.told((yield from fmt.read(self.view, self.name, limits)))
 
     def told(self, found: T) -> T:
-        """What was found in the log, with what its packing lost."""
-        if not self.lost:
+        """What was found in the log, with what its packing and its side files lost."""
+        lost = {where: why for where, why in (("packing", self.lost), ("side files", self.beside)) if why}
+        if not lost:
             return found
-        reasons = {**found.damage.reasons, "packing": self.lost}
+        reasons = {**found.damage.reasons, **lost}
         return replace(found, damage=replace(found.damage, truncated=True, reasons=reasons))
 
 
 @contextmanager
 def open_log(path: Path, limits: Limits | None = None) -> Iterator[OpenLog]:
-    """The bytes of a log, unpacked where it is packed, mapped into memory.
+    """The bytes of a log, unpacked where it is packed, with what its side files add, mapped into memory.
 
     Parameters
     ----------
@@ -92,19 +98,65 @@ def open_log(path: Path, limits: Limits | None = None) -> Iterator[OpenLog]:
     FormatError : not a readable file, an archive of several files, packed too often, or nothing is in it.
     """
     limits = limits or Limits()
-    file, inside = locate(path)
     with ExitStack() as stack:
-        log = OpenLog(file.name, stack.enter_context(map_file(file)))
-        if inside or is_archive(log.view):
-            member = _member(file, inside)
-            name = PurePosixPath(inside or member.name.replace("\\", "/")).name
-            packing = expand(member_pieces(log.view, member, limits.max_ratio))
-            log = _unpack(name, stack.enter_context(packing))
-        if is_compressed(log.view):
-            packing = expand(unpacked_pieces(log.view, limits.max_ratio))
-            log = _unpack(own_name(log.name), stack.enter_context(packing), log.lost)
+        log = _opened(path, limits, stack)
         _check(log, path)
-        yield log
+        yield _with_side_files(log, path, limits, stack)
+
+
+def _opened(path: Path, limits: Limits, stack: ExitStack) -> OpenLog:
+    """The bytes of a file or a member, unpacked."""
+    file, inside = locate(path)
+    log = OpenLog(readable(file.name), stack.enter_context(map_file(file)))
+    if inside or is_archive(log.view):
+        member = _member(file, inside)
+        name = PurePosixPath(inside or member.name.replace("\\", "/")).name
+        packing = expand(member_pieces(log.view, member, limits.max_ratio))
+        log = _unpack(name, stack.enter_context(packing))
+    if is_compressed(log.view):
+        packing = expand(unpacked_pieces(log.view, limits.max_ratio))
+        log = _unpack(own_name(log.name), stack.enter_context(packing), log.lost)
+    return log
+
+
+def _with_side_files(log: OpenLog, path: Path, limits: Limits, stack: ExitStack) -> OpenLog:
+    """A database as its own program would read it: with the log and the journal that lie beside it."""
+    if bytes(log.view[: len(SQLITE_MAGIC)]) != SQLITE_MAGIC:
+        return log
+    sides: dict[str, memoryview] = {}
+    notes: list[str] = []
+    for suffix, side in side_files(path).items():
+        try:
+            opened = _opened(side, limits, stack)
+        except FormatError as error:
+            notes.append(f"{side.name} cannot be used: {error.message}")
+            continue
+        sides[suffix] = opened.view
+        notes += [f"{side.name}: {opened.lost}"] if opened.lost else []
+    found = recover(log.view, sides)
+    if found is None:
+        return replace(log, beside="; ".join(notes))
+    whole = stack.enter_context(expand(found.pieces()))
+    return replace(log, view=whole.view, beside="; ".join([*notes, *found.notes]))
+
+
+def side_files(path: Path) -> dict[str, Path]:
+    """Files with content that belong to the database at `path`, packed or not, by suffix: `bag.db3-wal`."""
+    file, inside = locate(path)
+    members = read_archive(file).members if inside else {}
+    found: dict[str, Path] = {}
+    for suffix in READ:
+        for packing in ("", *PACKED_SUFFIXES):
+            side = path.with_name(own_name(path.name) + suffix + packing)
+            member = members.get(side.relative_to(file).as_posix()) if inside else None
+            if (member is not None and member.size != 0) or (os.path.isfile(side) and side.stat().st_size):
+                found.setdefault(suffix, side)
+    return found
+
+
+def readable(name: str) -> str:
+    """A file's name as text that can be stored: bytes of another encoding are replaced."""
+    return os.fsencode(name).decode("utf-8", "replace")
 
 
 def identify(path: Path, limits: Limits) -> tuple[str, int]:
@@ -117,7 +169,8 @@ def identify(path: Path, limits: Limits) -> tuple[str, int]:
         return _identify_opened(path, limits)
     with file.open("rb") as opened:
         head = opened.read(FIRST_BYTES)
-        if not head or is_archive(head) or is_compressed(head):
+        is_database = head.startswith(SQLITE_MAGIC)
+        if not head or is_archive(head) or is_compressed(head) or (is_database and side_files(path)):
             return _identify_opened(path, limits)
         opened.seek(0)
         return hashlib.file_digest(opened, "sha256").hexdigest(), opened.tell()
@@ -169,9 +222,9 @@ def _shown(file: Path, members: dict[str, Member]) -> str:
 
 def locate(path: Path) -> tuple[Path, str]:
     """The file that holds a log, and which member of it; "" for the file itself."""
-    if not path.exists():
+    if not os.path.exists(path):  # whatever the system says of a name: a member's may be longer than any path
         for parent in path.parents:
-            if parent.is_file():
+            if os.path.isfile(parent):
                 return parent, path.relative_to(parent).as_posix()
     return path, ""
 

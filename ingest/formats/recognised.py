@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 from flysid.ingest.formats.common.compression import GZIP_MAGIC, ZSTD_MAGIC
 from flysid.ingest.formats.common.zip_members import ZIP_MAGICS
+from flysid.ingest.formats.rosbag2.side_files import JOURNAL_MAGIC, WAL_MAGICS
 
 TEXT = "text"
 PACKINGS: Mapping[bytes, str] = {
@@ -104,6 +105,11 @@ STRANGERS = (
         _begins(b"LOGH"),
     ),
     Stranger("a DJI flight log (.DAT)", DJI_WAY, _is_dji_dat),
+    Stranger(
+        "the write-ahead log or the journal of a database",
+        "put it beside its .db3 file, and read that",
+        _begins(*WAL_MAGICS, JOURNAL_MAGIC),
+    ),
     Stranger("an encrypted parquet file", "decrypt it first", _begins(b"PARE")),
     Stranger("a video (MP4, MOV)", VIDEO, _is_iso_media, "picture or video"),
     Stranger("a video (AVI)", VIDEO, lambda head: head[:4] == b"RIFF" and head[8:12] == b"AVI ", "video"),

@@ -14,6 +14,7 @@ from pathlib import Path
 from flysid.errors import FormatError, UsageError
 from flysid.flight import Flight
 from flysid.ingest.formats.base import WHOLE_BATCH_BYTES, Format, Limits, collect
+from flysid.ingest.formats.blame import blaming
 from flysid.ingest.formats.opening import OpenLog, members_of, open_log, own_name
 from flysid.ingest.formats.recognised import stranger
 from flysid.mirror import log_at
@@ -214,7 +215,8 @@ def read(
     """
     limits = limits or Limits(batch_bytes=WHOLE_BATCH_BYTES)
     limits = replace(limits, time_unit=time_unit or limits.time_unit, format=format or limits.format)
-    with open_log(sole_log(_file(path)), limits) as log:
+    file = _file(path)
+    with blaming(file), open_log(sole_log(file), limits) as log:
         fmt = format_of(log, limits)
         return log.told(collect(log.view, log.name, fmt, limits))
 

@@ -20,10 +20,11 @@ from flysid.errors import FlysidError, FormatError, WriteError
 from flysid.flight import Damage, Source
 from flysid.ingest.align.vehicle import vehicle_named
 from flysid.ingest.formats.base import Limits
-from flysid.ingest.formats.opening import identify, locate, open_log
+from flysid.ingest.formats.blame import blamed
+from flysid.ingest.formats.opening import identify, locate, open_log, readable
 from flysid.ingest.formats.registry import format_of
-from flysid.ingest.lake.finding import FoundLogs, reason_of
-from flysid.ingest.lake.workers import Bounds, LostWorker, memory_reason, run_bounded
+from flysid.ingest.lake.finding import FoundLogs
+from flysid.ingest.lake.workers import Bounds, Lost, memory_reason, read_bounded
 from flysid.manifest import FLIGHTS, stamp_of
 from flysid.progress import part, tell
 from flysid.store import clean, create_data_folder, discard, locked, remove_empty, write_flight
@@ -175,18 +176,14 @@ def _done(
     work: Callable[[Task], Job | Result], tasks: deque[Task], workers: int, bounds: Bounds | None, data: Path
 ) -> Iterator[tuple[Task, Job | Result]]:
     """Each task with what it came to, as they finish; tasks may be added meanwhile."""
-    if bounds is None:
-        while tasks:
-            task = tasks.popleft()
-            yield task, work(task)
-        return
-    for task, outcome in run_bounded(work, tasks, workers, bounds):
+    bounded = bounds.memory_bytes if bounds else None
+    for task, outcome in read_bounded(work, tasks, workers, bounds):
         path = task if isinstance(task, Path) else task.path
-        if isinstance(outcome, LostWorker):
+        if isinstance(outcome, Lost):
             discard(data, outcome.pid)
             yield task, Result(path, reason=outcome.reason)
-        elif isinstance(outcome, Result) and outcome.reason == NO_MEMORY and bounds.memory_bytes is not None:
-            yield task, Result(path, reason=memory_reason(bounds.memory_bytes))
+        elif isinstance(outcome, Result) and outcome.reason == NO_MEMORY and bounded:
+            yield task, Result(path, reason=memory_reason(bounded))
         else:
             yield task, outcome
 
@@ -209,7 +206,7 @@ def hash_one(path: Path, limits: Limits) -> Job | Result:
     except MemoryError:
         return Result(path, reason=NO_MEMORY)
     except (FormatError, OSError) as error:
-        return Result(path, reason=reason_of(error))
+        return Result(path, reason=blamed(error).advice)
 
 
 def ingest_one(job: Job, data: Path, limits: Limits, replace: bool, vehicle_in: str = "") -> Result:
@@ -222,7 +219,7 @@ def ingest_one(job: Job, data: Path, limits: Limits, replace: bool, vehicle_in: 
             fmt = format_of(log, limits)
             source = Source(log.name, fmt.name, job.size, job.sha256)
             parts = log.read(fmt, limits)
-            info = vehicle_named(str(job.path), vehicle_in)
+            info = vehicle_named(readable(str(job.path)), vehicle_in)
             manifest = write_flight(data, source, parts, replace=replace, info=info)
             facts = facts_of(manifest, stamp_of(data / FLIGHTS / manifest.id))
             return Result(job.path, facts, damage=manifest.damage)
@@ -232,6 +229,4 @@ def ingest_one(job: Job, data: Path, limits: Limits, replace: bool, vehicle_in: 
     except MemoryError:
         return Result(job.path, reason=NO_MEMORY)
     except (FlysidError, OSError) as error:
-        return Result(job.path, reason=reason_of(error))
-    except Exception as error:  # noqa: BLE001 - a reader's own fault must not cost the other logs
-        return Result(job.path, reason=f"internal error, please report: {type(error).__name__}: {error}")
+        return Result(job.path, reason=blamed(error).advice)

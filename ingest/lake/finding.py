@@ -16,22 +16,25 @@ from __future__ import annotations
 import glob
 import os
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Container, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from flysid.errors import FlysidError, FormatError, UsageError
+from flysid.errors import FormatError, UsageError
+from flysid.ingest.formats.blame import blamed, blaming
 from flysid.ingest.formats.common.zip_members import read_archive
-from flysid.ingest.formats.opening import begins_archive, head_of, is_archive, names_log, own_name
+from flysid.ingest.formats.opening import PACKED_SUFFIXES, begins_archive, head_of, names_log, own_name
 from flysid.ingest.formats.recognised import TEXT, kind_of, packing_of, stranger
 from flysid.ingest.formats.registry import confidence_of, known_suffixes
-from flysid.ingest.lake.workers import Bounds, LostWorker, run_bounded
+from flysid.ingest.formats.rosbag2.side_files import ALL as SIDE_SUFFIXES
+from flysid.ingest.lake.workers import Bounds, Lost, read_bounded
 from flysid.manifest import DATA_FILE
 
 GLOB_MARKS = frozenset("*?[")
 ANYBODYS_SUFFIXES = (".log", ".txt")  # any program's notes end so, too
 UNKNOWN = "binary data that no reader knows"
+LOG = "log"
 NOTHING = "no flight log in there"
 TRUTH_SUFFIX = ".truth.parquet"  # what `flysid synth` lays beside a log: a table, and no log
 SURE = 0.6  # more than a table in text can claim
@@ -69,30 +72,29 @@ def find_logs(given: Sequence[str | Path], bounds: Bounds | None = None) -> Foun
 
     Parameters
     ----------
-    bounds : of memory and time for looking into one archive; a worker process does it. None does it here.
+    bounds : of memory and time for looking into one file; a worker process does it. None does it here.
 
     Raises
     ------
     UsageError : a path does not exist, a pattern matches nothing, there is no log at all.
     """
-    with closing(_Archives(bounds)) as archives:
-        search = _LogSearch(archives.look_into)
-        for item in given:
-            for path in _expand(str(item)):
-                search.take(path)
-    if not search.paths and all(unread.reason == NOTHING for unread in search.unread.values()):
-        taken_in = next((path for path in search.unread if (path / DATA_FILE).is_file()), None)
+    with closing(_LogSearch(bounds)) as search:
+        found = Found()
+        for path in (path for item in given for path in _expand(str(item))):
+            found.add(search.found_in(path))
+    if not found.paths and all(unread.reason == NOTHING for unread in found.unread.values()):
+        taken_in = next((path for path in found.unread if (path / DATA_FILE).is_file()), None)
         raise UsageError(
             NOTHING,
-            path=", ".join(str(path) for path in search.unread),
+            path=", ".join(str(path) for path in found.unread),
             hint="name the log itself; in a folder, names of logs end in "
             + " ".join(sorted(known_suffixes()))
             if taken_in is None
             else f"this is an ingested folder: 'flysid ls {taken_in}' lists its flights",
         )
-    unique = {os.path.realpath(path): path for path in reversed(search.paths)}
-    paths = tuple(path for path in search.paths if unique.get(os.path.realpath(path)) is path)
-    return FoundLogs(paths, tuple(search.unread.values()), tuple(search.passed_over.values()))
+    unique = {os.path.realpath(path): path for path in reversed(found.paths)}
+    paths = tuple(path for path in found.paths if unique.get(os.path.realpath(path)) is path)
+    return FoundLogs(paths, tuple(found.unread.values()), tuple(found.passed_over.values()))
 
 
 def _expand(item: str) -> list[Path]:
@@ -108,142 +110,172 @@ def _expand(item: str) -> list[Path]:
     )
 
 
-class _Archives:
-    """Looks into archives, in a worker process where there are bounds."""
+def judge_name(name: str) -> str:
+    """What a file in a folder is by its name: LOG, or a kind that is no log; "" where its bytes must tell."""
+    lower = own_name(name).lower()
+    if name.startswith("."):
+        return "hidden file"
+    if lower.endswith(TRUTH_SUFFIX):
+        return "truth of a simulated flight"
+    return LOG if lower.endswith(known_suffixes()) and not lower.endswith(ANYBODYS_SUFFIXES) else ""
 
-    def __init__(self, bounds: Bounds | None) -> None:
-        self._tasks: deque[Path] = deque()
-        self._outcomes = None if bounds is None else run_bounded(_inside_of, self._tasks, 1, bounds)
 
-    def look_into(self, path: Path) -> _LogSearch:
-        """What an archive holds."""
-        if self._outcomes is None:
-            return _inside_of(path)
-        self._tasks.append(path)
-        _, outcome = next(self._outcomes)
-        if not isinstance(outcome, LostWorker):
-            return outcome
-        found = _LogSearch(_inside_of)
-        found._fail(path, outcome.reason)
-        return found
-
-    def close(self) -> None:
-        """End the worker."""
-        if self._outcomes is not None:
-            self._outcomes.close()
+def part_of(name: str, names: Container[str]) -> str:
+    """Which file of a folder a side file is read with, as a kind of file; "" where it is none."""
+    plain = own_name(name)
+    for suffix in SIDE_SUFFIXES:
+        base = plain.removesuffix(suffix)
+        if base != plain:
+            whole = next(
+                (base + packing for packing in ("", *PACKED_SUFFIXES) if base + packing in names), ""
+            )
+            return f"part of {whole}" if whole else ""
+    return ""
 
 
 @dataclass
-class _LogSearch:
-    """What has been found so far, each path once; `look_into` says what is in an archive."""
+class Found:
+    """What has been found so far, each path once."""
 
-    look_into: Callable[[Path], _LogSearch]
     paths: dict[Path, None] = field(default_factory=dict)
     unread: dict[Path, Unread] = field(default_factory=dict)
     passed_over: dict[Path, PassedOver] = field(default_factory=dict)
 
-    def take(self, path: Path) -> None:
-        """What is named itself: a folder, an archive or a log."""
-        inside = _LogSearch(self.look_into)
-        if path.is_dir():
-            inside._look_into(path)
-        elif path.is_file() and begins_archive(path):
-            inside._add(self.look_into(path))
-        else:
-            inside.paths[path] = None
-        if not inside.paths and not inside.unread:
-            inside._fail(path, NOTHING)
-        self._add(inside)
-
-    def _add(self, other: _LogSearch) -> None:
+    def add(self, other: Found) -> None:
         self.paths |= other.paths
         self.unread |= other.unread
         self.passed_over |= other.passed_over
 
-    def _fail(self, path: Path, reason: str) -> None:
+    def fail(self, path: Path, reason: str) -> None:
         self.unread[path] = Unread(path, reason)
 
-    def _pass(self, path: Path, kind: str) -> None:
+    def pass_over(self, path: Path, kind: str) -> None:
         self.passed_over[path] = PassedOver(path, kind)
 
-    def _look_into(self, folder: Path) -> None:
+    def sort_in(self, path: Path, kind: str) -> None:
+        """A log, or a file of a kind that is none."""
+        if kind == LOG:
+            self.paths[path] = None
+        else:
+            self.pass_over(path, kind)
+
+
+class _LogSearch:
+    """Goes through files and folders; what must be opened is opened by a bounded task."""
+
+    def __init__(self, bounds: Bounds | None) -> None:
+        self._tasks: deque[Path] = deque()
+        self._outcomes = read_bounded(judge_file, self._tasks, 1, bounds)
+
+    def close(self) -> None:
+        """End the worker."""
+        self._outcomes.close()
+
+    def found_in(self, path: Path) -> Found:
+        """What is named itself: a folder, an archive or a log."""
+        found = Found()
+        if path.is_dir():
+            self._walk(path, found)
+        elif _is_archive(path):
+            self._open(path, found)
+        else:
+            found.paths[path] = None
+        if not found.paths and not found.unread:
+            found.fail(path, NOTHING)
+        return found
+
+    def _open(self, path: Path, found: Found) -> None:
+        """What a file is by its bytes."""
+        self._tasks.append(path)
+        _, inside = next(self._outcomes)
+        if isinstance(inside, Lost):
+            found.fail(path, inside.reason)
+        else:
+            found.add(inside)
+
+    def _walk(self, folder: Path, found: Found) -> None:
         def note(error: OSError) -> None:
-            self._fail(Path(error.filename), f"cannot be read: {error.strerror}")
+            found.fail(Path(error.filename), blamed(error).advice)
 
         for parent, folders, files in os.walk(folder, onerror=note):
             if DATA_FILE in files:
-                self._pass(Path(parent), "ingested folder")
+                found.pass_over(Path(parent), "ingested folder")
                 folders.clear()
                 continue
             for name in folders:
                 if name.startswith("."):
-                    self._pass(Path(parent, name), "hidden folder")
+                    found.pass_over(Path(parent, name), "hidden folder")
                 elif Path(parent, name).is_symlink():
-                    self._fail(Path(parent, name), "a link to a folder; name it to have it read")
+                    found.fail(Path(parent, name), "a link to a folder; name it to have it read")
             folders[:] = sorted(name for name in folders if not name.startswith("."))
             for name in sorted(files):
-                self._judge(Path(parent, name))
-
-    def _judge(self, path: Path, is_member: bool = False) -> None:
-        """A file that is not named itself, but lies in what is."""
-        name = own_name(path.name).lower()
-        if path.name.startswith("."):
-            self._pass(path, "hidden file")
-        elif name.endswith(TRUTH_SUFFIX):
-            self._pass(path, "truth of a simulated flight")
-        elif name.endswith(known_suffixes()) and not name.endswith(ANYBODYS_SUFFIXES):
-            self.paths[path] = None
-        elif not is_member and not path.is_file():
-            self._pass(path, "pipe, socket, device or broken link")
-        else:
-            try:
-                own, head = head_of(path)
-            except (FormatError, OSError) as error:
-                self._fail(path, reason_of(error))
-            else:
-                if not head and not is_member and path.stat().st_size > 0:
-                    self._fail(path, "nothing but zeros")
-                    return
-                self._judge_content(path, own, head, is_member or not begins_archive(path))
-
-    def _judge_content(self, path: Path, name: str, head: bytes, is_inner: bool) -> None:
-        kind = kind_of(head)
-        if is_archive(head) and not is_inner:
-            self._add(self.look_into(path))
-        elif kind and kind != TEXT:
-            self._pass(path, kind)
-        elif packing := packing_of(head):
-            self._fail(path, f"packed as {packing}, which is not read; unpack it first")
-        elif confidence_of(head, name) >= SURE:
-            self.paths[path] = None
-        elif kind:
-            self._pass(path, kind)
-        else:
-            known = stranger(head)
-            told = f"this is {known.title}, not a log; try: {known.hint}" if known else UNKNOWN
-            self._fail(path, told)
+                path = Path(parent, name)
+                if kind := part_of(name, files) or judge_name(name):
+                    found.sort_in(path, kind)
+                elif os.path.isfile(path):
+                    self._open(path, found)
+                else:
+                    found.pass_over(path, "pipe, socket, device or broken link")
 
 
-def _inside_of(path: Path) -> _LogSearch:
-    """Members of an archive one by one; an archive without a log is passed over as one thing."""
-    inside = _LogSearch(_inside_of)
+def _is_archive(path: Path) -> bool:
+    """Whether a file begins as an archive; one that cannot be read is tried as a log, which says why."""
     try:
-        archive = read_archive(path)
-    except (FormatError, OSError) as error:
-        inside._fail(path, reason_of(error))
-        return inside
+        return os.path.isfile(path) and begins_archive(path)
+    except OSError:
+        return False
+
+
+def judge_file(path: Path) -> Found:
+    """What a file is by its bytes: a log, an archive with logs, or neither; a task for a worker process.
+
+    Raises FormatError and OSError where it cannot be read.
+    """
+    found = Found()
+    if begins_archive(path):
+        _judge_members(found, path)
+        return found
+    name, head = head_of(path)
+    if not head and path.stat().st_size > 0:
+        found.fail(path, "nothing but zeros")
+    else:
+        _judge_content(found, path, name, head)
+    return found
+
+
+def _judge_members(found: Found, path: Path) -> None:
+    """Members of an archive one by one; an archive without a log is passed over as one thing."""
+    archive = read_archive(path)
     for name, member in archive.members.items():
-        if member.fault:
-            inside._fail(path / name, member.fault)
-        else:
-            inside._judge(path / name, is_member=True)
+        inside = path / name
+        try:
+            with blaming():
+                if member.fault:
+                    found.fail(inside, member.fault)
+                elif kind := part_of(name, archive.members) or judge_name(inside.name):
+                    found.sort_in(inside, kind)
+                else:
+                    _judge_content(found, inside, *head_of(inside))
+        except FormatError as error:
+            found.fail(inside, error.advice)
     if archive.fault:
-        inside._fail(path, archive.fault)
-    if not inside.paths and not inside.unread:
-        inside.passed_over = {path: PassedOver(path, "archive without logs")}
-    return inside
+        found.fail(path, archive.fault)
+    if not found.paths and not found.unread:
+        found.passed_over = {path: PassedOver(path, "archive without logs")}
 
 
-def reason_of(error: FlysidError | OSError) -> str:
-    """Why a file could not be read, and what to try."""
-    return error.advice if isinstance(error, FlysidError) else f"cannot be read: {error.strerror}"
+def _judge_content(found: Found, path: Path, name: str, head: bytes) -> None:
+    """A file, or a member of an archive, by its first bytes."""
+    kind = kind_of(head)
+    if kind and kind != TEXT:
+        found.pass_over(path, kind)
+    elif packing := packing_of(head):
+        found.fail(path, f"packed as {packing}, which is not read; unpack it first")
+    elif confidence_of(head, name) >= SURE:
+        found.paths[path] = None
+    elif kind:
+        found.pass_over(path, kind)
+    else:
+        known = stranger(head)
+        told = f"this is {known.title}, not a log; try: {known.hint}" if known else UNKNOWN
+        found.fail(path, told)

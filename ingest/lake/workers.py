@@ -12,6 +12,9 @@ parent watches:
 Workers die with their parent, and leave interrupts from the keyboard to it. What a task tells of its progress
 (`flysid.progress`) is told in the parent. Where a system lacks one of these
 means (macOS, Windows), the others still hold.
+
+Whatever lists, looks into or reads a file goes through `read_bounded`: an exception that nobody foresaw is an
+error of that file, and costs no other.
 """
 
 from __future__ import annotations
@@ -26,13 +29,15 @@ from collections import deque
 from collections.abc import Callable, Generator, Iterable
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import ForkContext, ForkServerContext, SpawnContext
 from multiprocessing.process import BaseProcess
 from typing import Any, Generic, TypeVar
 
 from flysid import progress
-from flysid.errors import FlysidError, UsageError
+from flysid.errors import FlysidError, FormatError, UsageError
+from flysid.ingest.formats.blame import blaming
 
 HEADROOM_BYTES = 1 << 30
 JOIN_S = 5.0
@@ -58,11 +63,47 @@ class Bounds:
 
 
 @dataclass(frozen=True)
-class LostWorker:
-    """A task whose worker ended before it answered: why, and the worker's process id."""
+class Lost:
+    """A task without an outcome: why, the process that was at it, and whether that has ended."""
 
-    reason: str
+    error: FlysidError
     pid: int
+    has_ended: bool = True
+
+    @property
+    def reason(self) -> str:
+        """Why, and what to try."""
+        return self.error.advice
+
+
+def read_bounded(
+    function: Callable[[Task], Outcome], tasks: Iterable[Task], workers: int, bounds: Bounds | None
+) -> Generator[tuple[Task, Outcome | Lost], None, None]:
+    """`run_bounded` for tasks of one file each: what makes a task fail is that file's fault, and ends no run.
+
+    Parameters
+    ----------
+    function : as `run_bounded` takes it. Of what it raises, only errors that concern no single file end the
+        run (see `blaming`).
+    bounds : None does the tasks one after another in this process.
+    """
+    attempt = partial(_attempt, function)
+    if bounds is not None:
+        yield from run_bounded(attempt, tasks, workers, bounds)
+        return
+    waiting = tasks if isinstance(tasks, deque) else deque(tasks)
+    while waiting:
+        task = waiting.popleft()
+        yield task, attempt(task)
+
+
+def _attempt(function: Callable[[Task], Outcome], task: Task) -> Outcome | Lost:
+    """What a task comes to, or why it fails."""
+    try:
+        with blaming():
+            return function(task)
+    except FormatError as error:
+        return Lost(error, os.getpid(), has_ended=False)
 
 
 def run_bounded(
@@ -72,8 +113,8 @@ def run_bounded(
     bounds: Bounds,
     *,
     look_every_s: float = 0.1,
-) -> Generator[tuple[Task, Outcome | LostWorker], None, None]:
-    """Do tasks in worker processes; yields each with its outcome, or `LostWorker`, as they finish.
+) -> Generator[tuple[Task, Outcome | Lost], None, None]:
+    """Do tasks in worker processes; yields each with its outcome, or `Lost`, as they finish.
 
     Parameters
     ----------
@@ -125,9 +166,15 @@ def _context(function: Callable[[Any], Any]) -> ForkServerContext | ForkContext 
     if _forks_from_here:
         return multiprocessing.get_context("fork")
     context = multiprocessing.get_context("forkserver")
-    home: str = getattr(function, "func", function).__module__
-    context.set_forkserver_preload([_NEEDED_BY_ALL, home])
+    context.set_forkserver_preload([_NEEDED_BY_ALL, _home_of(function)])
     return context
+
+
+def _home_of(function: Callable[[Any], Any]) -> str:
+    """The module of the function that does the work, whatever is wrapped around it."""
+    while isinstance(function, partial):
+        function = function.args[0] if function.func is _attempt else function.func
+    return function.__module__
 
 
 class _Worker(Generic[Task, Outcome]):
@@ -164,7 +211,7 @@ class _Worker(Generic[Task, Outcome]):
         with suppress(OSError):  # it has died: `outcome` finds out
             self.connection.send(task)
 
-    def outcome(self) -> tuple[Task, Outcome | LostWorker] | None:
+    def outcome(self) -> tuple[Task, Outcome | Lost] | None:
         """The task and what became of it; None while the worker is at it."""
         assert self._task is not None
         try:
@@ -207,7 +254,7 @@ class _Worker(Generic[Task, Outcome]):
         memory = self._bounds.memory_bytes
         return memory is not None and anonymous_bytes(self._process.pid) > memory // 2
 
-    def _lost(self, broken: str) -> tuple[Task, LostWorker]:
+    def _lost(self, broken: str) -> tuple[Task, Lost]:
         assert self._task is not None
         task = self._task
         self._task = None
@@ -220,7 +267,7 @@ class _Worker(Generic[Task, Outcome]):
                 f"a worker process ended ({ended_how(code)}) before it could begin",
                 hint="a script that ingests needs 'if __name__ == \"__main__\":' around what it does",
             )
-        return task, LostWorker(broken or f"its process {ended_how(code)}", self._process.pid or 0)
+        return task, Lost(FormatError(broken or f"its process {ended_how(code)}"), self._process.pid or 0)
 
     def end(self) -> None:
         """Kill it; what it was at is not finished."""

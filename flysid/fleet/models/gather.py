@@ -18,7 +18,7 @@ from flysid.ingest.align.align import align, segments_of
 from flysid.ingest.align.recipe import Recipe
 from flysid.ingest.align.vehicle import vehicle_of
 from flysid.ingest.lake.lake import Lake, StoredLog, mirror
-from flysid.ingest.lake.workers import Bounds, LostWorker, run_bounded
+from flysid.ingest.lake.workers import Bounds, Lost, run_bounded
 from flysid.model.threads import on_one_thread
 from flysid.progress import tell
 
@@ -108,7 +108,7 @@ def gather(
         for i in range(0, len(missing), BATCH)
     ]
     for done, (batch, rows) in enumerate(_work(tasks, workers, cluster), start=1):
-        if isinstance(rows, LostWorker):
+        if isinstance(rows, Lost):
             lost |= {log.name: rows.reason for log in batch.logs}
             continue
         store.keep([r for r in rows if (r.flight, r.sha256, r.channel) not in known])
@@ -120,10 +120,13 @@ def gather(
 
 def _work(
     tasks: Sequence[Batch], workers: int, cluster: Cluster | None
-) -> Iterator[tuple[Batch, list[TriangleRow] | LostWorker]]:
+) -> Iterator[tuple[Batch, list[TriangleRow] | Lost]]:
     if cluster is not None:
         for task, rows in cluster.each(rows_elsewhere, tasks, _parts_of):
-            yield task, LostWorker("the processes that read it were killed", 0) if rows is None else rows
+            yield (
+                task,
+                Lost(FlysidError("the processes that read it were killed"), 0) if rows is None else rows,
+            )
         return
     if workers <= 1 or len(tasks) == 1:
         for task in tasks:

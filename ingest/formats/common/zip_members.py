@@ -66,7 +66,7 @@ def read_archive(path: Path) -> Archive:
 def _read_archive(path: Path, size: int, modified_ns: int) -> Archive:  # noqa: ARG001
     try:
         with zipfile.ZipFile(path) as archive:
-            found = [_list_member(info) for info in archive.infolist() if not info.is_dir()]
+            found = [_list_member(info) for info in archive.infolist() if not info.filename.endswith("/")]
         fault = ""
     except (zipfile.BadZipFile, ValueError, NotImplementedError, struct.error, EOFError):
         found = []

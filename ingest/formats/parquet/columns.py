@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Sequence
+from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -31,11 +32,13 @@ class Column:
 
     Attributes
     ----------
-    path : of its values: the file's column, then the fields of its structs.
+    top : name of the file's column that holds its values.
+    place : which of the columns of that name, counted from 0; then the fields of its structs by number.
     field : name, plain type and metadata in the table that is made of it.
     """
 
-    path: tuple[str, ...]
+    top: str
+    place: tuple[int, ...]
     field: pa.Field
 
 
@@ -67,7 +70,7 @@ def columns_of(schema: pa.Schema) -> tuple[list[Column], dict[str, str]]:
     found: list[Column] = []
     refused: dict[str, str] = {}
     taken: set[str] = {TIME, BOOT}
-    for path, field in _leaves(schema, ()):
+    for path, place, field in _leaves(schema):
         label = ".".join(path)
         kind = plain_type(field.type)
         if kind is None:
@@ -76,19 +79,28 @@ def columns_of(schema: pa.Schema) -> tuple[list[Column], dict[str, str]]:
         name, unit = named_and_measured("index" if label.startswith(UNNAMED) else label, len(found))
         name = free_name(name, taken)
         taken.add(name)
-        found.append(Column(path, pa.field(name, kind, metadata=_metadata(field, unit))))
+        found.append(Column(path[0], place, pa.field(name, kind, metadata=_metadata(field, unit))))
     return found, refused
 
 
-def _leaves(fields: Sequence[pa.Field], above: tuple[str, ...]) -> list[tuple[tuple[str, ...], pa.Field]]:
-    found = []
-    for field in fields:
-        path = (*above, field.name)
-        if pa.types.is_struct(field.type) and len(path) <= DEEPEST:
-            found += _leaves(list(field.type), path)
-        else:
-            found.append((path, field))
+Leaf = tuple[tuple[str, ...], tuple[int, ...], pa.Field]
+"""Names from the file's column down, the same as places (see `Column`), and the field."""
+
+
+def _leaves(schema: pa.Schema) -> list[Leaf]:
+    seen: Counter[str] = Counter()
+    found: list[Leaf] = []
+    for field in schema:
+        found += _below(field, (field.name,), (seen[field.name],))
+        seen[field.name] += 1
     return found
+
+
+def _below(field: pa.Field, path: tuple[str, ...], place: tuple[int, ...]) -> list[Leaf]:
+    if not pa.types.is_struct(field.type) or len(path) > DEEPEST:
+        return [(path, place, field)]
+    inner = enumerate(field.type)
+    return [leaf for k, child in inner for leaf in _below(child, (*path, child.name), (*place, k))]
 
 
 def _metadata(field: pa.Field, named: str) -> dict[bytes, bytes] | None:

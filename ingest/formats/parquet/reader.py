@@ -281,7 +281,7 @@ def _parts(reader: _Reader, group: _Group) -> Iterator[StreamPart]:
 
 def _table(reader: _Reader, group: _Group) -> pa.Table | None:
     """A row group; damaged columns are null and counted. None where its time is lost."""
-    tops = list(dict.fromkeys(column.path[0] for column in reader.columns))
+    tops = list(dict.fromkeys(column.top for column in reader.columns))
     try:
         table = _read(reader.file, group, tops)
         if len(table) == group.rows:
@@ -292,31 +292,36 @@ def _table(reader: _Reader, group: _Group) -> pa.Table | None:
 
 
 def _column_by_column(reader: _Reader, group: _Group, tops: list[str]) -> pa.Table | None:
+    """As `_table`; columns of one name are read together."""
     schema = reader.file.schema_arrow
-    found = {}
+    found: dict[str, pa.Table] = {}
     lost = {}
     for name in tops:
         try:
-            column = _read(reader.file, group, [name])[name]
-            if len(column) != group.rows:
-                raise ValueError(f"{len(column)} rows of {group.rows}")
-            found[name] = column
+            columns = _read(reader.file, group, [name])
+            if len(columns) != group.rows:
+                raise ValueError(f"{len(columns)} rows of {group.rows}")
+            found[name] = columns
         except DAMAGE as error:
             lost[name] = _first_line(error)
     if not found or (reader.time is not None and reader.time.name in lost):
         return None
     for name, why in lost.items():
         reader.tally.undecode(f"{STREAM}.{name}", group.rows, f"row group {group.number}: {why}")
-        found[name] = pa.nulls(group.rows, schema.field(name).type)
-    return pa.table([found[name] for name in tops], names=tops)
+        fields = [schema.field(k) for k in schema.get_all_field_indices(name)]
+        found[name] = pa.table([pa.nulls(group.rows, f.type) for f in fields], schema=pa.schema(fields))
+    columns = [column for name in tops for column in found[name].columns]
+    fields = [field for name in tops for field in found[name].schema]
+    return pa.Table.from_arrays(columns, schema=pa.schema(fields))
 
 
 def _kept(reader: _Reader, column: Column, table: pa.Table) -> pa.Array:
     """A column of a group in its plain type; null where its values do not fit it."""
-    values = table[column.path[0]].combine_chunks()
+    first, *steps = column.place
+    values = table.column(table.schema.get_all_field_indices(column.top)[first]).combine_chunks()
     if isinstance(values, pa.ChunkedArray):
         values = pa.concat_arrays(values.chunks) if values.num_chunks else pa.array([], values.type)
-    for step in column.path[1:]:
+    for step in steps:
         values = pc.struct_field(values, [step])
     try:
         return plain(values, column.field.type)

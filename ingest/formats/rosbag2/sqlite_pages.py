@@ -13,7 +13,7 @@ big-endian.
     overflow     u32 next page or 0, payload
     payload      varint header size, varint type per column, columns
 
-Left out: indexes, write-ahead logs and journals beside the file, UTF-16 databases, virtual tables.
+Left out: indexes, UTF-16 databases, virtual tables. What lies beside the file: `side_files`.
 """
 
 from __future__ import annotations

@@ -20,7 +20,7 @@ from flysid.errors import WriteError
 from flysid.ingest.formats.base import Limits, Parts
 from flysid.ingest.formats.mavlink import reader
 from flysid.ingest.lake import batch
-from flysid.ingest.lake.workers import Bounds, LostWorker, anonymous_bytes, ended_how, run_bounded
+from flysid.ingest.lake.workers import Bounds, Lost, anonymous_bytes, ended_how, run_bounded
 from tests.hostile_tasks import act, read_or_act
 from tests.samplelogs import mcap, tlog
 
@@ -36,7 +36,7 @@ WHY = {
 }
 
 
-def outcomes(kinds: list[str], bounds: Bounds, workers: int = 2) -> dict[str, str | LostWorker]:
+def outcomes(kinds: list[str], bounds: Bounds, workers: int = 2) -> dict[str, str | Lost]:
     return dict(run_bounded(act, kinds, workers, bounds))
 
 
@@ -50,7 +50,7 @@ def test_what_ends_a_worker_is_named_and_costs_one_task() -> None:
     }
     for kind in ("crash", "killed", "exit"):
         lost = found[kind]
-        assert isinstance(lost, LostWorker)
+        assert isinstance(lost, Lost)
         assert WHY[kind] in lost.reason
 
 
