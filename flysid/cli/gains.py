@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+import shlex
+from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -68,13 +69,15 @@ def command(
         source, own = _of_run(source)
         flights = flights or own
     with Display().shown(), opened_flights(source, told) as lake, part(READING_OF_A_LOOK):
-        found = judge(select(lake, Selection(flights=flights)).logs, axes or ("roll", "pitch"))
+        logs = select(lake, Selection(flights=flights)).logs
+        found = judge(logs, axes or ("roll", "pitch"))
     known = [j for j in found if j.margins is not None]
     if as_json:
         click.echo(json.dumps([j.to_dict() for j in found], indent=1, allow_nan=False))
     else:
         click.echo("\n\n".join("\n".join(fold(printable(line)) for line in j.lines()) for j in found))
-        extra(Extra.SETS_TABLE, partial(_print_sets, found), None)
+        by_name = {log.name: log for log in logs}
+        extra(Extra.SETS_TABLE, partial(_print_sets, found, by_name, source), None)
         if known:
             explain(CAUTION)
     if plot is not None and known:
@@ -84,17 +87,33 @@ def command(
     return 0 if known else 3
 
 
-def _print_sets(found: Sequence[Judged]) -> None:
+def _print_sets(found: Sequence[Judged], logs: Mapping[str, Any], source: Path) -> None:
     """Several sets of gains in one table, and what sets them apart."""
     from flysid.loops.gain_sets import differences, gain_sets
 
     rows = gain_sets(found)
-    if rows:
-        click.echo("\n".join(["", *align_columns(rows), *differences(found)]))
-        say(
-            "next: two sets in one plot: flysid step LOG -r RECIPE --against LOG --plot step.png; "
-            "between two equal ones take the larger margin"
-        )
+    if not rows:
+        return
+    click.echo("\n".join(["", *align_columns(rows), *differences(found)]))
+    axis = next(j.axis for j in found if j.gains)
+    of_axis = [logs[j.flights[0]] for j in found if j.axis == axis and j.gains]
+    say(f"next: {_words_of_next(of_axis, source)}; between two equal ones take the larger margin")
+
+
+def _words_of_next(logs: Sequence[Any], source: Path) -> str:
+    """The command that draws step responses: of two sets where their logs are at hand, else of one."""
+    from flysid.loops.judged import rate_recipe
+
+    files = [source / log.facts.log for log in logs]
+    own = [file for file in files if file.is_file() and files.count(file) == 1]
+    recipe = rate_recipe(logs[0])
+    if len(own) > 1:
+        one, other = (shlex.quote(str(file)) for file in own[:2])
+        return f"two sets in one plot: flysid step {one} -r {recipe} --against {other} --plot step.png"
+    place, flight = shlex.quote(str(source)), shlex.quote(logs[0].name)
+    return (
+        f"how the vehicle answers one set: flysid step {place} -r {recipe} --flight {flight} --plot step.png"
+    )
 
 
 def _of_run(folder: Path) -> tuple[Path, tuple[str, ...]]:

@@ -146,6 +146,7 @@ class Kind:
     Attributes
     ----------
     mark : a stream that only these logs have.
+    recipe : the shipped one of their rate loops.
     settings : of a log, by name.
     record : (log, axis, settings) -> the loop, and what gains depended on.
     controller : (settings, axis, conditions) -> the law.
@@ -153,6 +154,7 @@ class Kind:
     """
 
     mark: str
+    recipe: str
     settings: Callable[[Any], Mapping[str, Any]]
     record: Callable[[Any, str, Mapping[str, Any]], tuple[StickRecord, Conditions]]
     controller: Callable[[Mapping[str, Any], str, Conditions], Controller]
@@ -162,6 +164,7 @@ class Kind:
 KINDS = (
     Kind(
         "vehicle_rates_setpoint",
+        "px4-rates",
         px4_parameters,
         lambda log, axis, _: (px4_record(log, axis), NO_CONDITIONS),
         lambda stated, axis, _: px4(stated, axis),
@@ -173,6 +176,7 @@ KINDS = (
     ),
     Kind(
         "RATE",
+        "ardupilot-rate",
         ardupilot_parameters,
         lambda log, axis, _: (ardupilot_record(log, axis), NO_CONDITIONS),
         lambda stated, axis, _: ardupilot(stated, axis),
@@ -180,6 +184,7 @@ KINDS = (
     ),
     Kind(
         "main",
+        "betaflight-rate",
         settings_of,
         record_of,
         betaflight,
@@ -207,6 +212,11 @@ def _own(stated: Mapping[str, float], stem: str) -> tuple[tuple[str, float], ...
 def states_gains(log: Any) -> bool:
     """Whether a log is of a family whose gains are read."""
     return any(kind.mark in log.facts.streams for kind in KINDS)
+
+
+def rate_recipe(log: Any) -> str:
+    """The shipped recipe of the loops whose gains a log states."""
+    return _kind(log).recipe
 
 
 def _kind(log: Any) -> Kind:

