@@ -87,11 +87,10 @@ def shortfall(
 def refuse(model: M, beside: Mapping[str, FreeRunning], train: Dataset, margin: float = MARGIN) -> M:
     """The model itself; raises FitError where it falls short of others, as of `shortfall`."""
     why = shortfall(model, beside, train, margin)
-    if why:
-        raise FitError(
-            f"{model.structure}: {why}", hint="plot inputs and outputs: do the inputs move this output?"
-        )
-    return model
+    if not why:
+        return model
+    hint = "plot inputs and outputs: do the inputs move this output?" if f" {HELD}: " in why else ""
+    raise FitError(f"this {model.structure} model is not delivered: {why}", hint=hint)
 
 
 def no_worse_than_held(fit: Callable[P, M]) -> Callable[P, M]:
