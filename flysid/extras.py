@@ -33,6 +33,8 @@ D = TypeVar("D")
 class Extra(Enum):
     """Every extra that there is, as its sentence names it."""
 
+    # beside logs
+    SUGGESTION = "the suggestion"
     # beside a fit
     DOUBTS = "the doubts about the data"
     INSTRUMENTS = "the comparison of the instruments"

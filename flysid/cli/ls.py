@@ -10,8 +10,9 @@ import click
 
 from flysid.cli.addresses import SOURCE
 from flysid.cli.display import Display, progress_options
-from flysid.cli.output import align_columns
+from flysid.cli.output import align_columns, explain
 from flysid.cli.source import READING_OF_A_FIT, opened_flights, selection_options
+from flysid.extras import Missing
 
 if TYPE_CHECKING:
     from flysid.catalogue import FlightFacts
@@ -60,16 +61,20 @@ def _suggest(data: Path, selection: Selection, display: Display, as_json: bool, 
     from flysid.ingest.lake.chosen_flights import select, vehicle_words
     from flysid.progress import part
 
+    missing = Missing()
     with display.shown(), opened_flights(data, share=READING_OF_A_FIT) as whole:
         lake = select(whole, selection)
-        with part(READING_OF_A_FIT):
+        with part(READING_OF_A_FIT), missing.gathering():
             found = lake.suggest()
         vehicles = vehicle_words(lake)
         flights = [facts.id for facts in lake.facts]
     if as_json:
-        click.echo(json.dumps({"suggestions": [s.to_dict() for s in found]}, indent=1))
+        document = {"suggestions": [s.to_dict() for s in found], **missing.to_dict()}
+        click.echo(json.dumps(document, indent=1))
     else:
         print_suggestions(found, flights, str(data), every, vehicles)
+    for sentence in missing.sentences:
+        explain(sentence)
 
 
 def row(flight: FlightFacts) -> tuple[str, ...]:

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from typing import Any, Literal
 
 from flysid.dataset import Dataset
 from flysid.errors import DataError, RecipeError
+from flysid.extras import Extra, extra
 from flysid.feedback import Feedback, feedback
 from flysid.ingest.align.align import align
 from flysid.ingest.align.recipe import ChannelSpec, Recipe, load_recipe, shipped_recipes
@@ -83,7 +85,8 @@ def suggest(logs: Iterable[Log], recipes: Sequence[str | Recipe] | None = None) 
         for j, (recipe, channel) in enumerate(served):
             share = (i + j / len(served)) / len(known)
             tell(f"checking {recipe.name}, {channel}", log=log.name, share=share)
-            found += _suggest_channel(log, recipe, channel)
+            make = partial(_suggest_channel, log, recipe, channel)
+            found += extra(Extra.SUGGESTION, make, (), f"{channel} of {log.name}")
     return found
 
 

@@ -26,6 +26,7 @@ from flysid.ingest.lake.batch import ingest_logs
 from flysid.ingest.lake.finding import find_logs
 from flysid.ingest.synth.synth import WRITERS, Order, flights
 from flysid.validate import reproduction
+from flysid.validate.paper import LOOPS
 from flysid.validate.runindex import INDEX
 from tests.command import call
 from tests.contest import linear_side
@@ -75,11 +76,11 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def fit(place: Path, run: str = "fitted", models: str = "ts,tf") -> Shown:
     words = (*CHANNELS, "-m", models, "--rules", 2, "--effort", "quick", "--holdout", 0.5, "--no-rotate")
     done = flysid(place, "fit", "data", *words, "-j", 1, "-o", run, "--force")
-    models = {}
+    fitted = {}
     for file in sorted((place / run / CHANNEL).glob("*.json")):
         document = json.loads(file.read_text("utf-8"))
-        models[file.stem] = {k: v for k, v in document.items() if k not in ("notes", "operating_points")}
-    return Shown(done[0], models, done[1], {"run.json": texts_of(place / run / "run.json")})
+        fitted[file.stem] = {k: v for k, v in document.items() if k not in ("notes", "operating_points")}
+    return Shown(done[0], fitted, done[1], {"run.json": texts_of(place / run / "run.json")})
 
 
 def validate(place: Path, *more: str) -> Shown:
@@ -126,6 +127,14 @@ def gains(place: Path) -> Shown:
     return Shown(code, out, said)
 
 
+def suggestions(place: Path) -> Shown:
+    """Every one of them breaks here: the list stays a list."""
+    code, said, out = flysid(place, "ls", "data", "--suggest", "--json", whole=True)
+    document = json.loads(out)
+    told = {"JSON": spaced(" ".join(document.get("missing", [])))}
+    return Shown(code, isinstance(document["suggestions"], list), said, told)
+
+
 def runs(place: Path) -> Shown:
     (place / "run" / INDEX).unlink(missing_ok=True)
     code, said, out = flysid(place, "runs", "run", "--json", whole=True)
@@ -169,7 +178,7 @@ def studio(place: Path) -> Shown:
 
 SCENES: dict[str, Callable[[Path], Shown]] = {
     scene.__name__: scene
-    for scene in (validate, gains, runs, fleet, studio, fit, transfer, bode, figures, reproduce)
+    for scene in (validate, gains, runs, suggestions, fleet, studio, fit, transfer, bode, figures, reproduce)
 }
 """Cheap ones first."""
 
@@ -226,7 +235,7 @@ def short_reproduction() -> Iterator[None]:
     """The paper's first loop over twenty seconds, fitted once: the words about it are tried here."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(reproduction, "DURATION_S", 20.0)
-        patch.setattr(reproduction, "LOOPS", reproduction.LOOPS[:1])
+        patch.setattr(reproduction, "LOOPS", LOOPS[:1])
         results = reproduction.reproduce_ardrone_ts()
         patch.setattr(reproduction, "reproduce_ardrone_ts", lambda: results)
         yield
