@@ -17,6 +17,7 @@ from flysid.validate.conditioning import conditions
 from flysid.validate.diagnostics import diagnose
 from flysid.validate.parameters import intervals
 from flysid.validate.report import ReportContext, render
+from flysid.validate.report.checktable import check_rows
 from flysid.validate.robustness import robustness
 from tests.fakes import FirstOrder, flown
 
@@ -102,3 +103,14 @@ def test_the_page_and_the_document_tell_the_checks() -> None:
     assert found["long_run"]["limits_s"] is None
     assert len(found["condition_per_rule"]) == 2
     assert np.shape(found["gain_95"]) == (2, 2, 1, 1)
+
+
+def test_a_pole_on_the_circle_passes_and_one_beyond_does_not() -> None:
+    """A position integrates its velocity: that is the plant's, and no fault of the model."""
+    models = [FirstOrder(a=0.9, b=0.07), replace(TRUTH, structure="ts")]
+    c = compare(models, flown(TRUTH, [300] * 2, noise=0.02))
+    found = ReportContext.of({"y": c}).diagnoses["y"]
+    for radius, passes in ((0.9, True), (1.0, True), (1.001, False)):
+        rows = check_rows(c, replace(found, pole_radius={"arx": radius}), 0)
+        poles = next(row for row in rows if row.label == "Poles")
+        assert [(f.words, f.good) for f in poles.findings] == [(f"{radius:.4f}", passes), ("–", None)]
