@@ -9,6 +9,7 @@ import pytest
 
 from flysid.dataset import Dataset
 from flysid.model.arx import ARX
+from flysid.model.mean import Mean
 from flysid.model.ts import TS
 from flysid.validate.cautions import cautions
 from flysid.validate.checks import check
@@ -66,6 +67,7 @@ def test_the_condition_is_that_of_the_lagged_signals() -> None:
     twins = Dataset.from_arrays([np.repeat(u, 2, axis=1) for u in us], list(ys), 0.05)
     double = ARX(na=1, nb=1, nk=1, refine=False)
     assert conditions(replace(double).fit(twins), twins)[0] > 1e6
+    assert conditions(Mean().fit(white), white) == (1.0,)  # of no signal at all
 
 
 def test_intervals_hold_the_gain_of_a_linear_plant() -> None:
