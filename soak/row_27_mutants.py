@@ -324,9 +324,10 @@ def outcomes(mutants: Sequence[Mutant], record: Record, budget: Budget) -> Itera
         by_doors = sum(DOORS in trial.noticed_by for trial in trials)
         kinds = Counter(trial.kind for trial in missed)
         left = ", ".join(f"{n} {kind}" for kind, n in kinds.most_common()) or "none"
+        doubted = {test for trial in trials for test in trial.doubted}
         outcome.remark = (
             f"noticed {noticed} ({100 * share:.0f} %), {by_doors} by the doors alone; not noticed: {left}; "
-            f"seed {record.seed}"
+            f"tests that fail unchanged: {len(doubted)}; seed {record.seed}"
         )
         if trials and share < LEAST_NOTICED:
             outcome.failures += [trial.change for trial in missed]

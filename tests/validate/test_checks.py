@@ -12,6 +12,7 @@ import pytest
 from flysid.dataset import Dataset
 from flysid.datasetfile import write_dataset
 from flysid.model.arx import ARX
+from flysid.model.mean import Mean
 from flysid.model.ts import TS
 from flysid.validate.cautions import cautions
 from flysid.validate.checks import check
@@ -20,6 +21,7 @@ from flysid.validate.conditioning import conditions
 from flysid.validate.diagnostics import diagnose
 from flysid.validate.parameters import intervals
 from flysid.validate.report import ReportContext, render
+from flysid.validate.report.checktable import check_rows
 from flysid.validate.robustness import robustness
 from tests.bent_plant import flight
 from tests.command import call
@@ -71,6 +73,7 @@ def test_the_condition_is_that_of_the_lagged_signals() -> None:
     twins = Dataset.from_arrays([np.repeat(u, 2, axis=1) for u in us], list(ys), 0.05)
     double = ARX(na=1, nb=1, nk=1, refine=False)
     assert conditions(replace(double).fit(twins), twins)[0] > 1e6
+    assert conditions(Mean().fit(white), white) == (1.0,)  # of no signal at all
 
 
 def test_intervals_hold_the_gain_of_a_linear_plant() -> None:
@@ -138,3 +141,14 @@ def test_rules_on_the_border_of_stability_are_judged_without_a_certificate(
     assert "by itself is" in found["words"]
     assert "missing" not in report
     assert found["words"] in (tmp_path / "run" / "report" / "report.html").read_text("utf-8")
+
+
+def test_a_pole_on_the_circle_passes_and_one_beyond_does_not() -> None:
+    """A position integrates its velocity: that is the plant's, and no fault of the model."""
+    models = [FirstOrder(a=0.9, b=0.07), replace(TRUTH, structure="ts")]
+    c = compare(models, flown(TRUTH, [300] * 2, noise=0.02))
+    found = ReportContext.of({"y": c}).diagnoses["y"]
+    for radius, passes in ((0.9, True), (1.0, True), (1.001, False)):
+        rows = check_rows(c, replace(found, pole_radius={"arx": radius}), 0)
+        poles = next(row for row in rows if row.label == "Poles")
+        assert [(f.words, f.good) for f in poles.findings] == [(f"{radius:.4f}", passes), ("–", None)]

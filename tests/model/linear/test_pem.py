@@ -94,6 +94,21 @@ def test_a_feedback_loop_does_not_bias_armax() -> None:
     assert np.abs(plain.flat[list(plain.free)][0] + 0.9) > 0.03
 
 
+def test_short_pieces_that_begin_in_mid_flight_do_not_bend_armax() -> None:
+    """The first three outputs of a piece have not all their lags; the state of C takes up one error alone."""
+    b, a, c = [0.0, 0.2], np.poly([0.9, 0.9, 0.5]), [1.0, -0.5]
+    rng = np.random.default_rng(9)
+    u = np.repeat(rng.choice([-1.0, 1.0], 120), 10)
+    y = lfilter(b, a, u) + lfilter(c, a, 0.02 * rng.standard_normal(len(u)))
+    whole = Dataset.from_arrays(u, y, 0.1)
+    pieces = [whole.segments[0].slice(at, at + 20, 0.1) for at in range(0, len(u), 20)]
+    model = ARMAX(na=3, nb=1, nk=1, nc=1, offset=False).fit(whole.with_segments(pieces))
+    free = list(model.free)
+    miss = np.abs(model.flat[free][:4] - [*a[1:], 0.2])
+    assert (miss < 4.0 * model.standard_errors[free][:4]).all()
+    assert (miss < 0.05).all()
+
+
 def test_the_noise_start_is_close() -> None:
     rng = np.random.default_rng(7)
     v = np.asarray(lfilter(C, D, rng.standard_normal(4000)))

@@ -13,6 +13,7 @@ from bench.closed_loop import Loop, direct
 from bench.step_coverage import DT_S, flown, held, polynomials, true_step
 from flysid.dataset import Dataset
 from flysid.errors import DataError, UsageError
+from flysid.model.low_order_response import _realise
 from flysid.model.step_response import step_response
 from tests.command import call
 
@@ -46,6 +47,13 @@ def test_a_response_that_no_low_order_has_is_held_as_well() -> None:
         low, high = step_response(Dataset.from_arrays(u, y, DT_S)).interval
         inside.append(np.mean(((low <= true) & (true <= high))[1:]))
     assert np.mean(inside) > 0.85
+
+
+def test_taps_of_a_low_order_give_its_coefficients_back() -> None:
+    """With a part that passes at once, which is no part of the states."""
+    b, a = np.array([2.0, 0.3, -0.1]), np.array([1.0, -1.5, 0.7])
+    taps = lfilter(b, a, np.eye(1, 40)[0])
+    np.testing.assert_allclose(_realise(taps, 2), [*b, *a[1:]], atol=1e-9)
 
 
 def test_an_input_that_answers_the_output_is_refused() -> None:

@@ -299,6 +299,15 @@ def test_rules_that_are_nowhere_the_strongest_at_rest_are_told_apart() -> None:
     assert other.endswith("at most 1 % near v_x = 1.5 m/s")
 
 
+def test_gains_name_their_input_where_there_are_several() -> None:
+    plain = rule([[0.1]])
+    (alone,) = meanings([replace(plain, here=(point(0.1, [0.1], [0.8], 1.1),))], ([V, V], [TILT]))
+    assert "gain 0.1 m/s per deg, 63 %" in alone
+    (both,) = meanings([replace(plain, here=(point(0.1, [0.1, 2.0], [0.8, 0.8], 1.1),))], ([V], [TILT, FAN]))
+    assert "of tilt, " in both
+    assert "of fan, 63 %" in both
+
+
 def test_several_inputs_share_a_sentence_and_their_time() -> None:
     alike = point(0.5, [0.1, 2.0], [0.8, 0.8], 1.1)
     (said,) = sentences([alike], ([V], [TILT, FAN]))
