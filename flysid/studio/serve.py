@@ -14,6 +14,7 @@ import uvicorn
 
 from flysid.studio.app import make_app
 from flysid.studio.folders import Workspace
+from flysid.studio.impatient import Impatient
 from flysid.studio.live_stream import Live
 from flysid.studio.loopback import Key, bound
 
@@ -51,5 +52,7 @@ def serve(
         ready(address)
         if show:
             threading.Thread(target=webbrowser.open, args=(address,), daemon=True).start()
-        config = uvicorn.Config(app, log_level="warning", access_log=False, server_header=False)
+        config = uvicorn.Config(
+            app, http=Impatient, log_level="warning", access_log=False, server_header=False
+        )
         Server(config, leaving).run(sockets=[listening])
