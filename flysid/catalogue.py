@@ -14,7 +14,9 @@ from pathlib import Path
 
 import msgspec
 
+from flysid.errors import StoreError
 from flysid.files import write_atomically
+from flysid.foreign import inner_path
 from flysid.manifest import FLIGHTS, Manifest, Stamp, check_data_folder, read_manifest, stamps
 
 CATALOGUE_FILE = ".catalogue"
@@ -114,7 +116,8 @@ def facts_of(manifest: Manifest, stamp: Stamp) -> FlightFacts:
 
 def _read(path: Path) -> tuple[FlightFacts, ...]:
     try:
-        stored = msgspec.msgpack.decode(path.read_bytes(), type=_Catalogue)
-    except (OSError, msgspec.DecodeError, UnicodeDecodeError, RecursionError):
+        inner = inner_path(path.parent, path.name, path)
+        stored = msgspec.msgpack.decode(inner.read_bytes(), type=_Catalogue)
+    except (OSError, StoreError, msgspec.DecodeError, UnicodeDecodeError, RecursionError):
         return ()
     return stored.flights if stored.version == CATALOGUE_VERSION else ()

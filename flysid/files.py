@@ -128,6 +128,38 @@ def write_atomically(path: Path, content: bytes) -> None:
     sync(path.parent)
 
 
+_LEFT = re.compile(r"\..*[.-](?P<pid>\d+)(-[a-z0-9_]{8})?")
+"""Names that writers use meanwhile: hidden, with the number of their process, and letters by chance."""
+
+
+def remove_left_behind(folder: Path, beginning: str) -> int:
+    """Remove files and folders that a writer on this machine left when it was killed; returns how many.
+
+    Parameters
+    ----------
+    beginning : of their names, with the dot. What a process that still runs is at work on stays.
+    """
+    removed = 0
+    with suppress(OSError):
+        for path in folder.iterdir():
+            left = _LEFT.fullmatch(path.name)
+            if left and path.name.startswith(beginning) and not runs(int(left["pid"])):
+                _remove(path)
+                removed += 1
+    return removed
+
+
+def runs(pid: int) -> bool:
+    """Whether a process of this machine runs; where that cannot be known, yes."""
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    except (OSError, OverflowError):
+        return True
+    return True
+
+
 @contextmanager
 def replacing_folder(out: Path) -> Iterator[Path]:
     """A new folder beside `out` that takes its place when the block ends well, and vanishes otherwise.

@@ -23,6 +23,7 @@ from pathlib import Path
 
 from flysid.errors import StoreError
 from flysid.files import slug, write_atomically, writing_to
+from flysid.foreign import inner_path
 from flysid.place import Place, StoredObject
 
 MARKER = ".mirror"
@@ -78,9 +79,9 @@ def address_of(data: Path) -> str:
     Only a folder of the user's cache mirrors one: a stranger's could name an address to be connected to.
     """
     try:
-        address = (data / MARKER).read_text("utf-8")
+        address = inner_path(data, MARKER, data).read_text("utf-8")
         return address if data.samefile(folder_for(address)) else ""
-    except (OSError, ValueError):
+    except (OSError, ValueError, StoreError):
         return ""
 
 

@@ -20,8 +20,8 @@ import pyarrow.parquet as pq
 
 from flysid import mirror
 from flysid.catalogue import CATALOGUE_FILE
-from flysid.errors import StoreError, UsageError
-from flysid.files import filling, put_in_place, slug, write_atomically, writing_to
+from flysid.errors import StoreError, UsageError, WriteError
+from flysid.files import filling, put_in_place, remove_left_behind, slug, write_atomically, writing_to
 from flysid.files import locked as locked_file
 from flysid.flight import BOOT, TIME, ClockMap, Damage, Flight, Source
 from flysid.flightwriter import FlightWriter, in_order
@@ -63,6 +63,7 @@ __all__ = [
     "read_manifest",
     "read_stream",
     "slug",
+    "tidy",
     "write_flight",
 ]
 
@@ -161,7 +162,16 @@ def clean(data: Path) -> int:
             shutil.rmtree(data / FLIGHTS / name)
     for file in data.glob(f".{CATALOGUE_FILE}.*"):
         file.unlink(missing_ok=True)
+    remove_left_behind(data, f".{DATA_FILE}.")
     return len(unfinished)
+
+
+def tidy(data: Path) -> None:
+    """Remove what killed writers left behind, where no other process writes; nothing else is touched."""
+    with suppress(WriteError), locked(data):
+        remove_left_behind(data / FLIGHTS, ".incoming-")
+        for name in (CATALOGUE_FILE, DATA_FILE):
+            remove_left_behind(data, f".{name}.")
 
 
 def discard(data: Path, pid: int) -> None:

@@ -19,6 +19,7 @@ from typing import Any
 from flysid.errors import StoreError
 from flysid.extras import Extra, extra
 from flysid.files import write_atomically
+from flysid.foreign import inner_path
 from flysid.validate.history import RunChannel, find_runs, run_channels
 from flysid.validate.judge import DOCUMENT, REPORT
 from flysid.validate.run import RUN_FILE
@@ -90,9 +91,9 @@ def _read(root: Path) -> Indexed:
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    path = root / INDEX
     found: Indexed = {}
     try:
+        path = inner_path(root, INDEX, root)
         table = pq.read_table(io.BytesIO(path.read_bytes()))
         if (table.schema.metadata or {}).get(b"flysid-runs") != VERSION:
             return {}
@@ -100,7 +101,7 @@ def _read(root: Path) -> Indexed:
             stamp = tuple(int(v) for v in row.pop("stamp"))
             name = str(row.pop("run"))
             found.setdefault(name, (stamp, []))[1].append(_channel(row))  # type: ignore[arg-type]
-    except (OSError, pa.ArrowException, LookupError, TypeError, ValueError):
+    except (OSError, StoreError, pa.ArrowException, LookupError, TypeError, ValueError):
         return {}
     return found
 

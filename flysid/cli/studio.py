@@ -84,6 +84,7 @@ def command(
         click.echo(address)
         say("Ctrl-C ends the server")
 
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # the server raises what ended it once more
     if not links:
         from flysid.studio.serve import serve
 
@@ -92,7 +93,6 @@ def command(
     session = open_session(links, run, false_alarms, output or new_recording(workspace.folder / "recordings"))
     from flysid.cli.record import finish
 
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # the server raises what ended it once more
     session.start()
     try:
         with suppress(KeyboardInterrupt):

@@ -9,9 +9,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from flysid.errors import UsageError
-from flysid.files import writing_to
+from flysid.files import remove_left_behind, writing_to
 from flysid.foreign import inner_path
-from flysid.manifest import DATA_FILE
+
+VIEWS = ".views-"
+"""Begins the names of folders that hold what a studio has drawn, for as long as it runs."""
 
 
 class NotThere(UsageError):
@@ -104,13 +106,13 @@ def open_workspace(data: Path, more_runs: Sequence[Path] = ()) -> Workspace:
             path=data,
             hint=f"flysid ingest {data} -o data; flysid studio data",
         )
-    if not (data / DATA_FILE).is_file():
-        from flysid.store import create_data_folder
+    from flysid.store import create_data_folder, tidy
 
-        create_data_folder(data)
+    tidy(create_data_folder(data))
     workspace = Workspace(data, tuple(more_runs))
     for folder in (workspace.uploads, workspace.jobs, workspace.runs, workspace.recipes):
         inner_path(workspace.folder, folder.name, workspace.folder)
         with writing_to(folder):
             folder.mkdir(parents=True, exist_ok=True)
+    remove_left_behind(workspace.folder, VIEWS)
     return workspace

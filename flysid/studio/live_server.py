@@ -17,7 +17,7 @@ from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
 from flysid.studio.live_stream import EVERY_S, Live, seen_by, told
-from flysid.studio.loopback import HEADERS, HOST, POLICY, UNKNOWN, Key, bound, refusal
+from flysid.studio.loopback import HEAD_S, HEADERS, HOST, POLICY, UNKNOWN, Key, bound, refusal
 
 FILES = {
     "/": ("studio", "live.html", "text/html; charset=utf-8"),
@@ -54,6 +54,7 @@ class _Handler(BaseHTTPRequestHandler):
 
     server: _Server
     protocol_version = "HTTP/1.1"
+    timeout = HEAD_S
 
     def do_GET(self) -> None:
         """Answer a request."""

@@ -14,6 +14,8 @@ from flysid.errors import UsageError
 
 UNKNOWN = "open the address that 'flysid studio' has printed: it carries the token\n"
 HOST = "127.0.0.1"
+HEAD_S = 5.0
+"""For a request's first lines to arrive in full: a browser on this machine takes a thousandth of it."""
 POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; connect-src 'self'; "
     "frame-src 'self'; frame-ancestors 'none'; base-uri 'none'; form-action 'none'"

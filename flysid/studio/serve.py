@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import os
 import threading
 import webbrowser
 from collections.abc import Callable
@@ -13,7 +14,8 @@ from types import FrameType
 import uvicorn
 
 from flysid.studio.app import make_app
-from flysid.studio.folders import Workspace
+from flysid.studio.folders import VIEWS, Workspace
+from flysid.studio.impatient import Impatient
 from flysid.studio.live_stream import Live
 from flysid.studio.loopback import Key, bound
 
@@ -30,6 +32,11 @@ class Server(uvicorn.Server):
         super().handle_exit(sig, frame)
 
 
+def _views(workspace: Workspace) -> TemporaryDirectory[str]:
+    """A folder for what is drawn; its name says whose it is, so that the next studio can remove it."""
+    return TemporaryDirectory(dir=workspace.folder, prefix=f"{VIEWS}{os.getpid()}-")
+
+
 def serve(
     workspace: Workspace, port: int, ready: Callable[[str], None], show: bool, live: Live | None = None
 ) -> None:
@@ -43,7 +50,7 @@ def serve(
     show : open it in the browser.
     live : what is recorded and watched meanwhile; its page is opened first.
     """
-    with bound(port) as listening, TemporaryDirectory(dir=workspace.folder, prefix=".views-") as cache:
+    with bound(port) as listening, _views(workspace) as cache:
         key = Key(listening.getsockname()[1])
         leaving = asyncio.Event()
         app = make_app(workspace, key, Path(cache), leaving, live=live)
@@ -51,5 +58,7 @@ def serve(
         ready(address)
         if show:
             threading.Thread(target=webbrowser.open, args=(address,), daemon=True).start()
-        config = uvicorn.Config(app, log_level="warning", access_log=False, server_header=False)
+        config = uvicorn.Config(
+            app, http=Impatient, log_level="warning", access_log=False, server_header=False
+        )
         Server(config, leaving).run(sockets=[listening])

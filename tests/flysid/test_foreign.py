@@ -148,6 +148,15 @@ def test_a_device_in_a_run_ends_at_once(place: Path) -> None:
     assert "a device, a pipe or a socket" in done.stderr
 
 
+def test_an_index_that_is_a_pipe_is_none(place: Path) -> None:
+    for index in (place / "data" / ".catalogue", place / "data" / ".mirror", place / ".flysid-runs.parquet"):
+        index.unlink(missing_ok=True)
+        os.mkfifo(index)
+    assert "01-multisine" in call("ls", "data", cwd=place).stdout
+    assert call("show", "data", "03", cwd=place).returncode == 2
+    assert "vertical" in call("runs", ".", cwd=place).stdout
+
+
 def test_writers_do_not_remove_what_a_link_leads_to(place: Path, tmp_path: Path) -> None:
     precious = tmp_path / "home" / "precious" / "file"
     precious.parent.mkdir(parents=True)

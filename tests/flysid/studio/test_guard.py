@@ -12,7 +12,7 @@ from starlette.responses import Response
 from starlette.types import Message, Receive, Scope, Send
 
 from flysid.studio.guard import Quiet, RequestBounds, RequestGuard
-from flysid.studio.loopback import Key
+from flysid.studio.loopback import HEAD_S, Key
 from tests.flysid.studio.server import Server
 
 
@@ -156,6 +156,33 @@ def test_websockets_are_closed(server: Server) -> None:
 def test_methods_that_change_are_not_get(server: Server) -> None:
     for path in ("fits", "validates", "compares", "uploads"):
         assert server.get(path).status in (404, 405)
+
+
+def test_connections_that_ask_for_nothing_are_closed(server: Server) -> None:
+    """Not one byte, half a request, a byte now and then, half of a second request."""
+    whole = f"GET / HTTP/1.1\r\nHost: 127.0.0.1:{server.port}\r\n\r\n".encode()
+    opened = [socket.create_connection(("127.0.0.1", server.port)) for _ in range(4)]
+    opened[1].sendall(whole[:20])
+    opened[3].sendall(whole + whole[:20])
+    began = time.monotonic()
+    for connection in opened:
+        connection.settimeout(0.5)
+    left = list(opened)
+    while left and time.monotonic() - began < 2.0 * HEAD_S:
+        for connection in list(left):
+            try:
+                if connection is opened[2]:
+                    connection.sendall(b"G")
+                if not connection.recv(4096):
+                    left.remove(connection)
+            except TimeoutError:
+                continue
+            except ConnectionError:
+                left.remove(connection)
+    for connection in opened:
+        connection.close()
+    assert not left
+    assert server.raw("GET", "/").status == 401
 
 
 def test_a_slow_body_is_given_up() -> None:

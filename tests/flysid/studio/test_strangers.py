@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
+import subprocess
 import time
 from pathlib import Path
 from typing import Any
@@ -111,3 +113,36 @@ def test_folders_of_the_studio_are_no_links(place: Path, name: str) -> None:
     (place / "data.studio" / name).symlink_to("../..")
     with pytest.raises(StoreError, match="is a link that leads out"):
         open_workspace(place / "data")
+
+
+def test_what_killed_processes_left_is_removed_and_what_others_are_at_stays(place: Path) -> None:
+    with subprocess.Popen(["true"]) as process:
+        process.wait()
+    ended, running = process.pid, os.getpid()
+    flights = place / "data" / "flights"
+    own = place / "data.studio"
+    own.mkdir()
+    for pid in (ended, running):
+        (flights / f".incoming-log-01-{pid}").mkdir()
+        (place / "data" / f".flysid-data.json.{pid}").touch()
+        (place / "data" / f"..catalogue.{pid}").touch()
+        (own / f".views-{pid}-abcd1234").mkdir()
+    (own / f".views-{ended}-link0000").symlink_to(place / "run")
+    open_workspace(place / "data")
+    left = [path for folder in (flights, place / "data", own) for path in folder.iterdir()]
+    names = [path.name for path in left]
+    assert not [name for name in names if str(ended) in name]
+    assert len([name for name in names if str(running) in name]) == 4
+    assert (place / "run" / "run.json").is_file()
+    assert len([path for path in flights.iterdir() if not path.name.startswith(".")]) == 2
+
+
+def test_a_studio_that_was_killed_leaves_nothing_for_long(place: Path) -> None:
+    with studio(place / "data") as server:
+        server.process.kill()
+        server.process.wait()
+    assert list((place / "data.studio").glob(".views-*"))
+    with studio(place / "data") as server:
+        [mine] = (place / "data.studio").glob(".views-*")
+        assert str(server.process.pid) in mine.name
+    assert not list((place / "data.studio").glob(".views-*"))
