@@ -18,6 +18,7 @@ import os
 import re
 import shutil
 import threading
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 
@@ -43,26 +44,35 @@ def _cache() -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "flysid"
 
 
-def copy_of(place: Place, found: StoredObject) -> Path:
-    """An object as a file of the cache; fetched where this content of it is not there yet."""
-    address = place.at(found.key)
-    digest = hashlib.sha256(f"{address}\0{found.etag}\0{found.size}".encode()).hexdigest()[:16]
+def copy_of(place: Place, found: StoredObject, beside: Sequence[str] = ()) -> Path:
+    """An object as a file of the cache; fetched where this content of it is not there yet.
+
+    `beside`: suffixes behind its name of other objects that it is read with, where they are there.
+    """
+    sides = {suffix: side for suffix in beside if (side := place.head(found.key + suffix))}
+    facts = "\0".join(f"{place.at(o.key)}\0{o.etag}\0{o.size}" for o in (found, *sides.values()))
+    digest = hashlib.sha256(facts.encode()).hexdigest()[:16]
     path = _cache() / "logs" / digest / slug(Path(found.key).name)
-    if not path.exists():
-        with writing_to(path):
-            path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
-        _bring(place, found.key, path)
+    with writing_to(path):
+        path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
+    for suffix, side in sides.items():
+        _bring_once(place, side.key, path.with_name(path.name + suffix))
+    _bring_once(place, found.key, path)
     return path
 
 
-def log_at(place: Place) -> Path | None:
-    """The log at an address, as a file of the cache; None where there is none."""
-    above = str(place).rpartition("/")[0]
-    if above.endswith("/"):
-        return None  # a bucket
-    folder = Place(above)
-    found = folder.head(str(place)[len(above) + 1 :])
-    return copy_of(folder, found) if found else None
+def log_at(place: Place, beside: Sequence[str] = ()) -> Path | None:
+    """The log at an address, or the member of an archive there, as a path of the cache; None for nothing.
+
+    `beside`: see `copy_of`.
+    """
+    scheme, _, rest = str(place).partition("://")
+    bucket, *parts = rest.split("/")
+    for count in range(len(parts), 0, -1):
+        folder = Place("/".join((f"{scheme}://{bucket}", *parts[: count - 1])))
+        if found := folder.head(parts[count - 1]):
+            return copy_of(folder, found, beside).joinpath(*parts[count:])
+    return None
 
 
 def mark(data: Path, address: str) -> None:
@@ -107,6 +117,11 @@ def fetch(path: Path) -> Path:
     with suppress(FileNotFoundError):  # whoever reads it says what is missing
         _bring(Place(address), key, path)
     return path
+
+
+def _bring_once(place: Place, key: str, path: Path) -> None:
+    if not path.exists():
+        _bring(place, key, path)
 
 
 def _bring(place: Place, key: str, path: Path) -> None:

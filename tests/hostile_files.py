@@ -16,6 +16,7 @@ import struct
 import tempfile
 import zlib
 from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 
 import pyarrow as pa
@@ -70,6 +71,10 @@ def named(name: bytes, **wrong: int) -> bytes:
     return archive(_member(name, TABLE, **wrong), _member(b"sound.csv", TABLE + b"3,9\n"))
 
 
+def _with_name(name: bytes) -> Callable[[Draw], bytes]:
+    return lambda draw: named(name, flags=draw.choice((0, 1 << 11)))
+
+
 def _deep(levels: int) -> bytes:
     blob = TABLE
     for level in range(levels):
@@ -111,8 +116,7 @@ def _archives() -> Mapping[str, Callable[[Draw], bytes]]:
         "hidden": b".hidden/.a.csv",
     }
     made: dict[str, Callable[[Draw], bytes]] = {
-        f"zip, name {kind}": lambda draw, name=name: named(name, flags=draw.choice((0, 1 << 11)))
-        for kind, name in names.items()
+        f"zip, name {kind}": _with_name(name) for kind, name in names.items()
     }
     return made | {
         "zip, a name twice": lambda _: archive(*[_member(b"a.csv", TABLE)] * 9),
@@ -330,10 +334,7 @@ def _mutant(kind: str, draw: Draw) -> bytes:
 
 
 def _mutants() -> Mapping[str, Callable[[Draw], bytes]]:
-    return {
-        f"{module_of(kind).SUFFIX[1:]}, {kind}": lambda draw, kind=kind: _mutant(kind, draw)
-        for kind in FORMATS
-    }
+    return {f"{module_of(kind).SUFFIX[1:]}, {kind}": partial(_mutant, kind) for kind in FORMATS}
 
 
 def contents() -> Mapping[str, Callable[[Draw], bytes]]:

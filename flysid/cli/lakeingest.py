@@ -19,7 +19,7 @@ from flysid.showing import counted, first_of
 
 if TYPE_CHECKING:
     from flysid.fleet.ingest_many import Engine, Sorted
-    from flysid.fleet.reading import LogOutcome
+    from flysid.fleet.reading import LogOutcome, Settings
     from flysid.ingest.formats.base import Limits
     from flysid.ingest.lake.workers import Bounds
 
@@ -53,7 +53,7 @@ def ingest_to_lake(
     settings = Settings(data.rstrip("/"), limits, bounds, vehicle_in, again)
 
     def once(engine: Engine) -> int:
-        found = found_logs(logs, settings.lake, options, again)
+        found = found_logs(logs, settings, options, again)
         outcomes = done(found, settings, engine, options, quiet, display)
         if as_json:
             click.echo(json.dumps(as_document(data, found, outcomes), indent=1))
@@ -62,7 +62,7 @@ def ingest_to_lake(
                 if outcome.status == "ingested" and outcome.facts:
                     click.echo(printable(outcome.facts.id))
         summarise(found, outcomes, quiet)
-        return exit_code(outcomes)
+        return exit_code(outcomes, found)
 
     with engine_for(options, jobs, quiet) as engine:
         if options.watch_s is None:
@@ -76,13 +76,13 @@ def ingest_to_lake(
             time.sleep(options.watch_s)
 
 
-def found_logs(logs: Sequence[str], lake: str, options: LakeOptions, force: bool) -> Sorted:
+def found_logs(logs: Sequence[str], settings: Settings, options: LakeOptions, force: bool) -> Sorted:
     """The logs to read."""
     from flysid.fleet.ingest_many import find
     from flysid.fleet.lakes import create_lake
 
-    create_lake(lake)
-    return find(logs, lake, options.since, options.retry, force)
+    create_lake(settings.lake)
+    return find(logs, settings.lake, options.since, options.retry, force, settings.bounds)
 
 
 def done(
@@ -124,7 +124,12 @@ def describe(outcome: LogOutcome) -> str:
             f"{outcome.log.name}: {facts.format}, {counted(facts.rows, 'record')} in "
             f"{counted(len(facts.streams), 'stream')}, {facts.duration_s:.1f} s"
         )
-    said = {"quarantined": "in quarantine: ", "duplicate": "a duplicate of ", "waiting": "not done: "}
+    said = {
+        "quarantined": "in quarantine: ",
+        "duplicate": "a duplicate of ",
+        "waiting": "not done: ",
+        "ignored": "ignored: ",
+    }
     return f"{outcome.log.name}: {said.get(outcome.status, outcome.status)}{outcome.reason}"
 
 
@@ -138,6 +143,7 @@ def summarise(found: Sorted, outcomes: Sequence[LogOutcome], quiet: bool) -> Non
         "duplicate": "already there under another name",
         "quarantined": "in quarantine",
         "waiting": "not done",
+        "ignored": "ignored",
     }
     told = ", ".join(f"{many[status]:,} {word}" for status, word in words.items() if many[status])
     say(told or "no logs", quiet)
@@ -145,7 +151,9 @@ def summarise(found: Sorted, outcomes: Sequence[LogOutcome], quiet: bool) -> Non
         say(f"{counted(found.quarantined, 'log')} in quarantine since before: --retry reads them", quiet)
     if found.passed_over:
         names = [name.rpartition("/")[2] for name in found.passed_over]
-        say(f"ignored, not logs by their names: {first_of(names, SHOWN)}", quiet)
+        say(f"ignored, not logs: {first_of(names, SHOWN)}", quiet)
+    for url, reason in found.unread:
+        say(f"skipped: {url}: {reason}")
     lossy = sum(o.status == "ingested" and o.facts is not None and o.facts.lossy for o in outcomes)
     if lossy:
         say(f"{counted(lossy, 'log')} lost something; details: flysid show LAKE FLIGHT", quiet)
@@ -154,12 +162,13 @@ def summarise(found: Sorted, outcomes: Sequence[LogOutcome], quiet: bool) -> Non
         say(f"not done: {reasons.most_common(1)[0][0]}; run the same command again")
 
 
-def exit_code(outcomes: Sequence[LogOutcome]) -> int:
+def exit_code(outcomes: Sequence[LogOutcome], found: Sorted) -> int:
     """75 where a log waits, 1 where none could be read, 3 where one cannot, or lost something, else 0."""
     if any(outcome.status == "waiting" for outcome in outcomes):
         return PlaceError.exit_code
-    bad = sum(outcome.status == "quarantined" for outcome in outcomes)
-    if bad and bad == len(outcomes):
+    refused = sum(outcome.status == "quarantined" for outcome in outcomes)
+    bad = refused + len(found.unread)
+    if bad and refused == len(outcomes) and not found.known:
         return FlysidError.exit_code
     lossy = any(o.status == "ingested" and o.facts is not None and o.facts.lossy for o in outcomes)
     return ExitCode.LOSSES if bad or lossy else 0
@@ -181,4 +190,5 @@ def as_document(data: str, found: Sorted, outcomes: Sequence[LogOutcome]) -> dic
         "known": found.known,
         "in_quarantine": found.quarantined,
         "passed_over": list(found.passed_over),
+        "unread": [{"url": url, "reason": reason} for url, reason in found.unread],
     }

@@ -11,7 +11,7 @@ import fnmatch
 import os
 import threading
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass
 from datetime import datetime
@@ -19,13 +19,16 @@ from pathlib import Path
 from typing import Protocol
 
 from flysid.catalogue import FlightFacts
-from flysid.errors import UsageError
+from flysid.errors import FormatError, UsageError
 from flysid.fleet.lakes import DUPLICATES, QUARANTINE, create_lake
 from flysid.fleet.reading import Log, LogOutcome, Settings, ingest_batch
-from flysid.ingest.formats.opening import own_name
-from flysid.ingest.formats.registry import known_suffixes
-from flysid.ingest.lake.finding import GLOB_MARKS, find_logs
+from flysid.ingest.formats.base import HEAD_BYTES
+from flysid.ingest.formats.blame import blaming
+from flysid.ingest.formats.opening import is_archive, unpacked_head
+from flysid.ingest.formats.rosbag2.side_files import READ
+from flysid.ingest.lake.finding import GLOB_MARKS, LOG, Found, find_logs, judge_head, judge_name, part_of
 from flysid.ingest.lake.flighttable import merge, select
+from flysid.ingest.lake.workers import Bounds
 from flysid.manifest import DATA_FILE
 from flysid.place import Place, StoredObject, is_address
 from flysid.progress import tell
@@ -41,13 +44,15 @@ class Sorted:
     waiting : to be read, the largest first.
     known : how many the lake has, or has as a duplicate.
     quarantined : how many this version could not read before.
-    passed_over : files that no reader knows by their names.
+    passed_over : what is no log, by name or by its first bytes.
+    unread : what may be a log and cannot be read, and why.
     """
 
     waiting: tuple[Log, ...]
     known: int = 0
     quarantined: int = 0
     passed_over: tuple[str, ...] = ()
+    unread: tuple[tuple[str, str], ...] = ()
 
 
 class Engine(Protocol):
@@ -67,18 +72,25 @@ class Engine(Protocol):
 
 
 def find(
-    given: Sequence[str], lake: str, since: datetime | None = None, retry: bool = False, force: bool = False
+    given: Sequence[str],
+    lake: str,
+    since: datetime | None = None,
+    retry: bool = False,
+    force: bool = False,
+    bounds: Bounds | None = None,
 ) -> Sorted:
     """The logs that addresses and paths name, less those that the lake knows.
 
-    An address is an object, a folder or a pattern; its objects are listed, a thousand a request, and none is
-    read. Logs on this machine are sorted out later, by their hashes.
+    An address is an object, a folder or a pattern; its objects are listed, a thousand a request. Where their
+    names do not tell, their first bytes do, as of files on this machine. Archives count as one log until
+    they are read; logs on this machine are sorted out later, by their hashes.
 
     Parameters
     ----------
     since : only objects that arrived at this moment or later.
     retry : those in quarantine, too.
     force : all of them, whatever the lake knows.
+    bounds : of memory and time for looking into one file of this machine; see `find_logs`.
 
     Raises
     ------
@@ -88,18 +100,22 @@ def find(
     paths = [item for item in given if not is_address(item)]
     found: dict[str, Log] = {}
     passed: list[str] = []
+    unread: list[tuple[str, str]] = []
     for address in addresses:
-        for log in _list_logs(address, since):
-            if _is_log(log.name):
+        objects = _list_objects(address, since)
+        for one, kind in _judge(objects):
+            log = _log_of(objects, one)
+            if kind.paths:
                 found[log.url] = log
-            else:
-                passed.append(log.url)
+            unread += [(log.url, item.reason) for item in kind.unread.values()]
+            passed += [log.url] * len(kind.passed_over)
     if paths:
-        here = find_logs(paths)
+        here = find_logs(paths, bounds)
         passed += [str(item.path) for item in here.passed_over]
+        unread += [(str(item.path), item.reason) for item in here.unread]
         for path in here.paths:
             found[str(path)] = Log(os.path.abspath(path), path.stat().st_size if path.is_file() else 0)
-    if not found and not passed and since is None:
+    if not found and not passed and not unread and since is None:
         raise UsageError("no flight log in there", path=", ".join(given))
     place = Place(lake)
     known = frozenset[tuple[str, str]]() if force else _known(place)
@@ -109,10 +125,21 @@ def find(
         log for log in found.values() if (log.url, log.etag) not in known and log.digest not in duplicates
     ]
     waiting = sorted((log for log in fresh if log.digest not in bad), key=lambda log: (-log.size, log.url))
-    return Sorted(tuple(waiting), len(found) - len(fresh), len(fresh) - len(waiting), tuple(passed))
+    return Sorted(
+        tuple(waiting), len(found) - len(fresh), len(fresh) - len(waiting), tuple(passed), tuple(unread)
+    )
 
 
-def _list_logs(address: str, since: datetime | None) -> Iterator[Log]:
+@dataclass(frozen=True)
+class _Objects:
+    """A bucket, the objects in it that are meant, and all that lie where they do, by key."""
+
+    place: Place
+    meant: list[StoredObject]
+    there: Mapping[str, StoredObject]
+
+
+def _list_objects(address: str, since: datetime | None) -> _Objects:
     """Objects that an address names: one, those below a folder, those that fit a pattern."""
     scheme, _, rest = address.partition("://")
     bucket, _, key = rest.partition("/")
@@ -121,21 +148,56 @@ def _list_logs(address: str, since: datetime | None) -> Iterator[Log]:
     pattern = key if fixed != key else ""
     folder = key.rstrip("/") if not pattern else fixed.rpartition("/")[0]
     exact = place.head(key) if key and not pattern and not key.endswith("/") else None
-    every = [exact] if exact else list(place.list(folder))
+    every = [exact, *_beside(place, exact)] if exact else list(place.list(folder))
     lakes = tuple(f.key.removesuffix(DATA_FILE) for f in every if f"/{f.key}".endswith(f"/{DATA_FILE}"))
-    for found in every:
-        if _is_meant(found, pattern, since) and not found.key.startswith(lakes):
-            yield Log(f"{scheme}://{bucket}/{found.key}", found.size, found.etag)
+    named = [exact] if exact else every
+    meant = [f for f in named if _is_meant(f, pattern, since) and not f.key.startswith(lakes)]
+    return _Objects(place, meant, {found.key: found for found in every})
+
+
+def _beside(place: Place, found: StoredObject) -> list[StoredObject]:
+    """The objects that one is read with."""
+    return [side for suffix in READ if (side := place.head(found.key + suffix))]
+
+
+def _judge(objects: _Objects) -> Iterator[tuple[StoredObject, Found]]:
+    """What each object is, by its name or, where that does not tell, by its first bytes."""
+    unknown: list[StoredObject] = []
+    for one in objects.meant:
+        if kind := part_of(one.key, objects.there) or judge_name(one.key.rpartition("/")[2]):
+            found = Found()
+            found.sort_in(Path(one.key), kind)
+            yield one, found
+        else:
+            unknown.append(one)
+    for one, head in zip(unknown, objects.place.read_beginnings(unknown, HEAD_BYTES), strict=True):
+        yield one, _judge_bytes(Path(one.key), head)
+
+
+def _judge_bytes(path: Path, head: bytes) -> Found:
+    """An object by its first bytes; an archive counts as a log until it is read."""
+    found = Found()
+    try:
+        with blaming():
+            if is_archive(head):
+                found.sort_in(path, LOG)
+            else:
+                judge_head(found, path, *unpacked_head(path.name, head))
+    except FormatError as error:
+        found.fail(path, error.advice)
+    return found
+
+
+def _log_of(objects: _Objects, one: StoredObject) -> Log:
+    """An object as a log; it is another log once what it is read with is another."""
+    sides = [objects.there[key].etag for suffix in READ if (key := one.key + suffix) in objects.there]
+    return Log(objects.place.at(one.key), one.size, " ".join((one.etag, *sides)))
 
 
 def _is_meant(found: StoredObject, pattern: str, since: datetime | None) -> bool:
     is_hidden = found.key.rpartition("/")[2].startswith(".")
     fits = not pattern or fnmatch.fnmatchcase(found.key, pattern)
     return fits and not is_hidden and found.size > 0 and (since is None or found.modified >= since)
-
-
-def _is_log(name: str) -> bool:
-    return own_name(name).lower().endswith(known_suffixes())
 
 
 def _known(place: Place) -> frozenset[tuple[str, str]]:

@@ -4,7 +4,7 @@ flysid-data.json                    format, version
 flights/<hh>/<digits>/              manifest.json, the commit; <generation>/<stream>.parquet
 catalog/flights/                    a Delta table: the index (flysid.ingest.lake.flighttable)
 quarantine/<version>/<digest>.json  logs that cannot be read, and why; not tried again by this version
-duplicates/<digest>.json            logs whose content another log had brought
+duplicates/<digest>.json            logs whose content another log had brought; archives that were taken in
 """
 
 from __future__ import annotations

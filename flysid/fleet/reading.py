@@ -13,7 +13,7 @@ import threading
 import weakref
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -27,8 +27,11 @@ from flysid.fleet.lakes import DUPLICATES, QUARANTINE
 from flysid.fleet.publish import find_committed, publish
 from flysid.ingest.align.vehicle import vehicle_named
 from flysid.ingest.formats.base import Limits
+from flysid.ingest.formats.opening import begins_archive, begins_database
+from flysid.ingest.formats.rosbag2.side_files import READ
 from flysid.ingest.lake.batch import Job, Result, Task, work_on
 from flysid.ingest.lake.events import mode_changes
+from flysid.ingest.lake.finding import NO_LOGS, Found, judge_file
 from flysid.ingest.lake.lake import StoredLog
 from flysid.ingest.lake.workers import Bounds, Lost, read_bounded
 from flysid.manifest import FLIGHTS
@@ -36,6 +39,7 @@ from flysid.place import Place, is_address
 from flysid.store import create_data_folder
 from flysid.version import __version__
 
+NOTED = 5
 TRIES = 2
 """Of a log that ends its process: the machine may be at fault the first time."""
 
@@ -82,8 +86,8 @@ class LogOutcome(msgspec.Struct, frozen=True):
 
     Attributes
     ----------
-    status : "ingested", "unchanged" (the lake had it), "duplicate" (of another log), "quarantined", or
-        "waiting": not done, because the store did not answer.
+    status : "ingested", "unchanged" (the lake had it), "duplicate" (of another log), "quarantined",
+        "ignored" (an archive without logs), or "waiting": not done, because the store did not answer.
     reason : why it was quarantined, or waits; the flight that it is a duplicate of.
     """
 
@@ -106,20 +110,44 @@ def ingest_batch(
     for log in logs:
         if stopped():
             break
-        outcomes.append(_ingest(log, place, settings, reader))
+        outcomes += _ingest(log, place, settings, reader)
     return outcomes
 
 
-def _ingest(log: Log, place: Place, settings: Settings, reader: _Reader) -> LogOutcome:
+def _ingest(log: Log, place: Place, settings: Settings, reader: _Reader) -> list[LogOutcome]:
+    """What became of a log, or of every log in an archive."""
     try:
         with reader.file_of(log) as path:
-            return _ingest_file(path, log, place, settings, reader)
+            if is_address(log.url) and begins_archive(path):
+                return _ingest_archive(path, log, place, settings, reader)
+            return [_ingest_file(path, log, place, settings, reader)]
     except FileNotFoundError:
-        return LogOutcome(log, "waiting", reason="it is gone from where it was found")
+        return [LogOutcome(log, "waiting", reason="it is gone from where it was found")]
     except PlaceError as error:
-        return LogOutcome(log, "waiting", reason=error.message)
+        return [LogOutcome(log, "waiting", reason=error.message)]
     except StoreError as error:
-        return LogOutcome(log, "waiting", reason=f"{error.message} ({error.where})")
+        return [LogOutcome(log, "waiting", reason=f"{error.message} ({error.where})")]
+
+
+def _ingest_archive(
+    path: Path, log: Log, place: Place, settings: Settings, reader: _Reader
+) -> list[LogOutcome]:
+    """The logs of an archive that was fetched; a note saves the next fetch.
+
+    Raises what `_ingest` takes for a store that did not answer: members that were done are found again.
+    """
+    found = reader.look_into(path)
+    outcomes = []
+    for inside in found.paths:
+        member = Log(log.url + inside.as_posix()[len(path.as_posix()) :], log.size, log.etag)
+        outcomes.append(_ingest_file(inside, member, place, settings, reader))
+    for inside, unread in found.unread.items():
+        member = Log(log.url + inside.as_posix()[len(path.as_posix()) :], log.size, log.etag)
+        outcomes.append(LogOutcome(member, "quarantined", reason=unread.reason))
+    bad = [outcome.reason for outcome in outcomes if outcome.status == "quarantined"]
+    folder = f"{QUARANTINE}/{__version__}" if bad else DUPLICATES
+    place.put(f"{folder}/{log.digest}.json", _note(log, "; ".join(bad[:NOTED]) or "its logs are in the lake"))
+    return outcomes or [LogOutcome(log, "ignored", reason=NO_LOGS)]
 
 
 def _ingest_file(path: Path, log: Log, place: Place, settings: Settings, reader: _Reader) -> LogOutcome:
@@ -188,6 +216,8 @@ class _Reader:
         self._tasks: deque[Task] = deque()
         work = partial(read_log, data=self.data, limits=settings.limits)
         self._outcomes = read_bounded(work, self._tasks, 1, settings.bounds)
+        self._archives: deque[Path] = deque()
+        self._looks = read_bounded(judge_file, self._archives, 1, settings.bounds)
 
     @contextmanager
     def file_of(self, log: Log) -> Iterator[Path]:
@@ -197,11 +227,27 @@ class _Reader:
             return
         folder, _, name = log.url.rpartition("/")
         path = self._scratch / (name if name not in (".", "..") else "log")
-        Place(folder).fetch(name, path)
+        place = Place(folder)
+        sides = [(name + suffix, path.with_name(path.name + suffix)) for suffix in READ]
         try:
+            place.fetch(name, path)
+            for key, side in sides if begins_database(path) else ():
+                with suppress(FileNotFoundError):
+                    place.fetch(key, side)
             yield path
         finally:
-            path.unlink(missing_ok=True)
+            for file in (path, *(side for _, side in sides)):
+                file.unlink(missing_ok=True)
+
+    def look_into(self, path: Path) -> Found:
+        """What is in an archive."""
+        self._archives.append(path)
+        _, found = next(self._looks)
+        if not isinstance(found, Lost):
+            return found
+        nothing = Found()
+        nothing.fail(path, found.reason)
+        return nothing
 
     def hash(self, path: Path) -> Job | Result:
         """The log's hash, or why it cannot be had."""

@@ -242,6 +242,12 @@ def begins_archive(path: Path) -> bool:
         return is_archive(file.read(FIRST_BYTES))
 
 
+def begins_database(path: Path) -> bool:
+    """Whether a file begins as an SQLite database does: such a one is read with what lies beside it."""
+    with path.open("rb") as file:
+        return file.read(len(SQLITE_MAGIC)) == SQLITE_MAGIC
+
+
 def names_log(path: Path) -> bool:
     """Whether a path names a file or a member of an archive, not a folder or nothing."""
     return locate(path)[0].is_file()
@@ -303,10 +309,15 @@ def head_of(path: Path, limits: Limits | None = None) -> tuple[str, bytes]:
         with map_file(file) as view:
             name = PurePosixPath(inside).name
             head = first_bytes(member_pieces(view, member, limits.max_ratio), HEAD_BYTES)
-    if is_compressed(head):
-        name = own_name(name)
-        head = first_bytes(unpacked_pieces(memoryview(head), limits.max_ratio), HEAD_BYTES)
-    return name, head
+    return unpacked_head(name, head, limits)
+
+
+def unpacked_head(name: str, head: bytes, limits: Limits | None = None) -> tuple[str, bytes]:
+    """The own name and first bytes of a log of which these are the first as it lies there."""
+    if not is_compressed(head):
+        return name, head
+    ratio = (limits or Limits()).max_ratio
+    return own_name(name), first_bytes(unpacked_pieces(memoryview(head), ratio), HEAD_BYTES)
 
 
 def _head(file: BinaryIO) -> bytes:

@@ -17,6 +17,7 @@ from flysid.ingest.formats.base import WHOLE_BATCH_BYTES, Format, Limits, collec
 from flysid.ingest.formats.blame import blaming
 from flysid.ingest.formats.opening import OpenLog, members_of, open_log, own_name
 from flysid.ingest.formats.recognised import stranger
+from flysid.ingest.formats.rosbag2.side_files import READ
 from flysid.mirror import log_at
 from flysid.place import Place, is_address
 
@@ -225,7 +226,7 @@ def _file(path: str | Path) -> Path:
     """`path`, or a copy of the log that is at this address."""
     if not is_address(path):
         return Path(path)
-    found = log_at(Place(str(path)))
+    found = log_at(Place(str(path)), READ)
     if found is None:
         raise UsageError(
             "no log is there", path=path, hint=f"for a folder of logs: flysid ingest {path} -o DATA"

@@ -35,6 +35,7 @@ GLOB_MARKS = frozenset("*?[")
 ANYBODYS_SUFFIXES = (".log", ".txt")  # any program's notes end so, too
 UNKNOWN = "binary data that no reader knows"
 LOG = "log"
+NO_LOGS = "archive without logs"
 NOTHING = "no flight log in there"
 TRUTH_SUFFIX = ".truth.parquet"  # what `flysid synth` lays beside a log: a table, and no log
 SURE = 0.6  # more than a table in text can claim
@@ -239,7 +240,7 @@ def judge_file(path: Path) -> Found:
     if not head and path.stat().st_size > 0:
         found.fail(path, "nothing but zeros")
     else:
-        _judge_content(found, path, name, head)
+        judge_head(found, path, name, head)
     return found
 
 
@@ -255,17 +256,17 @@ def _judge_members(found: Found, path: Path) -> None:
                 elif kind := part_of(name, archive.members) or judge_name(inside.name):
                     found.sort_in(inside, kind)
                 else:
-                    _judge_content(found, inside, *head_of(inside))
+                    judge_head(found, inside, *head_of(inside))
         except FormatError as error:
             found.fail(inside, error.advice)
     if archive.fault:
         found.fail(path, archive.fault)
     if not found.paths and not found.unread:
-        found.passed_over = {path: PassedOver(path, "archive without logs")}
+        found.passed_over = {path: PassedOver(path, NO_LOGS)}
 
 
-def _judge_content(found: Found, path: Path, name: str, head: bytes) -> None:
-    """A file, or a member of an archive, by its first bytes."""
+def judge_head(found: Found, path: Path, name: str, head: bytes) -> None:
+    """Sort in a file, a member of an archive or an object by its own name and first bytes."""
     kind = kind_of(head)
     if kind and kind != TEXT:
         found.pass_over(path, kind)

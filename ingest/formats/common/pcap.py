@@ -11,8 +11,12 @@ import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+import numpy as np
+
 from flysid.ingest.formats.base import release
+from flysid.ingest.formats.common.clock import BoolArray
 from flysid.ingest.formats.common.tally import Tally
+from flysid.ingest.formats.common.windows import Words, windows, words_at, words_from
 
 FILE_HEAD_BYTES = 24
 RECORD_HEAD_BYTES = 16
@@ -90,7 +94,7 @@ def _first_record(view: memoryview, style: _Style) -> int:
     head = _record(view, FILE_HEAD_BYTES, style)
     if head is not None and head.end >= FILE_HEAD_BYTES + LEAST_RECORD and _is_followed(view, head, style):
         return FILE_HEAD_BYTES
-    places = range(FILE_HEAD_BYTES, min(MAX_CAPTURED, len(view)))
+    places = _likely(view, FILE_HEAD_BYTES, MAX_CAPTURED, style)
     return next((at for at in places if _is_believed(view, at, style)), FILE_HEAD_BYTES)
 
 
@@ -146,9 +150,11 @@ def _recover(view: memoryview, at: int, known: tuple[_Style, int], tally: Tally)
     One near in time comes first, where it lies no further than a record is long: heads read from a wrong
     place may agree with each other, too.
     """
-    last = len(view) - RECORD_HEAD_BYTES + 1
-    near = (place for place in range(at + 1, min(at + MAX_CAPTURED, last)) if _resumes(view, place, known))
-    anywhere = (place for place in range(at + 1, last) if _resumes(view, place, known, far=True))
+    style, _ = known
+    close = _likely(view, at + 1, at + MAX_CAPTURED, style)
+    near = (place for place in close if _resumes(view, place, known))
+    every = _likely(view, at + 1, len(view), style)
+    anywhere = (place for place in every if _resumes(view, place, known, far=True))
     place = next(near, None) or next(anywhere, None)
     if place is not None:
         tally.skip(at, place, "no record here")
@@ -156,6 +162,30 @@ def _recover(view: memoryview, at: int, known: tuple[_Style, int], tally: Tally)
     tally.truncated = True
     tally.skip(at, len(view), "cut off inside a record")
     return len(view)
+
+
+def _likely(view: memoryview, start: int, stop: int, style: _Style) -> Iterator[int]:
+    """The places from `start` on and before `stop` where a record of an IP packet could stand.
+
+    Another head, or the end of the file, is behind it.
+    """
+    stop = min(stop, len(view) - RECORD_HEAD_BYTES + 1)
+    least = LEAST_RECORD - RECORD_HEAD_BYTES
+    for begin, end in windows(start, stop):
+        words = words_at(view, begin, end + RECORD_HEAD_BYTES - 4, style.order)
+        fraction, captured, length = (words[k : k + end - begin] for k in (4, 8, 12))
+        at = np.flatnonzero(_sane(fraction, captured, length, style) & (captured >= least))
+        behind = begin + at + RECORD_HEAD_BYTES + captured[at]
+        inside = behind <= len(view) - RECORD_HEAD_BYTES
+        fraction, captured, length = (words_from(view, behind + k, style.order) for k in (4, 8, 12))
+        followed = (behind == len(view)) | (inside & _sane(fraction, captured, length, style))
+        yield from (begin + at[followed]).tolist()
+
+
+def _sane(fraction: Words, captured: Words, length: Words, style: _Style) -> BoolArray:
+    """(n,) whether heads of records with these numbers could be."""
+    fits = (captured <= MAX_CAPTURED) & (captured <= length) & (fraction < 10**9 // style.unit_ns)
+    return np.asarray(fits, dtype=bool)
 
 
 def _resumes(view: memoryview, at: int, known: tuple[_Style, int], *, far: bool = False) -> bool:

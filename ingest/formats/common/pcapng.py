@@ -15,9 +15,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from enum import IntEnum
 
+import numpy as np
+
 from flysid.ingest.formats.base import release
 from flysid.ingest.formats.common.pcap import RELEASE_BYTES, Packet
 from flysid.ingest.formats.common.tally import Tally
+from flysid.ingest.formats.common.windows import windows, words_at, words_from
 
 ORDERS = {b"\x4d\x3c\x2b\x1a": "<", b"\x1a\x2b\x3c\x4d": ">"}
 MAGIC = b"\x0a\x0d\x0d\x0a"
@@ -111,7 +114,7 @@ def _block_end(view: memoryview, at: int, order: str) -> int | None:
 
 def _recover(view: memoryview, at: int, order: str, tally: Tally) -> int:
     """After damage: the next block that another one, or the end, follows."""
-    for place in range(at + 1, len(view) - LEAST_BLOCK + 1):
+    for place in _likely(view, at + 1, order):
         end = _block_end(view, place, order)
         if end is not None and (end == len(view) or _block_end(view, end, order) is not None):
             tally.skip(at, place, "no block here")
@@ -119,6 +122,23 @@ def _recover(view: memoryview, at: int, order: str, tally: Tally) -> int:
     tally.truncated = True
     tally.skip(at, len(view), "cut off inside a block")
     return len(view)
+
+
+def _likely(view: memoryview, start: int, order: str) -> Iterator[int]:
+    """The places from `start` on where a block could begin, whose size stands at its end, too."""
+    (magic,) = struct.unpack(order + "I", MAGIC)
+    for begin, end in windows(start, len(view) - LEAST_BLOCK + 1):
+        words = words_at(view, begin, end + 4, order)
+        kind = words[: end - begin]
+        size = words[4:]
+        is_section = kind == magic  # in a byte order of its own
+        at = np.flatnonzero(is_section | ((size >= LEAST_BLOCK) & (size <= MOST_BLOCK) & (size % 4 == 0)))
+        behind = begin + at + size[at]
+        ends = words_from(view, behind - 4, order) == size[at]
+        follows = words_from(view, behind, order)
+        sizes = words_from(view, behind + 4, order)
+        goes_on = (behind == len(view)) | (follows == magic) | ((sizes >= LEAST_BLOCK) & (sizes % 4 == 0))
+        yield from (begin + at[is_section[at] | (ends & goes_on)]).tolist()
 
 
 def _interface(view: memoryview, body: tuple[int, int], order: str) -> tuple[int, int, int]:

@@ -12,7 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from flysid.ingest.formats.common.clock import BACK_STEP_NS, JUMP_NS, IntArray
+from flysid.ingest.formats.common.clock import BACK_STEP_NS, JUMP_NS, BoolArray, IntArray
+from flysid.ingest.formats.common.windows import words_from
 from flysid.ingest.formats.crazyflie.layouts import ID_BYTES, TIME_BYTES, TIME_NS, Header
 
 WINDOW_BYTES = 1 << 16
@@ -135,10 +136,20 @@ class _Walk:
             if len(window) < ID_BYTES:
                 break
             pairs = window[:-1].astype(np.uint16) | window[1:].astype(np.uint16) << 8
-            for offset in np.flatnonzero(np.isin(pairs, self.ids)).tolist():
-                if self.is_chain(begin + offset, last):
-                    return begin + int(offset)
+            places = begin + np.flatnonzero(np.isin(pairs, self.ids))
+            for place in places[self.is_timely(places, last)].tolist():
+                if self.is_chain(place, last):
+                    return int(place)
         return self.stop
+
+    def is_timely(self, places: IntArray, last: int | None) -> BoolArray:
+        """(n,) whether times that could go on from the last one stand behind the ids at these places."""
+        low = words_from(self.view, places + ID_BYTES, "<").astype(np.uint64)
+        if self.head.size > ID_BYTES + 4:
+            low |= words_from(self.view, places + ID_BYTES + 4, "<").astype(np.uint64) << np.uint64(32)
+        first = 1 if last is None else max(0, last - BACK_STEP_NS)
+        final = LATEST_NS if last is None else last + JUMP_NS
+        return np.asarray((low >= first // self.unit_ns) & (low <= final // self.unit_ns), dtype=bool)
 
 
 def timely(time_ns: int, last: int | None) -> bool:

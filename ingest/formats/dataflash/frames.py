@@ -15,6 +15,7 @@ Cost: headers are found by comparing whole batches; a clean stretch is one array
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -22,6 +23,7 @@ import numpy.typing as npt
 
 from flysid.flight import Damage, Region
 from flysid.ingest.formats.common.clock import IntArray
+from flysid.ingest.formats.common.windows import windows
 from flysid.ingest.formats.dataflash.inner import (
     HEAD,
     Ids,
@@ -42,6 +44,7 @@ from flysid.ingest.formats.dataflash.layouts import (
 
 LOOK_AHEAD = 4096
 FIRST_STRETCH = 512
+FIRST_HEADS = 8  # most damage costs a message or two: these few are sooner asked than compared
 HEAD_BLOCK = 1 << 18
 MIN_PADDING = 16
 CodeArray = npt.NDArray[np.uint16]
@@ -169,12 +172,10 @@ class Walker:
 
     def _search(self, batch: _Batch, base: int, begin: int, ids: Ids) -> int:
         """Go on at the next acceptable message from `begin` on, or at the end of the batch."""
-        index = int(np.searchsorted(batch.heads, begin))
-        while index < len(batch.heads) and (at := int(batch.heads[index])) < batch.limit:
+        for at in _likely(batch, begin, ids.lengths):
             if self._accepts(batch, at, ids):
                 self._close(base + at, self._reason)
                 return at
-            index += 1
         if not batch.is_last:
             return batch.limit
         lost = (self._lost_at or 0) - base
@@ -268,6 +269,24 @@ def _is_several(batch: _Batch, start: int, end: int, ids: Ids) -> bool:
     if first == last:
         return False
     return is_several(batch.data, (start, end), batch.heads[first:last], ids, batch.neighbours(end, ids))
+
+
+def _likely(batch: _Batch, begin: int, lengths: IntArray) -> Iterator[int]:
+    """The headers from `begin` on, before the limit, of messages that `_is_followed` could admit."""
+    first = int(np.searchsorted(batch.heads, begin))
+    final = int(np.searchsorted(batch.heads, batch.limit))
+    size = len(batch.raw)
+    near = min(first + FIRST_HEADS, final)
+    yield from batch.heads[first:near].tolist()
+    for start, stop in windows(near, final):
+        heads = batch.heads[start:stop]
+        ids = batch.ids[start:stop]
+        length = lengths[ids]
+        ends = heads + length
+        at = np.minimum(ends, size - 2)  # a header that the end of the batch cuts is looked at closely
+        follows = (ends >= size - 2) | (ends >= batch.end)
+        follows |= (batch.raw[at] == HEAD[0]) | (batch.raw[at + 1] == HEAD[1])
+        yield from heads[(length > 0) & (ends <= size) & (follows | (ids == FMT_ID))].tolist()
 
 
 def _is_followed(batch: _Batch, end: int, lengths: IntArray) -> bool:

@@ -39,15 +39,23 @@ from flysid.ingest.formats.parquet.columns import (
     plain,
     time_candidates,
 )
+from flysid.ingest.formats.parquet.stretches import (
+    CELL_BYTES,
+    DAMAGE,
+    FREE_BYTES,
+    RowGroup,
+    Stretches,
+    first_line,
+    open_file,
+    spelt_bytes,
+    too_large,
+)
 from flysid.stretch import FloatArray
 from flysid.tabular import FORMAT as DATASET
 from flysid.tabular import META
 
 MAGIC = b"PAR1"
 STREAM = "table"
-FREE_BYTES = 64 << 20  # below this, the ratio is not held against a row group
-CELL_BYTES = 8
-DAMAGE = (pa.ArrowException, OSError, ValueError, OverflowError, KeyError, IndexError)
 
 
 def sniff(head: bytes, name: str) -> float:  # noqa: ARG001
@@ -69,17 +77,7 @@ class _Reader:
     clock: TableClock = field(default_factory=TableClock)
     rows: int = 0
     read_to: int = 0
-
-
-@dataclass(frozen=True)
-class _Group:
-    """A row group: its number, rows, and bytes [start, end) in the file; 0, 0 where these are not known."""
-
-    number: int
-    rows: int
-    start: int
-    end: int
-    fault: str = ""
+    spelt: int = 0  # bytes of text so far
 
 
 def read(view: memoryview, name: str, limits: Limits) -> Parts:
@@ -92,6 +90,8 @@ def read(view: memoryview, name: str, limits: Limits) -> Parts:
         )
     groups = list(_groups(file, len(view), limits))
     columns, refused = columns_of(schema)
+    large = too_large(file, [g.number for g in groups if g.is_sound and not g.fault], limits)
+    columns = [column for column in columns if column.top not in large]
     time = _time_of(file, groups, schema, limits.time_unit, name)
     source = ROW_NUMBER if time is None else _source(time)
     made = pa.schema(
@@ -103,6 +103,8 @@ def read(view: memoryview, name: str, limits: Limits) -> Parts:
     reader = _Reader(file, columns, made, time, limits, len(view))
     for label, kind in refused.items():
         reader.tally.undecode(f"{STREAM}.{label}", file.metadata.num_rows, f"columns of {kind} are not read")
+    for label, why in large.items():
+        reader.tally.undecode(f"{STREAM}.{label}", file.metadata.num_rows, why)
     if time is None:
         for label in called_times(schema):
             reader.tally.undecode(f"{STREAM}.{label}", file.metadata.num_rows, UNUSED)
@@ -118,10 +120,10 @@ def read(view: memoryview, name: str, limits: Limits) -> Parts:
 
 def _open(view: memoryview, name: str) -> pq.ParquetFile:
     try:
-        return pq.ParquetFile(pa.BufferReader(pa.py_buffer(view)), page_checksum_verification=True)
+        return open_file(view)
     except DAMAGE as error:
         raise FormatError(
-            f"the footer of this parquet file is missing or damaged: {_first_line(error)}",
+            f"the footer of this parquet file is missing or damaged: {first_line(error)}",
             path=name,
             byte=max(0, len(view) - 8),
             hint="copy it again; nothing can be read from a parquet file that is cut or still being written",
@@ -132,19 +134,19 @@ def _schema_of(file: pq.ParquetFile, name: str) -> pa.Schema:
     try:
         return file.schema_arrow
     except DAMAGE as error:
-        raise FormatError(f"the schema is not understood: {_first_line(error)}", path=name) from error
+        raise FormatError(f"the schema is not understood: {first_line(error)}", path=name) from error
 
 
-def _groups(file: pq.ParquetFile, size: int, limits: Limits) -> Iterator[_Group]:
+def _groups(file: pq.ParquetFile, size: int, limits: Limits) -> Iterator[RowGroup]:
     """The row groups, with what forbids to read them."""
     for number in range(file.metadata.num_row_groups):
         group = file.metadata.row_group(number)
         expanded = max(group.total_byte_size, group.num_rows * group.num_columns * CELL_BYTES)
         if group.num_rows < 0 or expanded > limits.max_chunk_bytes:
             fault = f"it expands to more than {limits.max_chunk_bytes:,} bytes"
-            yield _Group(number, max(0, group.num_rows), 0, 0, fault)
+            yield RowGroup(number, max(0, group.num_rows), 0, 0, fault)
         elif not _is_sound(file, number):
-            yield _Group(number, group.num_rows, 0, 0)
+            yield RowGroup(number, group.num_rows, 0, 0, is_sound=False)
         else:
             yield _place(file, number, size, limits)
 
@@ -158,7 +160,7 @@ def _is_sound(file: pq.ParquetFile, number: int) -> bool:
         return False
 
 
-def _place(file: pq.ParquetFile, number: int, size: int, limits: Limits) -> _Group:
+def _place(file: pq.ParquetFile, number: int, size: int, limits: Limits) -> RowGroup:
     """A row group with its place in the file."""
     group = file.metadata.row_group(number)
     chunks = [group.column(k) for k in range(group.num_columns)]
@@ -176,18 +178,14 @@ def _place(file: pq.ParquetFile, number: int, size: int, limits: Limits) -> _Gro
         fault = "its columns have unlike numbers of rows"
     elif plain_bytes > max(FREE_BYTES, limits.max_ratio * packed):
         fault = f"it expands to more than {limits.max_ratio:g} times its size"
-    return _Group(number, group.num_rows, max(0, start), min(size, start + packed), fault)
-
-
-def _first_line(error: BaseException) -> str:
-    return (str(error).splitlines() or [type(error).__name__])[0][:200]
+    return RowGroup(number, group.num_rows, max(0, start), min(size, start + packed), fault)
 
 
 # ------------------------------------------------------------------------------------------------ time
 
 
 def _time_of(
-    file: pq.ParquetFile, groups: list[_Group], schema: pa.Schema, told: str, name: str
+    file: pq.ParquetFile, groups: list[RowGroup], schema: pa.Schema, told: str, name: str
 ) -> TimeColumn | None:
     """The column that tells the time, with its unit; None where rows are only numbered."""
     sound = [group for group in groups if not group.fault and group.rows]
@@ -211,17 +209,25 @@ def _ticks(rule: tuple[int, int], rows: int, before: int) -> IntArray:
     return rule[0] + rule[1] * (before + np.arange(rows, dtype=np.int64))
 
 
-def _numbers(file: pq.ParquetFile, group: _Group, time: TimeColumn) -> FloatArray:
-    """(n,) the times in a group, as numbers; empty where it cannot be read."""
+def _numbers(
+    file: pq.ParquetFile, group: RowGroup, time: TimeColumn, *, most_bytes: int = FREE_BYTES
+) -> FloatArray:
+    """(n,) the first times of a group and its last ones, as numbers; empty where it cannot be read."""
+    stretches = Stretches.of(file, group, [time.name], most_bytes)
+    first = last = None
+    rows = 0
+    for table in stretches.together():
+        last = table
+        first = table if first is None else first
+        rows += len(table)
+    if first is None or last is None or rows != group.rows:
+        return np.empty(0)
+    ends = [first] if last is first else [first, last]
+    columns = [table[time.name].combine_chunks() for table in ends]
     try:
-        column = _read(file, group, [time.name])[time.name].combine_chunks()
-        return as_floats(column.cast(pa.int64()) if time.unit == DATES else column)
+        return np.concatenate([as_floats(c.cast(pa.int64()) if time.unit == DATES else c) for c in columns])
     except DAMAGE:
         return np.empty(0)
-
-
-def _read(file: pq.ParquetFile, group: _Group, names: list[str]) -> pa.Table:
-    return file.read_row_group(group.number, columns=names, use_threads=False)
 
 
 def _source(time: TimeColumn) -> str:
@@ -251,14 +257,40 @@ def _times(reader: _Reader, table: pa.Table) -> tuple[IntArray, BoolArray]:
 # ------------------------------------------------------------------------------------------------ rows
 
 
-def _parts(reader: _Reader, group: _Group) -> Iterator[StreamPart]:
-    """The rows of a group, in batches; what cannot be read is counted."""
-    table = None if group.fault else _table(reader, group)
-    if table is None:
-        why = f"row group {group.number}: {group.fault or 'its time cannot be read'}"
+def _parts(reader: _Reader, group: RowGroup) -> Iterator[StreamPart]:
+    """The rows of a group, in stretches; what cannot be read is counted."""
+    done = 0
+    why = group.fault
+    if not why:
+        names = list(dict.fromkeys(column.top for column in reader.columns))
+        stretches = Stretches.of(reader.file, group, names, reader.limits.batch_bytes)
+        for table in stretches.together():
+            yield from _parts_of(reader, table)
+            done += len(table)
+        lost = stretches.faults() if done < group.rows else {}
+        if len(lost) == len(names) or (reader.time is not None and reader.time.name in lost):
+            why = "its time cannot be read"
+        elif lost:
+            for name, reason in lost.items():
+                reason = f"row group {group.number}: {reason}"
+                reader.tally.undecode(f"{STREAM}.{name}", group.rows - done, reason)
+            for table in stretches.without(lost, done):
+                yield from _parts_of(reader, table)
+                done += len(table)
+    if done < group.rows:
+        why = f"row group {group.number}: {why or 'its columns do not go together'}"
         _skip(reader, group.start, group.end, why)
-        reader.tally.undecode(STREAM, group.rows, why)
-        reader.rows += group.rows
+        reader.tally.undecode(STREAM, group.rows - done, why)
+        reader.rows += group.rows - done
+
+
+def _parts_of(reader: _Reader, table: pa.Table) -> Iterator[StreamPart]:
+    """A stretch as parts, none of which spells out more text than a batch has bytes."""
+    spelt = sum(spelt_bytes(_values(column, table)) for column in reader.columns)
+    if spelt > reader.limits.batch_bytes and len(table) > 1:
+        half = len(table) // 2
+        yield from _parts_of(reader, table.slice(0, half))
+        yield from _parts_of(reader, table.slice(half))
         return
     time_ns, known = _times(reader, table)
     reader.rows += len(table)
@@ -273,61 +305,34 @@ def _parts(reader: _Reader, group: _Group) -> Iterator[StreamPart]:
         columns = [column.filter(chosen) for column in columns]
         time_ns = time_ns[fits]
     heads = [numeric(time_ns), numeric(reader.clock.boots(time_ns))]
-    whole = pa.Table.from_arrays([*heads, *columns], schema=reader.schema)
-    step = max(1, reader.limits.batch_bytes * len(whole) // max(1, whole.nbytes))
-    for start in range(0, len(whole), step):
-        yield StreamPart(STREAM, whole.slice(start, step))
-
-
-def _table(reader: _Reader, group: _Group) -> pa.Table | None:
-    """A row group; damaged columns are null and counted. None where its time is lost."""
-    tops = list(dict.fromkeys(column.top for column in reader.columns))
-    try:
-        table = _read(reader.file, group, tops)
-        if len(table) == group.rows:
-            return table
-    except DAMAGE:
-        pass
-    return _column_by_column(reader, group, tops)
-
-
-def _column_by_column(reader: _Reader, group: _Group, tops: list[str]) -> pa.Table | None:
-    """As `_table`; columns of one name are read together."""
-    schema = reader.file.schema_arrow
-    found: dict[str, pa.Table] = {}
-    lost = {}
-    for name in tops:
-        try:
-            columns = _read(reader.file, group, [name])
-            if len(columns) != group.rows:
-                raise ValueError(f"{len(columns)} rows of {group.rows}")
-            found[name] = columns
-        except DAMAGE as error:
-            lost[name] = _first_line(error)
-    if not found or (reader.time is not None and reader.time.name in lost):
-        return None
-    for name, why in lost.items():
-        reader.tally.undecode(f"{STREAM}.{name}", group.rows, f"row group {group.number}: {why}")
-        fields = [schema.field(k) for k in schema.get_all_field_indices(name)]
-        found[name] = pa.table([pa.nulls(group.rows, f.type) for f in fields], schema=pa.schema(fields))
-    columns = [column for name in tops for column in found[name].columns]
-    fields = [field for name in tops for field in found[name].schema]
-    return pa.Table.from_arrays(columns, schema=pa.schema(fields))
+    yield StreamPart(STREAM, pa.Table.from_arrays([*heads, *columns], schema=reader.schema))
 
 
 def _kept(reader: _Reader, column: Column, table: pa.Table) -> pa.Array:
-    """A column of a group in its plain type; null where its values do not fit it."""
+    """A column of a stretch in its plain type; null where its values do not fit it, or take too much."""
+    values = _values(column, table)
+    spelt = spelt_bytes(values)
+    reader.spelt += spelt
+    if spelt and reader.spelt > max(FREE_BYTES, reader.limits.max_ratio * reader.size):
+        why = f"its text expands to more than {reader.limits.max_ratio:g} times the file"
+        reader.tally.undecode(f"{STREAM}.{column.field.name}", len(values), why)
+        return pa.nulls(len(values), column.field.type)
+    try:
+        return plain(values, column.field.type)
+    except DAMAGE as error:
+        reader.tally.undecode(f"{STREAM}.{column.field.name}", len(values), first_line(error))
+        return pa.nulls(len(values), column.field.type)
+
+
+def _values(column: Column, table: pa.Table) -> pa.Array:
+    """The cells of a column as the file has them."""
     first, *steps = column.place
     values = table.column(table.schema.get_all_field_indices(column.top)[first]).combine_chunks()
     if isinstance(values, pa.ChunkedArray):
         values = pa.concat_arrays(values.chunks) if values.num_chunks else pa.array([], values.type)
     for step in steps:
         values = pc.struct_field(values, [step])
-    try:
-        return plain(values, column.field.type)
-    except DAMAGE as error:
-        reader.tally.undecode(f"{STREAM}.{column.field.name}", len(values), _first_line(error))
-        return pa.nulls(len(values), column.field.type)
+    return values
 
 
 def _skip(reader: _Reader, start: int, end: int, why: str) -> None:

@@ -161,7 +161,8 @@ def _names_another(journal: memoryview) -> bool:
     if not 0 < length <= len(journal) - 16:
         return False
     name = bytes(journal[-16 - length : -16])
-    return sum(struct.unpack(f"{length}b", name)) & 0xFFFFFFFF == int.from_bytes(journal[-12:-8], "big")
+    total: int = sum(struct.unpack(f"{length}b", name))
+    return total & 0xFFFFFFFF == int.from_bytes(journal[-12:-8], "big")
 
 
 # ------------------------------------------------------------------------------------- the write-ahead log

@@ -1,0 +1,131 @@
+"""What a hostile file may take: time for garbage, memory for few bytes that stand for many."""
+
+from __future__ import annotations
+
+import io
+import random
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+import flysid
+from flysid.ingest.formats.base import Limits
+from flysid.ingest.formats.parquet import reader
+from soak import Outcome, peak_memory
+from tests.command import call
+from tests.format_trials import read, sample
+
+RESYNCHRONISE = (
+    "tlog",
+    "pcap",
+    "pcapng",
+    "dataflash",
+    "ulog",
+    "blackbox",
+    "navdata",
+    "crazyflie",
+    "mcap",
+    "rosbag",
+)
+GARBAGE: dict[str, Callable[[int], bytes]] = {
+    "random": random.Random(20_261).randbytes,
+    "zeros": bytes,
+    "ones": lambda count: b"\xff" * count,
+}
+MEGABYTES = 0.4
+MOST_S = 0.05  # of processor time, a megabyte
+MOST_MB = 400
+
+
+@pytest.mark.parametrize("kind", GARBAGE)
+@pytest.mark.parametrize("name", RESYNCHRONISE)
+def test_garbage_between_records_costs_little(name: str, kind: str) -> None:
+    blob = sample(name)
+    middle = len(blob) // 2
+    garbage = GARBAGE[kind](int(MEGABYTES * 1e6))
+    intact = read(name, blob)
+    whole = min(_cpu_s(name, blob) for _ in range(3))
+    damaged = min(_cpu_s(name, blob[:middle] + garbage + blob[middle:]) for _ in range(3))
+    assert (damaged - whole) / MEGABYTES < MOST_S
+    assert read(name, blob + garbage).rows >= intact.rows - 1
+
+
+def _cpu_s(name: str, blob: bytes) -> float:
+    began = time.process_time()
+    read(name, blob)
+    return time.process_time() - began
+
+
+# ------------------------------------------------------------------------------------------------ memory
+
+
+def _times(count: int) -> pa.Array:
+    return pa.array(np.arange(count) * 0.01)
+
+
+def _table(count: int, column: pa.Array) -> bytes:
+    sink = io.BytesIO()
+    table = pa.Table.from_arrays([_times(count), column], ["time_s", "x"])
+    pq.write_table(table, sink, compression="zstd", row_group_size=count)
+    return sink.getvalue()
+
+
+def _shared_text() -> pa.Array:
+    indices = pa.array(np.zeros(30_000, dtype=np.int32))
+    return pa.DictionaryArray.from_arrays(indices, pa.array(["ab" * 35_000]))
+
+
+def _lists() -> pa.Array:
+    """Long ones, all in the first rows."""
+    offsets = np.minimum(np.arange(20_001) * 9000, 9_000_000).astype(np.int32)
+    return pa.ListArray.from_arrays(pa.array(offsets), pa.array(np.ones(9_000_000)))
+
+
+FORGED: dict[str, Callable[[], bytes]] = {
+    "text": lambda: _table(30_000, _shared_text()),
+    "text in a struct": lambda: _table(
+        3000, pa.StructArray.from_arrays([pa.array(["q" * 100_000] * 3000)], ["k"])
+    ),
+    "a number": lambda: _table(20_000_000, pa.array(np.zeros(20_000_000, dtype=np.int64))),
+    "lists": lambda: _table(20_000, _lists()),
+    "lists of one size": lambda: _table(
+        5000, pa.FixedSizeListArray.from_arrays(pa.array(np.ones(5000 * 4000)), 4000)
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", FORGED)
+def test_few_bytes_that_stand_for_many_are_read_within_bounds(kind: str, tmp_path: Path) -> None:
+    path = tmp_path / "forged.parquet"
+    path.write_bytes(FORGED[kind]())
+    done = call("ingest", path, "-o", "data", "--max-memory", "500MB", cwd=tmp_path)
+    assert done.returncode == (0 if kind == "a number" else 3), done.stderr
+    assert kind == "a number" or "expands to more than 200 times" in done.stderr
+    (facts,) = flysid.open(tmp_path / "data").facts
+    assert facts.rows == pq.ParquetFile(path).metadata.num_rows
+
+
+def test_the_reader_of_tables_takes_a_few_stretches_of_memory(tmp_path: Path) -> None:
+    for kind, build in FORGED.items():
+        path = tmp_path / f"{kind}.parquet"
+        path.write_bytes(build())
+        blob = path.read_bytes()
+        outcome = Outcome(kind)
+        with peak_memory(outcome):
+            for _ in reader.read(memoryview(blob), path.name, Limits()):
+                pass
+        assert (outcome.peak_mb or 0) < MOST_MB, outcome
+
+
+def test_text_that_many_rows_share_is_kept_where_it_is_not_beyond_all_measure(tmp_path: Path) -> None:
+    words = ["GUIDED", "AUTO", None, "a longer word " * 9]
+    column = pa.array([words[k % 4] for k in range(40_000)])
+    (tmp_path / "modes.parquet").write_bytes(_table(40_000, column))
+    table = flysid.read(tmp_path / "modes.parquet")["table"]
+    assert table["x"].to_pylist() == column.to_pylist()
+    assert table["x"].type == pa.string()
