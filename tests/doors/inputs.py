@@ -143,7 +143,7 @@ def table_log(reader: Reader) -> None:
 other_run = lines(
     f"flysid synth -o other {ARDUPILOT} --duration 30 --format dataflash --seed 9",
     "flysid ingest other -o other-data -q",
-    f"{QUICK} fit other-data -r ardupilot-attitude -o other-run -q",
+    f"{QUICK} fit -j 1 other-data -r ardupilot-attitude -o other-run -q",
 )
 """A run on the flights of another vehicle."""
 
@@ -153,7 +153,7 @@ watched = lines(
     f"flysid synth -o late {ARDUPILOT} --duration 60 --format tlog --seed 9 --change 1:1:lag:3",
     "mv late/01-multisine-seed9.tlog crash.bin",
     "flysid ingest long -o long-data -q",
-    f"{QUICK} fit long-data -r ardupilot-attitude --holdout 0.5 -o run -q",
+    f"{QUICK} fit -j 1 long-data -r ardupilot-attitude --holdout 0.5 -o run -q",
 )
 """A run of longer flights, as `watch` needs it, and a flight of a vehicle whose attitude is late."""
 
@@ -176,7 +176,7 @@ two_runs = lines(
     "mv run old",
     f"flysid synth -o other {ARDUPILOT} --duration 30 --format dataflash --seed 9",
     "flysid ingest other -o other-data -q",
-    f"{QUICK} fit other-data -r ardupilot-attitude -o new -q",
+    f"{QUICK} fit -j 1 other-data -r ardupilot-attitude -o new -q",
 )
 
 
@@ -188,8 +188,8 @@ def px4_fleet(folder: str) -> str:
     )
 
 
-def buckets(**content: str) -> Prepare:
-    """A store with logs of a fleet: {bucket: folder for them}."""
+def buckets(inbox: str, lake: str) -> Prepare:
+    """A store with logs of a fleet at one address, and an empty bucket for a lake."""
 
     def prepare(reader: Reader) -> None:
         server = running_seaweedfs(reader.beside("store"))
@@ -198,8 +198,7 @@ def buckets(**content: str) -> Prepare:
         reader.ending.callback(server.kill)
         reader.more |= server.environment
         reader.prepare(px4_fleet("fleet"))
-        for bucket, folder in content.items():
-            reader.prepare(f"python -m tests.doors.upload fleet s3://{bucket}/{folder}")
+        reader.prepare(f"python -m tests.doors.upload fleet {inbox} {lake}")
 
     return prepare
 
@@ -217,7 +216,7 @@ def models_of_others(reader: Reader) -> None:
     (reader.folder / "sim.py").write_text(function, "utf-8")
     reader.prepare(
         f"flysid ingest {SAMPLES} -o data -q",
-        f"{QUICK} fit data -r ardrone-synthetic -c longitudinal -c lateral -o run -q",
+        f"{QUICK} fit -j 1 data -r ardrone-synthetic -c longitudinal -c lateral -o run -q",
         "python -m tests.doors.matlab_file sys.mat",
         "flysid export run --channel lateral --model arx --fmu plant.fmu",
     )
@@ -227,7 +226,6 @@ def hover(reader: Reader) -> None:
     """The flights of `bench.structured` as a dataset file, and the page's file of the model."""
     shutil.copyfile(ROOT / "docs" / "hover.toml", reader.folder / "hover.toml")
     reader.prepare(
-        "python -c 'from bench.structured import flown; from flysid.datasetfile import write_dataset;"
-        ' write_dataset("hover.parquet", flown(1))\'',
+        "python -m tests.doors.hover_file hover.parquet",
         f"flysid ingest {SAMPLES} -o data -q",
     )

@@ -15,7 +15,7 @@ PAGES = sorted(
     for path in (ROOT / "README.md", *ROOT.glob("docs/*.md"), *ROOT.glob("docs/tutorials/*.md"))
     if re.search(r"^\$ ", path.read_text("utf-8"), re.MULTILINE)
 )
-_FENCE = re.compile(r"```(\w*)\n(.*?)^```", re.DOTALL | re.MULTILINE)
+_FENCE = re.compile(r"^```([^\n`]*)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 _INDENTED = re.compile(r"^    (flysid .*)$", re.MULTILINE)
 _RULE = re.compile("-{3,}")
 _NUMBER = re.compile(r"\d+(?:\.\d+)?")

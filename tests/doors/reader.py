@@ -51,9 +51,9 @@ class Reader:
     ending: ExitStack = field(default_factory=ExitStack)
     _count: int = 0
 
-    def run(self, line: str) -> Done:
-        """A line, until it ends by itself."""
-        with self.running(line) as running:
+    def run(self, line: str, said: str = "") -> Done:
+        """A line, until it ends by itself; `said` is what the reader answers to its questions."""
+        with self.running(line, said) as running:
             running.process.wait(TIMEOUT_S)
         return self._done(running)
 
@@ -72,16 +72,17 @@ class Reader:
             assert done.returncode == 0, f"{line}\n{done.stdout}{done.stderr}"
 
     @contextmanager
-    def running(self, line: str) -> Iterator[Running]:
+    def running(self, line: str, said: str = "") -> Iterator[Running]:
         """The process of a line; whatever it started has ended, and is counted, afterwards."""
         self._count += 1
-        counts, out, err = (self.beside(f"{self._count}.{kind}") for kind in ("cpu", "out", "err"))
-        with out.open("wb") as told, err.open("wb") as warned:
+        counts, out, err, own = (self.beside(f"{self._count}.{kind}") for kind in ("cpu", "out", "err", "in"))
+        own.write_text(said, "utf-8")
+        with own.open("rb") as answers, out.open("wb") as told, err.open("wb") as warned:
             process = subprocess.Popen(
                 [sys.executable, "-I", "-S", str(COUNTED), str(counts), line],
                 cwd=self.folder,
                 env=self._environment(),
-                stdin=subprocess.DEVNULL,
+                stdin=answers,
                 stdout=told,
                 stderr=warned,
                 start_new_session=True,

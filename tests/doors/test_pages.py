@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import os
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
+from flysid.cli.output import ExitCode
 from tests.doors import tally
+from tests.doors.advice import commands_in
 from tests.doors.inputs import MissingError
-from tests.doors.pages import PAGES, Line, answers_of, check_answer, lines_of, place_of, scripts_of
+from tests.doors.pages import PAGES, Line, answers_of, check_answer, lines_of, place_of, read, scripts_of
 from tests.doors.reader import Reader
 from tests.doors.scenes import ALL, LONG, NOT_TYPED, SCENES, Scene
 
@@ -59,10 +62,33 @@ def _type(line: Line, page: str, scene: Scene, reader: Reader) -> None:
     assert "Traceback" not in done.stderr, done.stderr
     shown = done.stdout.splitlines()
     check_answer(line, shown)
+    typed = {one.command for one in lines_of(page)}
+    for command in commands_in(f"{done.stdout}\n{done.stderr}"):
+        if command not in typed:
+            _follow(command, line, reader)
     if line.command in scene.shown:
         block = answers_of(page)[scene.shown[line.command]]
         everything = [*shown, *done.stderr.splitlines()]
         assert place_of(block, everything) is not None, "\n".join([line.text, *everything])
+
+
+def _follow(command: str, line: Line, reader: Reader) -> None:
+    """What a line advises, and the page does not type, runs as printed: in a copy of the folder."""
+    copy = reader.beside("copy")
+    shutil.rmtree(copy, ignore_errors=True)
+    shutil.copytree(reader.folder, copy, symlinks=True)
+    other = Reader(copy, reader.more)
+    done = other.run(command)
+    reader.cpu_s += other.cpu_s
+    told = f"{line.text}\nadvises: {command}\n{done.stdout}{done.stderr}"
+    assert done.returncode in (0, ExitCode.LOSSES), told
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_no_line_of_a_page_is_overlooked(page: str) -> None:
+    shown = [line for line in read(page).splitlines() if line.startswith("$ ")]
+    assert len(lines_of(page)) >= len(shown)
+    assert {f"$ {line.text}" for line in lines_of(page)} >= set(shown)
 
 
 def test_scenes_are_of_lines_that_are_on_a_page() -> None:
