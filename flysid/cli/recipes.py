@@ -48,7 +48,8 @@ def command(name: str, source: Path | None, toml: bool) -> None:
             click.echo(fold(f"  {load_recipe(recipe).description}"))
         if not served:
             say(f"no recipe fits {source}; shipped ones: {', '.join(shipped_recipes())}")
-            say("from your own fields: flysid fit LOG --from FIELD --to FIELD -o run")
+            listed = f"'flysid show {source} --fields' lists the fields"
+            say(f"next: {listed}; name two to 'flysid fit': --from, --to")
 
 
 def _list_served(source: Path | None) -> dict[str, tuple[str, ...]]:

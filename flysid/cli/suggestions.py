@@ -99,8 +99,7 @@ def next_command(found: Sequence[Suggestion], data: str, vehicles: Mapping[str, 
     Where all that would be good was flown in closed loop, `flysid tf` tells what of it is the vehicle's.
     """
     if not found:
-        listed = f"'flysid show {data} --fields' lists them"
-        return f"next: flysid fit {data} --from FIELD --to FIELD -o run; {listed}"
+        return f"next: 'flysid show {data} --fields' lists the fields; name two to 'flysid fit': --from, --to"
     best = next((verdict for verdict in NEXT if any(s.verdict == verdict for s in found)), "")
     if not best:
         return f"next: fly or log what is asked for above; to look at this flight: flysid plot {data}"

@@ -171,8 +171,10 @@ def _assess(log: Log, recipe: Recipe, data: Dataset, pair: tuple[int, int], loop
 def _through(reference: Sequence[str]) -> str:
     """What to do with a pair inside a loop; `reference` drives it, if known."""
     names = "".join(f" --reference {name}" for name in reference)
-    shows = "" if names else " shows where the response is the vehicle's"
-    return f"recorded in closed loop, which may bias a fit: flysid tf DATA{names}{shows}"
+    does = (
+        f"measures through what drives it:{names}" if names else "shows where the response is the vehicle's"
+    )
+    return f"recorded in closed loop, which may bias a fit; 'flysid tf' {does}"
 
 
 def _delay(data: Dataset, column: int, output: int) -> Delay | None:

@@ -19,6 +19,7 @@ from tests.samplelogs import ardrone, dataflash, dataflash_systemid
 SAMPLES = ROOT / "sample_logs"
 LOGS = ROOT.parent / "shared" / "logs"
 ARDUPILOT = "--plant ardrone --plan routine --sensor telemetry-slow --no-truth -q"
+FAST = ARDUPILOT.replace("telemetry-slow", "telemetry")
 QUICK = "python -m tests.quick_flysid"
 """Runs that a page's lines begin from: three models that take no time to fit."""
 Prepare = Callable[[Reader], None]
@@ -143,17 +144,17 @@ def table_log(reader: Reader) -> None:
 other_run = lines(
     f"flysid synth -o other {ARDUPILOT} --duration 30 --format dataflash --seed 9",
     "flysid ingest other -o other-data -q",
-    f"{QUICK} fit other-data -r ardupilot-attitude -o other-run -q",
+    f"{QUICK} fit -j 1 other-data -r ardupilot-attitude -o other-run -q",
 )
 """A run on the flights of another vehicle."""
 
 watched = lines(
     "rm -rf run",
-    f"flysid synth -o long {ARDUPILOT} --duration 120 --format tlog",
-    f"flysid synth -o late {ARDUPILOT} --duration 60 --format tlog --seed 9 --change 1:1:lag:3",
+    f"flysid synth -o long {FAST} --duration 120 --format tlog",
+    f"flysid synth -o late {FAST} --duration 40 --format tlog --seed 9 --change 1:1:lag:3",
     "mv late/01-multisine-seed9.tlog crash.bin",
     "flysid ingest long -o long-data -q",
-    f"{QUICK} fit long-data -r ardupilot-attitude --holdout 0.5 -o run -q",
+    f"{QUICK} fit -j 1 long-data -r ardupilot-attitude --holdout 0.5 -o run -q",
 )
 """A run of longer flights, as `watch` needs it, and a flight of a vehicle whose attitude is late."""
 
@@ -176,7 +177,7 @@ two_runs = lines(
     "mv run old",
     f"flysid synth -o other {ARDUPILOT} --duration 30 --format dataflash --seed 9",
     "flysid ingest other -o other-data -q",
-    f"{QUICK} fit other-data -r ardupilot-attitude -o new -q",
+    f"{QUICK} fit -j 1 other-data -r ardupilot-attitude -o new -q",
 )
 
 
@@ -188,8 +189,8 @@ def px4_fleet(folder: str) -> str:
     )
 
 
-def buckets(**content: str) -> Prepare:
-    """A store with logs of a fleet: {bucket: folder for them}."""
+def buckets(inbox: str, lake: str) -> Prepare:
+    """A store with logs of a fleet at one address, and an empty bucket for a lake."""
 
     def prepare(reader: Reader) -> None:
         server = running_seaweedfs(reader.beside("store"))
@@ -198,8 +199,7 @@ def buckets(**content: str) -> Prepare:
         reader.ending.callback(server.kill)
         reader.more |= server.environment
         reader.prepare(px4_fleet("fleet"))
-        for bucket, folder in content.items():
-            reader.prepare(f"python -m tests.doors.upload fleet s3://{bucket}/{folder}")
+        reader.prepare(f"python -m tests.doors.upload fleet {inbox} {lake}")
 
     return prepare
 
@@ -217,7 +217,7 @@ def models_of_others(reader: Reader) -> None:
     (reader.folder / "sim.py").write_text(function, "utf-8")
     reader.prepare(
         f"flysid ingest {SAMPLES} -o data -q",
-        f"{QUICK} fit data -r ardrone-synthetic -c longitudinal -c lateral -o run -q",
+        f"{QUICK} fit -j 1 data -r ardrone-synthetic -c longitudinal -c lateral -o run -q",
         "python -m tests.doors.matlab_file sys.mat",
         "flysid export run --channel lateral --model arx --fmu plant.fmu",
     )
@@ -227,7 +227,6 @@ def hover(reader: Reader) -> None:
     """The flights of `bench.structured` as a dataset file, and the page's file of the model."""
     shutil.copyfile(ROOT / "docs" / "hover.toml", reader.folder / "hover.toml")
     reader.prepare(
-        "python -c 'from bench.structured import flown; from flysid.datasetfile import write_dataset;"
-        ' write_dataset("hover.parquet", flown(1))\'',
+        "python -m tests.doors.hover_file hover.parquet",
         f"flysid ingest {SAMPLES} -o data -q",
     )

@@ -8,7 +8,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -28,7 +28,7 @@ class Running:
     out: Path
     err: Path
 
-    def wait_for(self, there: Callable[[], bool]) -> None:
+    def wait_for(self, there: Callable[[], object]) -> None:
         """Until `there`; an error where the line ends before, or the time is up."""
         end = time.monotonic() + TIMEOUT_S
         while not there():
@@ -51,9 +51,9 @@ class Reader:
     ending: ExitStack = field(default_factory=ExitStack)
     _count: int = 0
 
-    def run(self, line: str) -> Done:
-        """A line, until it ends by itself."""
-        with self.running(line) as running:
+    def run(self, line: str, said: str = "") -> Done:
+        """A line, until it ends by itself; `said` is what the reader answers to its questions."""
+        with self.running(line, said) as running:
             running.process.wait(TIMEOUT_S)
         return self._done(running)
 
@@ -61,7 +61,8 @@ class Reader:
         """A line that runs until Ctrl-C, which comes after `act`."""
         with self.running(line) as running:
             act(running)
-            os.killpg(running.process.pid, signal.SIGINT)
+            with suppress(ProcessLookupError):  # it has ended by itself
+                os.killpg(running.process.pid, signal.SIGINT)
             running.process.wait(TIMEOUT_S)
         return self._done(running)
 
@@ -72,16 +73,17 @@ class Reader:
             assert done.returncode == 0, f"{line}\n{done.stdout}{done.stderr}"
 
     @contextmanager
-    def running(self, line: str) -> Iterator[Running]:
+    def running(self, line: str, said: str = "") -> Iterator[Running]:
         """The process of a line; whatever it started has ended, and is counted, afterwards."""
         self._count += 1
-        counts, out, err = (self.beside(f"{self._count}.{kind}") for kind in ("cpu", "out", "err"))
-        with out.open("wb") as told, err.open("wb") as warned:
+        counts, out, err, own = (self.beside(f"{self._count}.{kind}") for kind in ("cpu", "out", "err", "in"))
+        own.write_text(said, "utf-8")
+        with own.open("rb") as answers, out.open("wb") as told, err.open("wb") as warned:
             process = subprocess.Popen(
                 [sys.executable, "-I", "-S", str(COUNTED), str(counts), line],
                 cwd=self.folder,
                 env=self._environment(),
-                stdin=subprocess.DEVNULL,
+                stdin=answers,
                 stdout=told,
                 stderr=warned,
                 start_new_session=True,

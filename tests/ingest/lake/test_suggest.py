@@ -121,7 +121,7 @@ def test_a_pair_inside_a_loop_is_no_good_one() -> None:
     recipe = parse_recipe(RECIPE_DOCUMENT | {"signals": signals, "channels": {"pid": inside, "loop": around}})
     pid, loop = suggest([log], [recipe])
     assert (pid.verdict, loop.verdict) == ("closed loop", "good")
-    assert "flysid tf DATA --reference r" in pid.advice
+    assert "'flysid tf' measures through what drives it: --reference r" in pid.advice
 
 
 def test_a_flight_without_the_streams_has_no_suggestion() -> None:
@@ -199,9 +199,7 @@ def test_the_command_to_run_next_is_of_one_vehicle() -> None:
 
 
 def test_a_table_s_fields_are_to_be_named() -> None:
-    assert next_command([], "rig.csv", {}).startswith(
-        "next: flysid fit rig.csv --from FIELD --to FIELD -o run"
-    )
+    assert next_command([], "rig.csv", {}).startswith("next: 'flysid show rig.csv --fields' lists the fields")
 
 
 def found_in(flight: str, share: int) -> Suggestion:
