@@ -290,9 +290,10 @@ def main(count: int, seed: int, labels: tuple[str, ...]) -> None:
                 worse[label] += 1
                 lost.append(f"{label} {ratio:.3g}")
         given_up.update(k for k in channel.failed if k in labels)
+        unseen = _unseen(models, fresh, channel.baseline)
         print(
             f"{number:3d} {name}: {len(errors)} models, {time.process_time() - began:.0f} s of CPU; "
-            f"ARX {np.sqrt(known):.3g} sd; worse: {', '.join(lost) or '-'}; {_unseen(models, fresh, channel.baseline)}",
+            f"ARX {np.sqrt(known):.3g} sd; worse: {', '.join(lost) or '-'}; {unseen}",
             *(f"\n      not fitted {k}: {v}" for k, v in channel.failed.items() if k in labels),
             flush=True,
         )
