@@ -73,14 +73,14 @@ def shortfall(
         return ""
     own = float(np.sqrt(errors[""].mean()))
     if own >= LOST / len(errors[""]):
-        return "its free run over the data that it was fitted to is not finite"
+        return "free run over its training data is not finite"
     worst = min(others, key=lambda name: float(errors[name].mean()))
     best = float(np.sqrt(errors[worst].mean()))
     if own <= max((1.0 + margin) * best, np.sqrt(VANISHING)):
         return ""
     return (
-        f"its free run over the data that it was fitted to errs {significant(own / best)} times as much as "
-        f"{worst}: {significant(own)} against {significant(best)} standard deviations of the output"
+        f"free run over its training data errs {significant(own / best)} times as much as {worst}: "
+        f"{significant(own)} against {significant(best)} standard deviations of the output"
     )
 
 
@@ -90,7 +90,7 @@ def refuse(model: M, beside: Mapping[str, FreeRunning], train: Dataset, margin: 
     if not why:
         return model
     hint = "plot inputs and outputs: do the inputs move this output?" if f" {HELD}: " in why else ""
-    raise FitError(f"this {model.structure} model is not delivered: {why}", hint=hint)
+    raise FitError(f"the {model.structure} model's {why}", hint=hint)
 
 
 def no_worse_than_held(fit: Callable[P, M]) -> Callable[P, M]:
