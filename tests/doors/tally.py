@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 BUDGET_S = 120.0
-"""Issue 37: what the doors may cost."""
+"""What all doors together may cost."""
 PROPERTY = "cpu_s"
 
 
