@@ -15,7 +15,7 @@ from pathlib import Path
 from tests.command import ROOT
 
 COUNTED = Path(__file__).with_name("counted.py")
-TIMEOUT_S = 400.0
+TIMEOUT_S = 1800.0
 Done = subprocess.CompletedProcess[str]
 
 

@@ -53,11 +53,11 @@ def test_the_lines_of_a_page_run_as_printed(
 
 def _type(line: Line, page: str, scene: Scene, reader: Reader) -> None:
     """One line, after what it needs; "" is what the page needs."""
+    if line.command in LONG_LINES.get(page, ()) and ALL not in os.environ:
+        return
     if line.command in scene.before:
         scene.before[line.command](reader)
     if not line.text or line.command in NOT_TYPED.get(page, {}):
-        return
-    if line.command in LONG_LINES.get(page, ()) and ALL not in os.environ:
         return
     drive = scene.drives.get(line.command, Reader.run)
     done = drive(reader, line.text)
