@@ -20,23 +20,22 @@ from flysid.flight import BOOT, ROW_NUMBER, TIME
 from flysid.ingest.formats.base import Limits, Parts, StreamPart, Summary
 from flysid.ingest.formats.common.arrow_arrays import numeric
 from flysid.ingest.formats.common.clock import SECOND_NS, BoolArray, IntArray, is_outlier
-from flysid.ingest.formats.common.table_times import (
-    TIME_UNITS_NS,
-    UNUSED,
-    TableClock,
-    rises,
-    time_unit,
-    to_ns,
-)
+from flysid.ingest.formats.common.odd_cells import OddCells
+from flysid.ingest.formats.common.table_numbers import floats, numbers_in
+from flysid.ingest.formats.common.table_times import NO_TURN, TableClock, rises, to_ns
 from flysid.ingest.formats.common.tally import Tally
+from flysid.ingest.formats.common.time_columns import find_time, unused_times
+from flysid.ingest.formats.common.time_units import TIME_UNITS_NS, time_unit
 from flysid.ingest.formats.parquet.columns import (
     DATES,
     Column,
+    Sample,
     TimeColumn,
     as_floats,
-    called_times,
+    as_text,
     columns_of,
     plain,
+    sample_of,
     time_candidates,
 )
 from flysid.stretch import FloatArray
@@ -47,6 +46,7 @@ MAGIC = b"PAR1"
 STREAM = "table"
 FREE_BYTES = 64 << 20  # below this, the ratio is not held against a row group
 CELL_BYTES = 8
+SAMPLE_ROWS = 500
 DAMAGE = (pa.ArrowException, OSError, ValueError, OverflowError, KeyError, IndexError)
 
 
@@ -63,10 +63,12 @@ class _Reader:
     columns: list[Column]
     schema: pa.Schema
     time: TimeColumn | None
+    sample: Sample
     limits: Limits
     size: int
     tally: Tally = field(default_factory=Tally)
     clock: TableClock = field(default_factory=TableClock)
+    odd: OddCells = field(default_factory=OddCells)
     rows: int = 0
     read_to: int = 0
 
@@ -91,24 +93,26 @@ def read(view: memoryview, name: str, limits: Limits) -> Parts:
             "this is a dataset that flysid wrote, not a log", path=name, hint=f"flysid fit {name} -o RUN"
         )
     groups = list(_groups(file, len(view), limits))
-    columns, refused = columns_of(schema)
-    time = _time_of(file, groups, schema, limits.time_unit, name)
-    source = ROW_NUMBER if time is None else _source(time)
+    sample = _sample(file, groups)
+    columns, refused = columns_of(schema, sample)
+    time = _time_of(file, groups, schema, sample, limits, name)
+    source = ROW_NUMBER if time is None else time.source
     made = pa.schema(
         [pa.field(TIME, pa.int64()), pa.field(BOOT, pa.int32()), *(c.field for c in columns)],
         metadata={"time_source": source, "message": STREAM},
     )
     if not columns:
         raise FormatError("a parquet file without a column of numbers or words", path=name)
-    reader = _Reader(file, columns, made, time, limits, len(view))
+    reader = _Reader(file, columns, made, time, sample, limits, len(view))
     for label, kind in refused.items():
         reader.tally.undecode(f"{STREAM}.{label}", file.metadata.num_rows, f"columns of {kind} are not read")
     if time is None:
-        for label in called_times(schema):
-            reader.tally.undecode(f"{STREAM}.{label}", file.metadata.num_rows, UNUSED)
+        for label, why in unused_times(sample.columns, sample.rows).items():
+            reader.tally.undecode(f"{STREAM}.{label}", file.metadata.num_rows, why)
     for group in groups:
         yield from _parts(reader, group)
     missing = file.metadata.num_rows - sum(group.rows for group in groups)
+    reader.odd.tell(reader.tally)
     if missing:
         reader.tally.undecode(STREAM, abs(missing), "the footer's counts of rows disagree")
     if reader.clock.late:
@@ -186,10 +190,52 @@ def _first_line(error: BaseException) -> str:
 # ------------------------------------------------------------------------------------------------ time
 
 
+def _sample(file: pq.ParquetFile, groups: list[_Group]) -> Sample:
+    """The first rows as text; none where they cannot be read."""
+    numbers = [group.number for group in groups if not group.fault and group.rows][:1]
+    try:
+        batch = next(file.iter_batches(batch_size=SAMPLE_ROWS, row_groups=numbers, use_threads=False), None)
+        return Sample() if batch is None or not numbers else sample_of(pa.Table.from_batches([batch]))
+    except DAMAGE:
+        return Sample()
+
+
 def _time_of(
+    file: pq.ParquetFile, groups: list[_Group], schema: pa.Schema, sample: Sample, limits: Limits, name: str
+) -> TimeColumn | None:
+    """The column that tells the time, with its unit; None where rows are only numbered.
+
+    Dates beside times of day come first, then what the file itself types as times or numbers, then text.
+    """
+    text = find_time(sample.columns, sample.rows)
+    if text is None or len(text.parts) == 1:
+        typed = _typed_time(file, groups, schema, limits.time_unit, name)
+        if typed is not None or text is None:
+            return typed
+    column = sample.names[text.parts[0]]
+    last = _last_cell(file, groups, column)
+    numbers = [] if text.forms else numbers_in([last], text.style)
+    told = text.resolved(
+        numbers[0] if numbers else float(text.first[-1]), limits.time_unit, limits.date_order, name
+    )
+    return TimeColumn(column, DATES, text=told)
+
+
+def _last_cell(file: pq.ParquetFile, groups: list[_Group], name: str) -> str:
+    """The last cell of a column as text; "" where it cannot be read."""
+    for group in [group for group in groups if not group.fault and group.rows][-1:]:
+        try:
+            text = as_text(_whole(_read(file, group, [name])[name]))
+            return str(text[len(text) - 1].as_py())
+        except DAMAGE:
+            break
+    return ""
+
+
+def _typed_time(
     file: pq.ParquetFile, groups: list[_Group], schema: pa.Schema, told: str, name: str
 ) -> TimeColumn | None:
-    """The column that tells the time, with its unit; None where rows are only numbered."""
+    """The column of stamps or numbers that tells the time, with its unit."""
     sound = [group for group in groups if not group.fault and group.rows]
     for time in time_candidates(schema):
         if time.ticks is None:
@@ -199,10 +245,10 @@ def _time_of(
         readable = [values for values in ends if len(values)]
         if not readable or not rises(readable[0], time.moving):
             continue
-        if time.unit:
+        if time.unit == DATES:
             return time
-        unit, why = time_unit(time.shown, readable[0], float(readable[-1][-1]), told, name)
-        return replace(time, unit=unit, why=why)
+        counted = time_unit(time.shown, readable[0], float(readable[-1][-1]), time.unit, told, name)
+        return replace(time, unit=counted.unit, counted=counted)
     return None
 
 
@@ -224,28 +270,36 @@ def _read(file: pq.ParquetFile, group: _Group, names: list[str]) -> pa.Table:
     return file.read_row_group(group.number, columns=names, use_threads=False)
 
 
-def _source(time: TimeColumn) -> str:
-    return f"{time.shown}: {DATES}" if time.unit == DATES else f"{time.shown} in {time.unit}, {time.why}"
-
-
 def _times(reader: _Reader, table: pa.Table) -> tuple[IntArray, BoolArray]:
     """(n,) ns of every row, and which rows have a time."""
-    if reader.time is None:
+    time = reader.time
+    if time is None:
         first = reader.rows
         return (first + np.arange(len(table), dtype=np.int64)) * SECOND_NS, np.ones(len(table), dtype=bool)
-    if reader.time.ticks is not None:
-        ticks = _ticks(reader.time.ticks, len(table), reader.rows)
-        return to_ns(ticks.astype(np.float64), TIME_UNITS_NS[reader.time.unit])
-    column = table[reader.time.name].combine_chunks()
-    unit = column.type.unit if reader.time.unit == DATES else reader.time.unit
+    if time.text is not None:
+        return time.text.read(lambda part: as_text(_whole(table[reader.sample.names[part]])))
+    if time.ticks is not None:
+        ticks = _ticks(time.ticks, len(table), reader.rows)
+        return to_ns(ticks.astype(np.float64), TIME_UNITS_NS[time.unit])
+    column = _whole(table[time.name])
+    origin = time.counted.origin if time.counted is not None else 0.0
+    unit_ns = TIME_UNITS_NS[column.type.unit if time.counted is None else time.counted.unit]
     if pa.types.is_floating(column.type):
         values = column.cast(pa.float64()).to_numpy(zero_copy_only=False)
-        return to_ns(values, TIME_UNITS_NS[unit])
+        return to_ns(values, unit_ns, origin)
     whole = column.cast(pa.int64(), safe=False)
     known = np.asarray(whole.is_valid().to_numpy(zero_copy_only=False), dtype=bool)
-    ticks = np.asarray(whole.fill_null(0).to_numpy(zero_copy_only=False), dtype=np.int64)
-    known &= np.abs(ticks) < (1 << 62) // TIME_UNITS_NS[unit]
-    return np.where(known, ticks, 0) * TIME_UNITS_NS[unit], known
+    ticks = np.asarray(whole.fill_null(0).to_numpy(zero_copy_only=False), dtype=np.int64) - int(origin)
+    known &= np.abs(ticks) < (1 << 62) // unit_ns
+    return np.where(known, ticks, 0) * unit_ns, known
+
+
+def _whole(column: pa.ChunkedArray) -> pa.Array:
+    """A column as one array."""
+    values = column.combine_chunks()
+    if not isinstance(values, pa.ChunkedArray):
+        return values
+    return pa.concat_arrays(values.chunks) if values.num_chunks else pa.array([], values.type)
 
 
 # ------------------------------------------------------------------------------------------------ rows
@@ -261,13 +315,15 @@ def _parts(reader: _Reader, group: _Group) -> Iterator[StreamPart]:
         reader.rows += group.rows
         return
     time_ns, known = _times(reader, table)
-    reader.rows += len(table)
+    turn = NO_TURN if reader.time is None else reader.time.turn
+    time_ns[known] = reader.clock.unwrapped(time_ns[known], turn)
     fits = known.copy()
     fits[known] = ~is_outlier(time_ns[known])
     reader.tally.undecode(STREAM, int((~known).sum()), "rows without a time")
     if strays := int((known & ~fits).sum()):
         reader.tally.time_outliers[STREAM] += strays
     columns = [_kept(reader, column, table) for column in reader.columns]
+    reader.rows += len(table)
     if not fits.all():
         chosen = numeric(fits)
         columns = [column.filter(chosen) for column in columns]
@@ -313,16 +369,28 @@ def _column_by_column(reader: _Reader, group: _Group, tops: list[str]) -> pa.Tab
 
 def _kept(reader: _Reader, column: Column, table: pa.Table) -> pa.Array:
     """A column of a group in its plain type; null where its values do not fit it."""
-    values = table[column.path[0]].combine_chunks()
-    if isinstance(values, pa.ChunkedArray):
-        values = pa.concat_arrays(values.chunks) if values.num_chunks else pa.array([], values.type)
+    values = _whole(table[column.path[0]])
     for step in column.path[1:]:
         values = pc.struct_field(values, [step])
+    if column.style is not None:
+        return _numbers_in(reader, column, values)
     try:
         return plain(values, column.field.type)
     except DAMAGE as error:
         reader.tally.undecode(f"{STREAM}.{column.field.name}", len(values), _first_line(error))
         return pa.nulls(len(values), column.field.type)
+
+
+def _numbers_in(reader: _Reader, column: Column, values: pa.Array) -> pa.Array:
+    """Text of numbers as numbers; cells that are none are noted with their rows."""
+    assert column.style is not None
+    text = as_text(values)
+    found, wrong = floats(text, column.style)
+    at = np.flatnonzero(wrong)
+    if len(at):
+        rows = (reader.rows + 1 + at).tolist()
+        reader.odd.note(f"{STREAM}.{column.field.name}", rows, text[int(at[0])].as_py())
+    return found
 
 
 def _skip(reader: _Reader, start: int, end: int, why: str) -> None:
