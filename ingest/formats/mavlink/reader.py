@@ -33,6 +33,7 @@ from flysid.ingest.formats.common.vehicle_time import Clocked, Source, VehicleTi
 from flysid.ingest.formats.mavlink.capture import Capture, holds_mavlink, scan_batch
 from flysid.ingest.formats.mavlink.dialect import DEFAULT, Dialect, load_dialect
 from flysid.ingest.formats.mavlink.frames import LOOK_AHEAD, STAMP_BYTES, Frames, MessageId, Scanner
+from flysid.ingest.formats.mavlink.parameters import EXTENDED, NUMBERS, Encodings, with_values
 from flysid.ingest.formats.mavlink.probing import (
     choose_dialect,
     count_frames,
@@ -74,6 +75,7 @@ class _Reader:
     dialect: Dialect
     scanner: Scanner
     time: VehicleTime = field(default_factory=VehicleTime)
+    encodings: Encodings = field(default_factory=Encodings)
     schemas: dict[Source, pa.Schema] = field(default_factory=dict)
     admitted: set[Source] = field(default_factory=set)
     surplus: int = 0
@@ -169,7 +171,7 @@ def _parts(reader: _Reader, frames: Frames) -> Iterator[StreamPart]:
         if source[2] == MessageId.HEARTBEAT:
             _note_vehicle(reader, source, _matrix(frames, rows, layout), layout)
         elif source[2] == MessageId.AUTOPILOT_VERSION:
-            _note_board(reader, _matrix(frames, rows, layout), layout)
+            _note_board(reader, source, _matrix(frames, rows, layout), layout)
         if (name := _time_field(layout)) is not None:
             clocked[source] = reader.time.unwrapped(_read_clock(source, name, rows, frames, layout))
     reader.time.begin(list(clocked.values()), placing, utc=has_utc)
@@ -302,6 +304,8 @@ def _field_values(matrix: ByteMatrix, layout: RecordLayout, name: str) -> IntArr
 
 def _note_vehicle(reader: _Reader, source: Source, matrix: ByteMatrix, layout: RecordLayout) -> None:
     autopilots, kinds = (_field_values(matrix, layout, name) for name in ("autopilot", "type"))
+    for autopilot in np.unique(autopilots).tolist():
+        reader.encodings.note_autopilot(source[:2], autopilot)
     facts = vehicle_facts(reader.dialect, autopilots, kinds)
     if facts:
         reader.time.vehicles.add(source[0])
@@ -322,11 +326,12 @@ def vehicle_facts(
     }
 
 
-def _note_board(reader: _Reader, matrix: ByteMatrix, layout: RecordLayout) -> None:
+def _note_board(reader: _Reader, source: Source, matrix: ByteMatrix, layout: RecordLayout) -> None:
     """The board's own number, 18 bytes; major, minor and patch of flight_sw_version, highest byte first."""
     number = matrix.view(layout.dtype).reshape(len(matrix))["uid2"][-1]
     if number.any():
         reader.info["uid2"] = number.tobytes().hex()
+    reader.encodings.note_capabilities(source[:2], int(_field_values(matrix, layout, "capabilities")[-1]))
     version = int(_field_values(matrix, layout, "flight_sw_version")[-1])
     if version:
         reader.info["firmware"] = ".".join(str(version >> shift & 255) for shift in (24, 16, 8))
@@ -355,6 +360,9 @@ def _table(
         reader.schemas[source] = message_schema(layout.columns, metadata, received=received is not None)
     heads = times if received is None else (*times, received)
     table = layout.table(reader.schemas[source], heads, matrix)
+    if layout.name in NUMBERS | EXTENDED:
+        records = matrix.view(layout.dtype).reshape(len(matrix))
+        table = with_values(table, reader.encodings, layout.name, source[:2], records)
     return StreamPart(f"{source[0]}.{source[1]}/{layout.name}", table)
 
 
