@@ -12,7 +12,7 @@ import io
 import math
 import random
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -372,7 +372,9 @@ def faults(trial: Trial) -> Iterator[str]:
         if not trial.times.open_to or not _asks(asked, trial.times.open_to):
             yield f"refused: {asked}"
             return
-        flight = _read(trial, replace(Limits(), **trial.times.open_to))
+        told = trial.times.open_to
+        limits = Limits(time_unit=told.get("time_unit", ""), date_order=told.get("date_order", ""))
+        flight = _read(trial, limits)
     table = flight["table"]
     if table.num_rows != len(trial.times_ns):
         yield f"{table.num_rows} rows of {len(trial.times_ns)}; {flight.damage}"

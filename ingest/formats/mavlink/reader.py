@@ -21,7 +21,7 @@ from flysid.errors import FormatError
 from flysid.flight import ClockMap, Damage
 from flysid.ingest.formats.base import HEAD_BYTES, Limits, Parts, StreamPart, Summary, release
 from flysid.ingest.formats.common.capture import is_capture
-from flysid.ingest.formats.common.clock import SECOND_NS, SIDE, BoolArray, IntArray, is_outlier
+from flysid.ingest.formats.common.clock import SECOND_NS, SIDE, UNIX_NS, BoolArray, IntArray, is_outlier
 from flysid.ingest.formats.common.columns import (
     ByteMatrix,
     RecordLayout,
@@ -29,6 +29,7 @@ from flysid.ingest.formats.common.columns import (
     gather,
     message_schema,
 )
+from flysid.ingest.formats.common.gps_weeks import weeks_lost
 from flysid.ingest.formats.common.vehicle_time import Clocked, Source, VehicleTime
 from flysid.ingest.formats.mavlink.capture import Capture, holds_mavlink, scan_batch
 from flysid.ingest.formats.mavlink.dialect import DEFAULT, Dialect, load_dialect
@@ -76,6 +77,7 @@ class _Reader:
     scanner: Scanner
     time: VehicleTime = field(default_factory=VehicleTime)
     encodings: Encodings = field(default_factory=Encodings)
+    weeks_lost: int = 0
     schemas: dict[Source, pa.Schema] = field(default_factory=dict)
     admitted: set[Source] = field(default_factory=set)
     surplus: int = 0
@@ -172,6 +174,8 @@ def _parts(reader: _Reader, frames: Frames) -> Iterator[StreamPart]:
             _note_vehicle(reader, source, _matrix(frames, rows, layout), layout)
         elif source[2] == MessageId.AUTOPILOT_VERSION:
             _note_board(reader, source, _matrix(frames, rows, layout), layout)
+        elif source[2] == MessageId.SYSTEM_TIME:
+            _note_date(reader, _matrix(frames, rows, layout), layout)
         if (name := _time_field(layout)) is not None:
             clocked[source] = reader.time.unwrapped(_read_clock(source, name, rows, frames, layout))
     reader.time.begin(list(clocked.values()), placing, utc=has_utc)
@@ -337,6 +341,13 @@ def _note_board(reader: _Reader, source: Source, matrix: ByteMatrix, layout: Rec
         reader.info["firmware"] = ".".join(str(version >> shift & 255) for shift in (24, 16, 8))
 
 
+def _note_date(reader: _Reader, matrix: ByteMatrix, layout: RecordLayout) -> None:
+    """Whether the vehicle's own dates lack weeks; UTC comes from the arrivals."""
+    stated_us = _field_values(matrix, layout, "time_unix_usec")
+    dates_us = stated_us[(stated_us > UNIX_NS // 1000) & (stated_us < MAX_NS // 1000)]
+    reader.weeks_lost = max(reader.weeks_lost, weeks_lost(dates_us * 1000))
+
+
 def _short(enum_name: str) -> str:
     """MAV_AUTOPILOT_ARDUPILOTMEGA -> ardupilotmega."""
     return enum_name.removeprefix("MAV_AUTOPILOT_").removeprefix("MAV_TYPE_").lower()
@@ -419,6 +430,11 @@ def _info(reader: _Reader) -> Mapping[str, str]:
                 f"the station's clock was set by {times[0] / SECOND_NS:+,.1f} s in boot {boot}{more}, or the "
                 "link was later by as much from then on; the UTC is that of the longest part"
             )
+    if reader.weeks_lost:
+        notes.append(
+            f"the vehicle's own dates (SYSTEM_TIME) lie {reader.weeks_lost:,} weeks low, as its GPS receiver "
+            "counts weeks in ten bits; they are kept as recorded"
+        )
     note = {"clock_note": "; ".join(notes)} if notes else {}
     about = {"dialect": reader.dialect.name, "timestamps": stamps, "clock_system": main}
     return {**about, **note, **reader.info}
