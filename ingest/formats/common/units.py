@@ -57,6 +57,7 @@ _UNITS: Mapping[str, tuple[str, float]] = {
     "ns": ("time", 1e-9),
     "min": ("time", 60.0),
     "h": ("time", 3600.0),
+    "d": ("time", 86400.0),
     "V": ("voltage", 1.0),
     "mV": ("voltage", 1e-3),
     "A": ("current", 1.0),
