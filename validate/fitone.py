@@ -9,7 +9,7 @@ from typing import Protocol, TypeVar
 from flysid.dataset import Dataset
 from flysid.errors import DataError, FitError
 from flysid.files import write_atomically
-from flysid.ingest.align.quick import QUICK
+from flysid.ingest.align.recipe import QUICK
 from flysid.model.base import Fitted
 from flysid.model.capabilities import HasOperatingPoints, LinearModel
 from flysid.model.rules import phrases as words
@@ -38,7 +38,8 @@ def nothing_done(recipe: str, done: str, why: Mapping[str, str]) -> DataError:
 
     Parameters
     ----------
-    why : channel -> the reason.
+    recipe : its name; "" where there is none.
+    why : channel -> the reason, as the text of an error: its advice goes into the hint.
     """
     said: dict[str, list[str]] = {}
     hints: dict[str, None] = {}
@@ -47,7 +48,7 @@ def nothing_done(recipe: str, done: str, why: Mapping[str, str]) -> DataError:
         said.setdefault(cause.lstrip(": "), []).append(name)
         hints |= {hint: None} if hint else {}
     reasons = "; ".join(f"{', '.join(names)}: {cause}" for cause, names in said.items())
-    of_recipe = "" if recipe == QUICK else f" of recipe {recipe!r}"
+    of_recipe = "" if recipe in ("", QUICK) else f" of recipe {recipe!r}"
     return DataError(f"no channel{of_recipe} could be {done}: {reasons}", hint="; ".join(hints))
 
 

@@ -18,7 +18,7 @@ from typing import Any
 import click
 
 from flysid.errors import UsageError
-from flysid.files import why_unread
+from flysid.files import remedy_unread, why_unread
 
 FILE = "flysid.toml"
 
@@ -35,7 +35,9 @@ def defaults_of(verb: str, command: click.Command, verbs: Iterable[str], path: P
     except FileNotFoundError:
         return {}
     except (OSError, ValueError) as error:
-        raise UsageError(f"the settings cannot be read: {why_unread(error)}", path=path) from error
+        raise UsageError(
+            f"the settings cannot be read: {why_unread(error)}", path=path, hint=remedy_unread(error)
+        ) from error
     for name, table in document.items():
         if name not in verbs or not isinstance(table, dict):
             raise _refuse_unknown(f"no verb {name!r}", name, verbs, path)

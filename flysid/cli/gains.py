@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING
 import click
 
 from flysid.cli.addresses import SOURCE, here
+from flysid.cli.checks import Words
 from flysid.cli.display import Display
 from flysid.cli.output import align_columns, check_target, explain, printable, say
-from flysid.cli.source import READING_OF_A_LOOK, Words, opened_flights, reading_options
+from flysid.cli.source import READING_OF_A_LOOK, opened_flights, reading_options
 from flysid.showing import fold
 
 if TYPE_CHECKING:
@@ -58,12 +59,20 @@ def command(
     from flysid.validate.run import RUN_FILE
 
     if plot is not None:
-        check_target(plot, force)
+        from flysid.validate.pictures import check_picture
+
+        check_picture(plot)
+        check_target(plot, force, makes_folders=False)
     if (source / RUN_FILE).is_file():
         source, own = _of_run(source)
         flights = flights or own
-    with Display().shown(), opened_flights(source, told) as lake, part(READING_OF_A_LOOK):
-        found = judge(select(lake, Selection(flights=flights)).logs, axes or ("roll", "pitch"))
+    chosen = Selection(flights=flights)
+    with (
+        Display().shown(),
+        opened_flights(source, told, selection=chosen) as lake,
+        part(READING_OF_A_LOOK),
+    ):
+        found = judge(select(lake, chosen).logs, axes or ("roll", "pitch"))
     known = [j for j in found if j.margins is not None]
     if as_json:
         click.echo(json.dumps([j.to_dict() for j in found], indent=1, allow_nan=False))

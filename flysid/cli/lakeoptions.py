@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
+from flysid.cli.bounds import COUNT
 from flysid.cli.output import say
 from flysid.errors import UsageError
 from flysid.showing import counted
@@ -100,7 +101,11 @@ def cluster_options(function: F) -> F:
     """Adds --cluster and --workers."""
     for option in (
         click.option(
-            "--workers", default=0, metavar="N", help="A Dask cluster of N processes on this machine."
+            "--workers",
+            default=0,
+            type=COUNT,
+            metavar="N",
+            help="A Dask cluster of N processes on this machine.",
         ),
         click.option(
             "--cluster",

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from flysid.cli.bounds import AT_LEAST_ONE, POSITIVE
 from flysid.cli.output import ExitCode, say
 from flysid.errors import UsageError
 from flysid.showing import counted
@@ -37,8 +38,10 @@ if TYPE_CHECKING:
     help="With a key: frames without a signature; radio keeps only RADIO_STATUS.",
 )
 @click.option("--heartbeat", is_flag=True, help="Send heartbeats; otherwise nothing is sent.")
-@click.option("--buffer", type=int, metavar="BYTES", help="Socket buffer.  [default: as large as possible]")
-@click.option("--for", "seconds", type=float, metavar="S", help="Stop after this many seconds.")
+@click.option(
+    "--buffer", type=AT_LEAST_ONE, metavar="BYTES", help="Socket buffer.  [default: as large as possible]"
+)
+@click.option("--for", "seconds", type=POSITIVE, metavar="S", help="Stop after this many seconds.")
 @click.option("-q", "--quiet", is_flag=True, help="Only paths and errors.")
 def command(
     links: tuple[str, ...],
