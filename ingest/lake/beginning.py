@@ -11,7 +11,7 @@ from flysid.ingest.align.recipe import load_recipe, shipped_recipes
 from flysid.ingest.align.signals import FlightLog, Log, serves
 from flysid.ingest.formats.base import Limits
 from flysid.ingest.formats.registry import read
-from flysid.ingest.lake.workers import Bounds, Lost, run_bounded
+from flysid.ingest.lake.workers import Bounds, Lost, read_bounded
 
 
 def recipes_by_beginning(path: Path, limits: Limits, *, size: int = 1 << 20) -> dict[str, tuple[str, ...]]:
@@ -21,7 +21,7 @@ def recipes_by_beginning(path: Path, limits: Limits, *, size: int = 1 << 20) -> 
     a table whose end tells its columns: that is no error, as the whole log may still be read.
     """
     look = partial(_served, limits=limits, size=size)
-    for _, outcome in run_bounded(look, [path], 1, Bounds(memory_bytes=10**9, seconds=20.0)):
+    for _, outcome in read_bounded(look, [path], 1, Bounds(memory_bytes=10**9, seconds=20.0)):
         return {} if isinstance(outcome, Lost) else outcome
     return {}
 
@@ -34,7 +34,7 @@ def _served(path: Path, limits: Limits, size: int) -> dict[str, tuple[str, ...]]
             with path.open("rb") as whole:
                 beginning.write_bytes(whole.read(size))
             log = FlightLog(read(beginning, limits=limits))
-        except (FlysidError, OSError):
+        except (FlysidError, OSError, MemoryError):
             return {}
     served = {name: _channels(log, name) for name in shipped_recipes()}
     return {name: channels for name, channels in served.items() if channels}

@@ -8,8 +8,9 @@ from pathlib import Path
 
 import pytest
 
+from flysid.fleet import reading
 from flysid.ingest.formats import registry
-from flysid.ingest.lake import batch, lake, workers
+from flysid.ingest.lake import batch, lake
 from tests.command import Done, call, call_quick
 
 LOGS = Path(__file__).parents[2] / "sample_logs"
@@ -46,8 +47,8 @@ def closed(monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(*_: object, **__: object) -> object:
         raise ReadError
 
-    monkeypatch.setattr(batch, "run_bounded", refuse)
-    monkeypatch.setattr(workers, "run_bounded", refuse)
+    monkeypatch.setattr(batch, "read_bounded", refuse)
+    monkeypatch.setattr(reading, "read_bounded", refuse)
     monkeypatch.setattr(registry, "open_log", refuse)
     monkeypatch.setattr(lake, "read_entry", refuse)
     monkeypatch.setattr(lake, "read_flight", refuse)
