@@ -8,6 +8,7 @@ import os
 import re
 import shutil
 import sys
+import tempfile
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -50,6 +51,18 @@ def why_unread(error: OSError | ValueError) -> str:
     return getattr(error, "strerror", None) or str(error)
 
 
+def remedy_unread(error: OSError | ValueError) -> str:
+    """What to try where a file could not be read."""
+    if isinstance(error, UnicodeDecodeError):
+        return "save it as UTF-8"
+    number = getattr(error, "errno", None)
+    if number in (errno.ENOENT, errno.ENOTDIR):
+        return "check its name and folder"
+    if number in (errno.EACCES, errno.EPERM):
+        return "make it readable for this user"
+    return "give a file" if number == errno.EISDIR else "copy it again, from a sound medium"
+
+
 @contextmanager
 def writing_to(path: Path) -> Iterator[None]:
     """Turn the system's refusal to write into a WriteError that names the path."""
@@ -60,6 +73,20 @@ def writing_to(path: Path) -> Iterator[None]:
     except _refusals() as error:
         reason = getattr(error, "strerror", None) or re.sub(r"^.*\[errno \d+\] ", "", str(error))  # Arrow's
         raise WriteError(f"cannot be written: {reason}", path=path, hint=_remedy(error)) from error
+
+
+def check_place(path: Path, *, makes_folders: bool = True) -> None:
+    """Raise WriteError where nothing can be written to `path`: asked of the system, not of permissions.
+
+    Parameters
+    ----------
+    makes_folders : whether the folders on the way to it are made; the nearest one that is there is tried.
+    """
+    place = path.absolute().parent
+    while makes_folders and not place.exists() and place != place.parent:
+        place = place.parent
+    with writing_to(path), tempfile.TemporaryFile(dir=place):
+        pass
 
 
 def _remedy(error: Exception) -> str:

@@ -19,6 +19,7 @@ from msgspec import field
 
 from flysid import mirror
 from flysid.errors import StoreError, UsageError
+from flysid.files import remedy_unread, why_unread
 from flysid.flight import ClockMap, Damage, Source, resolve_stream
 from flysid.foreign import inner_path, why_outside
 from flysid.showing import Table, as_html, as_text, counted
@@ -29,6 +30,8 @@ FLIGHT_FORMAT = "flysid-flight"
 VERSION = 1
 LAKE_VERSION = 2
 """Of a lake in an object store: flights by their hashes, tables by generation."""
+RUN_FILE = "run.json"
+"""What `flysid fit` lays into a run's folder, by which the folder is known."""
 DATA_FILE = "flysid-data.json"
 FLIGHTS = "flights"
 MANIFEST_FILE = "manifest.json"
@@ -196,10 +199,20 @@ def check_data_folder(data: str | Path) -> Path:
         raise UsageError(
             "not an ingested folder: it has no " + DATA_FILE,
             path=data,
-            hint="make one with: flysid ingest LOG... -o DATA",
+            hint=about_run(data) or "make one with: flysid ingest LOG... -o DATA",
         )
     _check_head(_read(data / DATA_FILE), DATA_FORMAT, VERSION, data / DATA_FILE)
     return data
+
+
+def about_run(folder: Path) -> str:
+    """What to do with the folder of a run where flights are wanted; "" where it is none."""
+    if not (folder / RUN_FILE).is_file():
+        return ""
+    with suppress(msgspec.DecodeError, OSError):
+        if data := msgspec.json.decode((folder / RUN_FILE).read_bytes(), type=_RunHead).data:
+            return f"this is a run, and its flights are in {data}; 'flysid validate {folder}' judges it"
+    return f"this is a run: 'flysid validate {folder}' judges it"
 
 
 def check_lake(document: bytes, address: str) -> None:
@@ -287,6 +300,12 @@ def find_named(flight: str, ids: Collection[str], path: str | Path) -> str:
     )
 
 
+class _RunHead(msgspec.Struct):
+    """What tells of a run where its flights are."""
+
+    data: str = ""
+
+
 class _Head(msgspec.Struct):
     """What tells whether the rest of a document can be understood."""
 
@@ -298,7 +317,9 @@ def _read(path: Path) -> bytes:
     try:
         return path.read_bytes()
     except OSError as error:
-        raise StoreError(f"cannot be read: {error.strerror}", path=path) from error
+        raise StoreError(
+            f"cannot be read: {why_unread(error)}", path=path, hint=remedy_unread(error)
+        ) from error
 
 
 def _check_head(text: bytes, expected: str, newest: int, path: str | Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import html
 import textwrap
 from collections.abc import Sequence
@@ -27,6 +28,13 @@ def first_of(names: Sequence[str], most: int) -> str:
     """The first names, and how many more there are: "a, b, c and 4 more"."""
     rest = len(names) - most
     return ", ".join(names[:most]) + (f" and {rest:,} more" if rest > 0 else "")
+
+
+def one_of(known: Sequence[str], name: str) -> str:
+    """What there is, and what `name`, which is not there, may mean: "one of a, b; did you mean 'a'?"."""
+    near = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
+    meant = f"; did you mean {near[0]!r}?" if near else ""
+    return f"one of {', '.join(known)}{meant}"
 
 
 def fold(line: str) -> str:

@@ -37,6 +37,7 @@ import numpy as np
 
 from flysid.dataset import Dataset, FloatArray, Signal
 from flysid.errors import StoreError, UsageError
+from flysid.files import remedy_unread, why_unread
 from flysid.version import check_version
 
 MODEL_FORMAT = "flysid-model"
@@ -311,7 +312,9 @@ def _read_document(path: Path) -> dict[str, Any]:
             raise StoreError(f"not a flysid model: {size:,} bytes", path=path)
         document = json.loads(path.read_text("utf-8"), parse_constant=_refuse, parse_float=_finite)
     except OSError as error:
-        raise StoreError(f"cannot be read: {error.strerror}", path=path) from error
+        raise StoreError(
+            f"cannot be read: {why_unread(error)}", path=path, hint=remedy_unread(error)
+        ) from error
     except (UnicodeDecodeError, ValueError, RecursionError) as error:
         raise StoreError(
             "not a flysid model: not JSON", path=path, hint="give a file that save() wrote"

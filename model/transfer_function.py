@@ -168,6 +168,10 @@ class TF:
         model = replace(model.among(train.inputs, references), notes=notes)
         return _as_tf(model, transfers, tuple(c.count for c, _ in chosen))
 
+    def check(self) -> None:
+        """Raise UsageError where the settings cannot be, whatever the data; `fit` looks at them, too."""
+        self._check(1)
+
     def _plant(self, train: Dataset, validation: Dataset | None) -> tuple[Dataset, Dataset | None]:
         """Both parts without the references."""
         checked = None if validation is None else split_references(validation, self.reference)[0]

@@ -33,7 +33,8 @@ from flysid.validate.compare_models import (
     sides_of,
 )
 from flysid.validate.expected import expected_document
-from flysid.validate.judge import Judgement, by_reason, fit_command, split_words
+from flysid.validate.fitone import nothing_done
+from flysid.validate.judge import Judgement, fit_command, split_words
 from flysid.validate.judgedparts import chosen_lake, restrict
 from flysid.validate.report.context import ReportContext
 from flysid.validate.run import HeldOut, Run, held_out, models_of
@@ -65,32 +66,33 @@ def judge_runs(
     StoreError, UsageError : a run or a data folder cannot be read.
     """
     tell("aligning the data of both runs", share=0.0)
+    chosen = None if only is None else chosen_lake(b.run, b.data, only)  # from the catalogue: before tables
     missing = Missing(*a.run.missing, *b.run.missing)
     with missing.gathering():
         ours = {h.channel.name: h for h in held_out(b.run, b.data)}
         theirs = {h.channel.name: h for h in _training_of(a)}
-    chosen = None if only is None else chosen_lake(b.run, b.data, only)
     shared = [name for name in ours if name in theirs]
     if not shared:
         raise DataError(f"the runs share no channel: {_names(theirs)} and {_names(ours)}")
     if only is None or not only.pool:
         _refuse_several_vehicles(b, chosen, ours)
     found: dict[str, Comparison] = {}
-    failed: dict[str, str] = {}
+    failed: dict[str, DataError] = {}
     for i, name in enumerate(shared):
         tell("comparing", channel=name, share=(i + 1) / (len(shared) + 1))
         try:
             judged = ours[name] if chosen is None else restrict(ours[name], chosen)
             found[name] = _compare(theirs[name], judged, label)
         except DataError as error:
-            failed[name] = error.advice
+            failed[name] = error
     if not found:
-        raise DataError(f"no channel can be compared: {by_reason(failed)}")
+        raise nothing_done("", "compared", {name: str(error) for name, error in failed.items()})
     corrected = across_channels(found)
     context = _context(a.run, b.run, corrected, {n: (theirs[n], ours[n]) for n in found})
     seconds = {n: _seconds("a", theirs[n]) | _seconds("b", ours[n]) for n in found}
     skipped = {name: "fitted by run B only" for name in ours if name not in theirs}
-    skipped |= {name: "fitted by run A only" for name in theirs if name not in ours} | failed
+    skipped |= {name: "fitted by run A only" for name in theirs if name not in ours}
+    skipped |= {name: error.advice for name, error in failed.items()}
     judged_on = [comparison.test for comparison in found.values()]
     doubts = {n: doubt for n, c in found.items() if (doubt := _of_other_vehicles(theirs[n].train, c.test))}
     with missing.gathering():

@@ -12,7 +12,7 @@ from flysid.dataset import Dataset
 from flysid.errors import DataError, FitError
 from flysid.extras import Extra, extra
 from flysid.files import write_atomically
-from flysid.ingest.align.quick import QUICK
+from flysid.ingest.align.recipe import QUICK
 from flysid.model.base import Fitted, kind_of
 from flysid.model.capabilities import HasOperatingPoints, LinearModel
 from flysid.model.last_gates import refuse
@@ -53,7 +53,8 @@ def nothing_done(recipe: str, done: str, why: Mapping[str, str]) -> DataError:
 
     Parameters
     ----------
-    why : channel -> the reason.
+    recipe : its name; "" where there is none.
+    why : channel -> the reason, as the text of an error: its advice goes into the hint.
     """
     said: dict[str, list[str]] = {}
     hints: dict[str, None] = {}
@@ -62,7 +63,7 @@ def nothing_done(recipe: str, done: str, why: Mapping[str, str]) -> DataError:
         said.setdefault(cause.lstrip(": "), []).append(name)
         hints |= {hint: None} if hint else {}
     reasons = "; ".join(f"{', '.join(names)}: {cause}" for cause, names in said.items())
-    of_recipe = "" if recipe == QUICK else f" of recipe {recipe!r}"
+    of_recipe = "" if recipe in ("", QUICK) else f" of recipe {recipe!r}"
     return DataError(f"no channel{of_recipe} could be {done}: {reasons}", hint="; ".join(hints))
 
 

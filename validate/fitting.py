@@ -34,12 +34,15 @@ from flysid.model.linear_choice import FIRST, choose_baseline, confirm
 from flysid.model.one_rule import linear_rivals
 from flysid.model.rules.search_settings import SearchSettings
 from flysid.model.shared import sharing
+from flysid.model.structured.plan_file import Plan
 from flysid.progress import Step, tell, through
+from flysid.showing import one_of
 from flysid.split import plan_held, plan_split
 from flysid.validate import folds
 from flysid.validate.baseline import REFERENCES
 from flysid.validate.channeljob import ChannelJob, Fits
 from flysid.validate.diskparts import LOOK_ROWS
+from flysid.validate.fit_checks import refused_antecedents
 from flysid.validate.fitdisk import DiskJob
 from flysid.validate.fitone import nothing_done, reason
 from flysid.validate.fitplan import CHOICE, FitPlan
@@ -123,10 +126,17 @@ def estimators(
     return {label: estimator for label, estimator in known.items() if label in wanted}
 
 
+def check_settings(settings: FitSettings) -> None:
+    """Raise UsageError where settings cannot be, whatever the data: a model, a structure file."""
+    estimators(settings)
+    if file := _structure_file(settings):
+        Plan.read(file)
+
+
 def _check_models(settings: FitSettings, known: Collection[str]) -> None:
     for label, given in zip(settings.labels, settings.models, strict=True):
         if label not in known:
-            raise UsageError(f"no model {label!r}", hint=f"one of {', '.join(known)}")
+            raise UsageError(f"no model {label!r}", hint=one_of(list(known), label))
         if label != given and label != "structured":
             raise UsageError(f"{label} takes no file", hint="structured:FILE does")
     if settings.labels.count("structured") > 1:
@@ -257,7 +267,7 @@ def fit_run(
     UsageError : `settings.channels` names a channel that the recipe does not have; `settings.held` a flight
         that is not among the chosen ones.
     """
-    estimators(settings)  # a model that is not known is named before anything is read
+    check_settings(settings)
     settings = replace(
         settings,
         selection=replace(settings.selection, stretches=lake.stretches),
@@ -271,7 +281,9 @@ def fit_run(
         for name in (recipe.channels if served and not settings.channels else ())
         if name not in served
     }
-    wanted = _chosen([n for n in recipe.channels if n not in skipped], settings.channels)
+    wanted = [n for n in recipe.chosen(settings.channels) if n not in skipped]
+    skipped |= {n: str(why) for n, why in refused_antecedents(settings.antecedents, recipe, wanted).items()}
+    wanted = [n for n in wanted if n not in skipped]
     with replacing_folder(out) as folder:
         queue: list[MemoryJob | DiskJob] = []
         with tempfile.TemporaryDirectory(prefix=".aligned-", dir=folder) as scratch:
@@ -316,11 +328,13 @@ def fit_file(path: Path, out: Path, settings: FitSettings) -> Run:
     DataError : nothing can be fitted. StoreError : not a dataset file, or damaged.
     UsageError : `settings` names a channel or a model that is not there.
     """
-    estimators(settings)
+    check_settings(settings)
     if settings.held:
         raise UsageError("the flights of a dataset file are held out by chance", hint="--holdout SHARE")
     file = open_dataset(path)
-    _chosen([file.name], settings.channels)
+    for name in settings.channels:
+        if name != file.name:
+            raise UsageError(f"the dataset file is of channel {file.name!r}, not {name!r}", path=path)
     with replacing_folder(out) as folder:
         large = _megabytes(len(file), len(file.inputs) + len(file.outputs)) > settings.memory_mb
         job = DiskJob(file, folder, settings) if large else MemoryJob(file.read(), folder, settings)
@@ -388,13 +402,6 @@ def _aligned(
 def _megabytes(samples: int, signals: int) -> float:
     """Of so many samples in memory."""
     return 8e-6 * samples * signals
-
-
-def _chosen(names: Sequence[str], wanted: Sequence[str]) -> list[str]:
-    for name in wanted:
-        if name not in names:
-            raise UsageError(f"the recipe has no channel {name!r}", hint=f"one of {', '.join(names)}")
-    return [n for n in names if not wanted or n in wanted]
 
 
 def _fit(queue: Sequence[MemoryJob | DiskJob], jobs: int) -> tuple[dict[str, ChannelRun | str], bool]:

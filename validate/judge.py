@@ -26,6 +26,7 @@ from flysid.validate.cautions import cautions
 from flysid.validate.compare_models import Comparison, across_channels, compare
 from flysid.validate.condition import matching_channels
 from flysid.validate.document import plain, to_json
+from flysid.validate.fitone import nothing_done
 from flysid.validate.judgedparts import chosen_lake, restrict
 from flysid.validate.paperfigures import require_matplotlib, write_figures
 from flysid.validate.report.context import ReportContext
@@ -161,14 +162,14 @@ def judge_run(
     StoreError, UsageError : the run or the data folder cannot be read.
     """
     tell("aligning the held-out part", share=0.0)
+    chosen = None if only is None else chosen_lake(run, data, only)  # from the catalogue: before tables
     missing = Missing(*run.missing)
     with missing.gathering():
         held = [with_models(item, beside.get(item.channel.name, {})) for item in held_out(run, data)]
-    chosen = None if only is None else chosen_lake(run, data, only)
     judged_with = [] if only is None else [f"judged with {' '.join(only.options)}"]
     remark = "; ".join([*([run.settings.remark] if run.settings.remark else []), *judged_with])
     comparisons: dict[str, Comparison] = {}
-    failed: dict[str, str] = {}
+    failed: dict[str, DataError] = {}
     for i, item in enumerate(held):
         tell("comparing on held-out segments", channel=item.channel.name, share=(i + 1) / (len(held) + 1))
         try:
@@ -182,24 +183,16 @@ def judge_run(
                 turns=judged.turns,
             )
         except DataError as error:
-            failed[item.channel.name] = error.advice
+            failed[item.channel.name] = error
     if not comparisons:
-        raise DataError(f"no channel can be judged: {by_reason(failed)}")
+        raise nothing_done(run.recipe, "judged", {name: str(error) for name, error in failed.items()})
     corrected = across_channels(comparisons)
-    skipped = {**run.skipped, **failed}
+    skipped = {**run.skipped, **{name: error.advice for name, error in failed.items()}}
     with missing.gathering():
         context = _context(run, corrected, held, remark, data)
         loops = extra(Extra.GAINS, partial(_loops, run, data), ())
     context = replace(context, skipped=skipped, loops=loops, missing=missing)
     return Judgement(run, corrected, skipped, context, tuple(failed))
-
-
-def by_reason(skipped: Mapping[str, str]) -> str:
-    """ "roll, pitch: too short; yaw: not excited": every reason once."""
-    names: dict[str, list[str]] = {}
-    for name, why in skipped.items():
-        names.setdefault(why, []).append(name)
-    return "; ".join(f"{', '.join(those)}: {why}" for why, those in names.items())
 
 
 def write_judgement(judgement: Judgement, folder: Path, figures: str | None = None) -> Path:

@@ -10,6 +10,7 @@ import numpy as np
 
 from flysid.dataset import Dataset, Segment
 from flysid.errors import DataError, UsageError
+from flysid.ingest.align.allowed import CHOOSE_AGAIN
 from flysid.ingest.align.resample import FOREVER, Span, intersect
 from flysid.ingest.lake.chosen_flights import Selection, select
 from flysid.ingest.lake.lake import Lake
@@ -39,12 +40,20 @@ def restrict(held: HeldOut, lake: Lake) -> HeldOut:
     turns = tuple(replace(turn, test=_within(turn.test, lake)) for turn in held.turns)
     test = _within(held.test, lake)
     if not test.segments:
-        flights = ", ".join(held.test.flights)
-        raise DataError(
-            "none of the chosen data was held out",
-            hint=f"choose among what was held out: {flights}",
-        )
+        raise _nothing_left(held, lake)
     return replace(held, test=test, turns=tuple(turn for turn in turns if turn.test.segments))
+
+
+def _nothing_left(held: HeldOut, lake: Lake) -> DataError:
+    """Why nothing is left to judge on: what is asked for never holds, or was not held out."""
+    flights = {name.partition("#")[0] for name in held.test.flights}
+    never = dict.fromkeys(why for log in lake.logs if log.name in flights for why in log.allowed.never)
+    if never:
+        return DataError("; ".join(never), hint=CHOOSE_AGAIN)
+    return DataError(
+        "none of the chosen data was held out",
+        hint=f"choose among what was held out: {', '.join(held.test.flights)}",
+    )
 
 
 def _within(data: Dataset, lake: Lake) -> Dataset:

@@ -14,7 +14,7 @@ from __future__ import annotations
 import json
 import platform
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from importlib import metadata
 from pathlib import Path
@@ -31,8 +31,10 @@ from flysid.ingest.lake.lake import Lake
 from flysid.ingest.lake.lake import open as open_lake
 from flysid.ingest.lake.stretches import Stretches
 from flysid.manifest import DATA_FILE
+from flysid.manifest import RUN_FILE as RUN_FILE
 from flysid.model.base import Fitted, load
 from flysid.place import is_address
+from flysid.showing import one_of
 from flysid.split import By, Split
 from flysid.validate.compare_models import CONTENDERS, Turn
 from flysid.validate.diskparts import LOOK_ROWS, parts_of
@@ -40,7 +42,6 @@ from flysid.version import __version__, check_version
 
 RUN_FORMAT = "flysid-run"
 RUN_VERSION = 1
-RUN_FILE = "run.json"
 RECIPE_FILE = "recipe.toml"
 STRUCTURE_FILE = "structured.toml"
 SENTENCES = ("aligned", "dead_times", "loops", "nonlinear")
@@ -164,6 +165,15 @@ class Run:
     def missing(self) -> tuple[str, ...]:
         """What could not be given beside the models of any channel."""
         return tuple(words for channel in self.channels for words in channel.missing)
+
+    def check_channels(self, names: Collection[str]) -> None:
+        """Raise UsageError for a channel that the run neither has nor skipped."""
+        known = [c.name for c in self.channels]
+        for name in names:
+            if name not in known and name not in self.skipped:
+                raise UsageError(
+                    f"the run has no channel {name!r}", path=self.folder, hint=one_of(known, name)
+                )
 
     def model(self, file: str) -> Fitted:
         """A model file of the run, read once; StoreError where it is missing or damaged."""

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from flysid.dataset import Dataset
-from flysid.errors import DataError, RecipeError, UsageError
+from flysid.errors import DataError, RecipeError
 from flysid.escaping import picture_text
 from flysid.ingest.align.modes import COPTER, PLANE, PX4
 from flysid.ingest.align.recipe import load_recipe
@@ -71,18 +71,13 @@ def channel_steps(
 
     Raises
     ------
-    UsageError : `channels` names what the recipe does not have.
+    RecipeError : `channels` names what the recipe does not have.
     """
     recipe = load_recipe(recipe_name)
-    for name in channels:
-        if name not in recipe.channels:
-            raise UsageError(
-                f"the recipe has no channel {name!r}", hint=f"one of {', '.join(recipe.channels)}"
-            )
+    wanted = recipe.chosen(channels)
     held = lake.channels(recipe)
     found: list[ChannelStep] = []
     skipped: dict[str, str] = {}
-    wanted = list(channels or recipe.channels)
     for i, name in enumerate(wanted):
         if name not in held:
             skipped[name] = "no flight holds its streams"

@@ -22,7 +22,14 @@ from flysid.ingest.align.recipe import load_recipe
 from flysid.ingest.lake.lake import Lake
 from flysid.model.detrend import Trend
 from flysid.model.frequency.controller_inverse import LoopView, view_loop
-from flysid.model.frequency.loop_figures import LoopFigure, broken_loop, command_figures, loop_figures
+from flysid.model.frequency.loop_figures import (
+    COMMAND,
+    LoopFigure,
+    broken_loop,
+    command_figures,
+    loop_figures,
+    unknown,
+)
 from flysid.model.frequency.response import (
     GOOD_COHERENCE,
     MeasuredResponse,
@@ -291,23 +298,18 @@ def identify(
 
     Raises
     ------
-    RecipeError : a reference is in no log.
-    UsageError : `channels` names what the recipe does not have, or settings that cannot be.
+    RecipeError : `channels` names what the recipe does not have; a reference is in no log.
+    UsageError : settings that cannot be.
     DataError : no channel could be identified; the message gives each one's reason.
     """
     recipe = load_recipe(recipe_name)
-    for name in channels:
-        if name not in recipe.channels:
-            raise UsageError(
-                f"the recipe has no channel {name!r}", hint=f"one of {', '.join(recipe.channels)}"
-            )
+    wanted = recipe.chosen(channels)
     recipe = driven_by(recipe, reference, lake.logs)
     through = recipe.with_references()
     held = lake.channels(recipe)
     driven = lake.channels(through)
     found = []
     skipped = {}
-    wanted = channels or recipe.channels
     for i, name in enumerate(wanted):
         if name not in held:
             skipped[name] = "no flight holds its streams"
@@ -364,22 +366,40 @@ def _fit_pct(model: FittedTF, data: Dataset) -> tuple[float | None, ...]:
 def _all_figures(channel: ChannelTransfers, data: Dataset, reference_at: str) -> dict[str, list[LoopFigure]]:
     """Of every command, and of the loop cut open where it is told where the reference enters."""
     found = {}
-    pairs = len(channel.measured) * len(channel.data.inputs)
+    names = iter(
+        command_groups([s.name for s in channel.data.inputs], [s.name for s in channel.data.outputs])
+    )
     for i, measured in enumerate(channel.measured):
-        for j, source in enumerate(channel.data.inputs):
-            name = "command" if pairs == 1 else f"command_{source.name}_{channel.data.outputs[i].name}"
-            if measured is not None and not channel.is_looped(i):
+        for j in range(len(channel.data.inputs)):
+            if measured is None:
+                figures = unknown(COMMAND, channel.unmeasured)
+            elif channel.is_looped(i):
+                figures = unknown(COMMAND, "a loop is closed around it, and nothing named drives that loop")
+            else:
                 make = partial(command_figures, measured, j)
-                found[name] = list(extra(Extra.LOOP_FIGURES, make, (), channel.name))
+                figures = list(extra(Extra.LOOP_FIGURES, make, (), channel.name))
+            found[next(names)] = figures
     if not reference_at:
         return found
-    if len(channel.reference) != 1:
+    check_reference(channel.reference)
+    loop = broken_loop(data, reference=channel.reference[0], at=reference_at)
+    return found | {"loop": loop_figures(loop)}
+
+
+def command_groups(inputs: Sequence[str], outputs: Sequence[str]) -> list[str]:
+    """What the figures of a channel's commands go by: every output's, input by input."""
+    if len(inputs) * len(outputs) == 1:
+        return ["command"]
+    return [f"command_{source}_{output}" for output in outputs for source in inputs]
+
+
+def check_reference(reference: Sequence[str]) -> None:
+    """Raise UsageError where margins cannot be had: they need the one signal that drives the loop."""
+    if len(reference) != 1:
         raise UsageError(
             "margins belong to the loop cut open, which a response from command to output does not show",
             hint="name the one signal that drives the loop: --reference FIELD",
         )
-    loop = broken_loop(data, reference=channel.reference[0], at=reference_at)
-    return found | {"loop": loop_figures(loop)}
 
 
 def figures_document(channels: Sequence[ChannelTransfers]) -> dict[str, Any]:

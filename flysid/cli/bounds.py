@@ -1,12 +1,32 @@
-"""--max-memory and --max-time: quantities with units, for one log."""
+"""Numbers within bounds; --max-memory and --max-time: quantities with units, for one log."""
 
 from __future__ import annotations
 
+import math
 import re
+from typing import Any
 
 import click
 
 from flysid.cli.trust import Own
+
+
+class Number(click.FloatRange):
+    """A number within bounds: neither infinite nor "nan", which no bound keeps out."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        number = super().convert(value, param, ctx)
+        if not math.isfinite(number):
+            self.fail(f"{value!r} is not a finite number.", param, ctx)
+        return number
+
+
+POSITIVE = Number(min=0.0, min_open=True)
+NOT_NEGATIVE = Number(min=0.0)
+COUNT = click.IntRange(min=0)
+AT_LEAST_ONE = click.IntRange(min=1)
+ALARM_RATE = Number(min=0.0, min_open=True, max=3600.0)
+"""False alarms per hour: at most one a second."""
 
 MEMORY = {"": 1.0, "B": 1.0, "KB": 10**3, "MB": 10**6, "GB": 10**9, "KIB": 2**10, "MIB": 2**20, "GIB": 2**30}
 TIME = {"": 1.0, "MS": 1e-3, "S": 1.0, "MIN": 60.0, "H": 3600.0}

@@ -11,6 +11,7 @@ from flysid.cli.display import Display, progress_options
 from flysid.cli.output import check_target, chosen_form, comparison_forms, finish
 from flysid.cli.source import given, selection_options
 from flysid.cli.trust import Own, Setting
+from flysid.manifest import check_data_folder
 from flysid.progress import part
 
 if TYPE_CHECKING:
@@ -69,6 +70,9 @@ def command(
 
     a = RunSource(open_run(run_a), data_a)
     b = RunSource(open_run(run_b), data_b)
+    for source in (a, b):
+        if source.data is not None and source.run.recipe:
+            check_data_folder(source.data)
     expected = expected_of_runs(a.run, b.run, label)  # a label that a run lacks is told here
     if condition is not None:
         check_condition(condition, expected)

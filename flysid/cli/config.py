@@ -32,7 +32,7 @@ from flysid.cli.lazy import LazyVerbs
 from flysid.cli.tomllines import lines_of
 from flysid.cli.trust import Who, files_named, who_may_set
 from flysid.errors import StoreError, UsageError
-from flysid.files import why_unread
+from flysid.files import remedy_unread, why_unread
 from flysid.foreign import inner_path
 from flysid.showing import counted
 
@@ -174,7 +174,9 @@ def _text(path: Path) -> str | None:
     except (FileNotFoundError, NotADirectoryError):
         return None
     except (OSError, ValueError) as error:
-        raise UsageError(f"the settings cannot be read: {why_unread(error)}", path=path) from error
+        raise UsageError(
+            f"the settings cannot be read: {why_unread(error)}", path=path, hint=remedy_unread(error)
+        ) from error
 
 
 def _value(said: _Said) -> Any:

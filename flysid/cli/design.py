@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from flysid.cli.bounds import POSITIVE, Number
 from flysid.cli.display import Display, progress_options
 from flysid.cli.output import align_columns, check_target, printable, say
 from flysid.cli.trust import Own, ProjectFile, Setting
@@ -58,12 +59,24 @@ def a_range(_ctx: click.Context, _param: click.Parameter, value: str | None) -> 
     metavar="FILE",
     help="Parameter file with the present gains; 'published' for those that come with tum-ardrone.",
 )
-@click.option("--ms", default=1.6, show_default=True, help="Largest sensitivity peak (Ms) on any plant.")
 @click.option(
-    "--peak", default=1.15, show_default=True, help="Largest peak of reference to position on any plant."
+    "--ms",
+    default=1.6,
+    type=Number(min=1.0, min_open=True),
+    show_default=True,
+    help="Largest sensitivity peak (Ms) on any plant.",
 )
-@click.option("--noise", type=float, help="Largest input per m/s of noise.  [default: 5 % of what was flown]")
-@click.option("--limit", type=float, help="Input limit, in its unit.")
+@click.option(
+    "--peak",
+    default=1.15,
+    type=Number(min=1.0, min_open=True),
+    show_default=True,
+    help="Largest peak of reference to position on any plant.",
+)
+@click.option(
+    "--noise", type=POSITIVE, help="Largest input per m/s of noise.  [default: 5 % of what was flown]"
+)
+@click.option("--limit", type=POSITIVE, help="Input limit, in its unit.")
 @click.option(
     "--gain",
     cls=Setting,

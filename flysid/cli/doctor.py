@@ -13,12 +13,13 @@ import click
 from flysid.cli import complete
 from flysid.cli.bounds import memory_option, time_option
 from flysid.cli.display import Display, progress_options
-from flysid.cli.kinematics import Motion, motions, write_corrected
+from flysid.cli.kinematics import Motion, check_one_log, motions, write_corrected
 from flysid.cli.ls import clock_text
 from flysid.cli.output import (
     NAMES_SHOWN,
     REASONS_SHOWN,
     align_columns,
+    check_target,
     printable,
     say,
     say_passed_over,
@@ -36,6 +37,7 @@ if TYPE_CHECKING:
 
 HEADINGS = ("VEHICLE", "FIRMWARE", "TIME", "ATT", "CMD", "VEL", "MOVED", "LOST", "VERDICT")
 ROLES_SHOWN = {"ATT": "attitude", "CMD": "command", "VEL": "velocity"}
+CORRECTED = Path("corrected.toml")
 NOTHING = {"-", "?"}
 SHORTEST_NAME = 12
 
@@ -89,6 +91,7 @@ def command(
     Exit code 3: data was lost, or a log could not be read; 1: no log could be read.
     """
     from flysid.cli.addresses import here
+    from flysid.ingest.align.recipe import load_recipe
     from flysid.ingest.formats.base import Limits
     from flysid.ingest.formats.opening import short_name
     from flysid.ingest.lake.finding import find_logs
@@ -98,8 +101,13 @@ def command(
 
     if (correct or output) and not kinematics:
         raise UsageError("--correct and -o belong to --kinematics", hint="flysid doctor LOG --kinematics")
+    if correct:
+        load_recipe(correct)
+        check_target(output or CORRECTED, force=True, makes_folders=False)
     bounds = Bounds(max_memory, max_time)
     found = find_logs([here(log) if is_address(log) else log for log in logs], bounds)
+    if correct:
+        check_one_log(len(found.paths))
     unreadable = len(found.unread)
     surveys: dict[Path, Survey] = {}
     for skipped in found.unread:
@@ -126,7 +134,7 @@ def command(
     if moved and not as_json:
         click.echo("\n".join(line for path, motion in moved.items() for line in motion.lines(path)))
     if correct:
-        write_corrected(moved, correct, output or Path("corrected.toml"), limits, quiet)
+        write_corrected(moved, correct, output or CORRECTED, limits, quiet)
     for path, survey in surveys.items():
         if "clock_note" in survey.info:
             say(f"note: {short_name(path)}: {survey.info['clock_note']}", quiet)

@@ -7,8 +7,10 @@ from pathlib import Path
 import click
 
 from flysid.cli.addresses import SOURCE
+from flysid.cli.bounds import POSITIVE
+from flysid.cli.checks import Words
 from flysid.cli.display import Display
-from flysid.cli.source import Words, opened_flights, reading_options
+from flysid.cli.source import opened_flights, reading_options
 from flysid.cli.trust import Own, Setting
 from flysid.errors import UsageError
 from flysid.progress import tell
@@ -31,7 +33,7 @@ KINDS = ("csv", "parquet", "mat", "xlsx", "mcap")
 @click.option(
     "--rate",
     "rate_hz",
-    type=float,
+    type=POSITIVE,
     help="One table on a grid of this many rows per second; for a transfer function: steps per second.",
 )
 @click.option("-o", "--out", type=click.Path(path_type=Path), help="File, or folder for several tables.")
@@ -125,8 +127,11 @@ def export_flight(
     from flysid.ingest.lake.chosen_flights import Selection, select
     from flysid.ingest.lake.flight_export import GRID, export_tables, gridded_table, physical_tables
 
-    with Display().shown(), opened_flights(source, told) as lake:
-        logs = select(lake, Selection(flights=(flight,) if flight else ())).logs
+    chosen = Selection(flights=(flight,) if flight else ())
+    if out is not None:
+        check_target(out, force)
+    with Display().shown(), opened_flights(source, told, selection=chosen) as lake:
+        logs = select(lake, chosen).logs
         if len(logs) != 1:
             raise UsageError(
                 f"{source} holds {len(logs)} flights",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-import shutil
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
@@ -12,12 +12,12 @@ import click
 
 from flysid.cli import complete
 from flysid.cli.addresses import SOURCE
+from flysid.cli.bounds import COUNT
+from flysid.cli.checks import Asked, Words, check_source, is_ingested
 from flysid.cli.display import Display, progress_options
 from flysid.cli.output import check_target, cores, explain, say, say_left_out
 from flysid.cli.source import (
     READING_OF_A_FIT,
-    Words,
-    is_ingested,
     lost_on_the_way,
     open_source,
     say_mixed_gains,
@@ -145,7 +145,13 @@ def _held(_ctx: click.Context, _param: click.Parameter, words: tuple[str, ...]) 
     help="Samples of a channel above this are fitted from disk, by arx, fir, iv, statespace.",
 )
 @click.option(
-    "--jobs", "-j", cls=Own, default=0, metavar="N", help="Channels in parallel.  [default: one per core]"
+    "--jobs",
+    "-j",
+    cls=Own,
+    default=0,
+    type=COUNT,
+    metavar="N",
+    help="Channels in parallel.  [default: one per core]",
 )
 @click.option("--force", cls=Own, is_flag=True, help="Replace the run if it exists.")
 @click.option("--json", "as_json", is_flag=True, help="Print the run as JSON.")
@@ -182,11 +188,14 @@ def command(
     is_dataset = _is_dataset(data)
     if is_dataset:
         check_no_words(data, words)
-    place = fresh_place(output, force) if not is_dataset and not is_ingested(data) else None
-    from flysid.validate.fitting import fit_file, fit_run
+    place = place_of_logs(output, force) if not is_dataset and not is_ingested(data) else None
+    asked = Asked(words, selection, channels, holdout.parts)
+    if not is_dataset:
+        check_source(data, asked)
+    from flysid.validate.fitting import check_settings, fit_file, fit_run
     from flysid.validate.run import FitSettings
 
-    labels = tuple(_label(word) for word in models.split(",") if word.strip())
+    labels = labels_of(models)
     settings = FitSettings(
         holdout.share,
         by,
@@ -201,12 +210,14 @@ def command(
         selection,
         holdout.parts,
     )
+    check_settings(settings)
+    check_antecedents(antecedents, words, channels)
     lost = False
     if is_dataset:
         with display.shown():
             run = fit_file(data, output, settings)
     else:
-        with display.shown(), open_source(data, words, selection, place, quiet) as (lake, chosen):
+        with display.shown(), open_source(data, asked, place, quiet) as (lake, chosen):
             with part(0.0 if is_ingested(data) else READING_OF_A_FIT):
                 run = fit_run(lake, chosen, output, settings, jobs=jobs or cores())
             lost = lost_on_the_way(data, lake)
@@ -268,21 +279,36 @@ def check_no_words(data: Path, asked: Words) -> None:
         )
 
 
+def labels_of(models: str) -> tuple[str, ...]:
+    """What --models names."""
+    return tuple(_label(word) for word in models.split(",") if word.strip())
+
+
 def _label(word: str) -> str:
     """A model's label in small letters; the path of its file stays as it is."""
     label, mark, file = word.strip().partition(":")
     return label.lower() + mark + file
 
 
-def fresh_place(output: Path, force: bool) -> Path:
-    """The folder RUN.data for the logs of a run, not there any more: others in it would be fitted too."""
+def place_of_logs(output: Path, force: bool) -> Path:
+    """The folder RUN.data for the logs of a run; raises where it is there, and not to be replaced."""
     place = output.with_name(output.name + ".data")
     check_target(place, force)
     if place.exists():
         from flysid.manifest import check_data_folder
 
-        shutil.rmtree(check_data_folder(place))
+        check_data_folder(place)
     return place
+
+
+def check_antecedents(antecedents: Sequence[str], words: Words, channels: Sequence[str]) -> None:
+    """Raise UsageError where a recipe is named, and antecedents that none of its channels has."""
+    if words.recipe and antecedents:
+        from flysid.ingest.align.recipe import load_recipe
+        from flysid.validate.fit_checks import refused_antecedents
+
+        recipe = load_recipe(words.recipe)
+        refused_antecedents(antecedents, recipe, recipe.chosen(channels))
 
 
 def transfer_lines(run: Run, channel: ChannelRun) -> list[str]:

@@ -77,6 +77,10 @@ def command(
     """
     if halves and before_ns is not None:
         raise UsageError("--halves and --before are mutually exclusive", hint="leave out one of them")
+    if runs is not None and not runs.is_dir():
+        raise UsageError(
+            "no such folder", path=runs, hint="of runs of the vehicles: flysid fleet fit --ts -o DIR"
+        )
     target = output or data.folder / "changed"
     check_target(target, force or (output is None and (target / DOCUMENT).is_file()))
     from flysid.files import write_atomically, writing_to

@@ -13,6 +13,7 @@ import click
 
 from flysid.cli import complete
 from flysid.cli.addresses import SOURCE
+from flysid.cli.bounds import COUNT, POSITIVE
 from flysid.cli.lakeoptions import check_one_cluster, cluster_options, dask_cluster
 from flysid.cli.output import cores, say
 from flysid.cli.trust import Own, ProjectFile, Setting
@@ -72,9 +73,11 @@ class FleetData:
 
     def gather(self, lake: Lake, recipe: Recipe, cluster: Cluster | None, quiet: bool) -> Gathered:
         """The fleet's triangles; says how many flights were read for them."""
+        from flysid.cli.source import require_fit
         from flysid.fleet.models.gather import gather
         from flysid.fleet.models.triangle_store import Folder
 
+        require_fit(lake, self.recipe)
         found = gather(lake, recipe, Folder(lake.folder), self.channels, self.rate_hz, self.jobs, cluster)
         say(f"{counted(found.read, 'flight')} read, {len(lake) - found.read:,} known", quiet)
         for flight, why in found.lost.items():
@@ -97,19 +100,28 @@ def fleet_data_options(function: F) -> F:
         workers: int,
         **options: Any,
     ) -> Any:
+        from flysid.ingest.align.recipe import load_recipe
+
         check_one_cluster(cluster, workers)
+        load_recipe(recipe).chosen(channels)
         data = FleetData(lake, recipe, channels, rate_hz, jobs or cores(), cluster, workers)
         return function(*args, data=data, **options)
 
     decorated: Any = cluster_options(verb)
     for option in (
         click.option(
-            "--jobs", "-j", cls=Own, default=0, metavar="N", help="Processes; one per core when not given."
+            "--jobs",
+            "-j",
+            cls=Own,
+            default=0,
+            type=COUNT,
+            metavar="N",
+            help="Processes; one per core when not given.",
         ),
         click.option(
             "--grid",
             "rate_hz",
-            type=click.FloatRange(0.0, min_open=True),
+            type=POSITIVE,
             metavar="HZ",
             help="Rate of the grid.",
         ),

@@ -12,6 +12,7 @@ from flysid.cli.display import Display, progress_options
 from flysid.cli.fleet_data import FleetData, fleet_data_options
 from flysid.cli.output import align_columns, check_target, explain, say, say_left_out
 from flysid.cli.trust import Own, ProjectFile, Setting
+from flysid.errors import UsageError
 from flysid.extras import Missing
 from flysid.showing import counted
 
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
     from flysid.fleet.cluster import Cluster
     from flysid.fleet.models.group_models import FleetFit
     from flysid.ingest.lake.lake import Lake
+    from flysid.validate.run import FitSettings
 
 MODELS = "fleet.json"
 HEADINGS = ("GROUP", "CHANNEL", "FLIGHTS", "SAMPLES", "RMSE", "GAIN", "AT")
@@ -71,15 +73,21 @@ def command(
         check_target(output / MODELS, force)
     elif ts:
         raise click.UsageError("--ts makes run folders: -o says where")
+    if models and not ts:
+        raise UsageError("--models are those of a vehicle's run", hint="add --ts -o DIR")
     from flysid.files import write_atomically, writing_to
-    from flysid.fleet.models.group_models import fit_groups
+    from flysid.fleet.models.group_models import check_keys, fit_groups
     from flysid.ingest.align.recipe import load_recipe
     from flysid.ingest.lake.lake import open as open_lake
+    from flysid.validate.fitting import check_settings
 
     opened = open_lake(data.folder)
     asked = load_recipe(data.recipe)
     missing = Missing()
     keys = tuple(key for key in by.replace(" ", "").split(",") if key)
+    check_keys(keys)
+    settings = settings_of(data, models, effort)
+    check_settings(settings)
     with data.engine(opened, quiet) as cluster:
         with display.shown(), missing.gathering():
             gathered = data.gather(opened, asked, cluster, quiet)
@@ -100,7 +108,7 @@ def command(
             say(f"{name_of(group.key)}, {group.channel}: {group.reason}")
         failed = 0
         if ts and output is not None:
-            failed = run_vehicles(opened, data, output, models, effort, cluster, display, quiet)
+            failed = run_vehicles(opened, data, output, settings, cluster, display, quiet)
     return 3 if unfit or failed else 0
 
 
@@ -130,12 +138,19 @@ def name_of(key: object) -> str:
     return " ".join(values) or "fleet"
 
 
+def settings_of(data: FleetData, models: str, effort: str) -> FitSettings:
+    """How the vehicles' own runs are fitted."""
+    from flysid.cli.fit import labels_of
+    from flysid.validate.run import FitSettings
+
+    return FitSettings(channels=data.channels, models=labels_of(models), effort=effort)
+
+
 def run_vehicles(
     lake: Lake,
     data: FleetData,
     output: Path,
-    models: str,
-    effort: str,
+    settings: FitSettings,
     cluster: Cluster | None,
     display: Display,
     quiet: bool,
@@ -143,10 +158,7 @@ def run_vehicles(
     """A run folder for each vehicle; returns how many there could not be."""
     from flysid.fleet.models.vehicle_runs import fit_vehicles, folder_of
     from flysid.ingest.lake.chosen_flights import vehicles
-    from flysid.validate.run import FitSettings
 
-    labels = tuple(label for label in models.replace(" ", "").lower().split(",") if label)
-    settings = FitSettings(channels=data.channels, models=labels, effort=effort)
     named = [name for name in vehicles(lake) if name]
     with display.shown():
         done = fit_vehicles(lake, data.recipe, output, settings, named, data.jobs, cluster)

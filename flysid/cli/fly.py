@@ -7,6 +7,7 @@ from pathlib import Path
 
 import click
 
+from flysid.cli.bounds import AT_LEAST_ONE, NOT_NEGATIVE
 from flysid.cli.design import a_range
 from flysid.cli.display import Display, progress_options
 from flysid.cli.output import ExitCode, align_columns, check_target, say
@@ -15,9 +16,15 @@ from flysid.cli.trust import Own, Setting
 
 @click.command("fly")
 @click.argument("design", type=click.Path(path_type=Path))
-@click.option("--vehicles", default=100, show_default=True, help="Number of simulated vehicles.")
 @click.option(
-    "--wind", default=4.0, show_default=True, help="Strongest wind, m/s; it differs from vehicle to vehicle."
+    "--vehicles", default=100, type=AT_LEAST_ONE, show_default=True, help="Number of simulated vehicles."
+)
+@click.option(
+    "--wind",
+    default=4.0,
+    type=NOT_NEGATIVE,
+    show_default=True,
+    help="Strongest wind, m/s; it differs from vehicle to vehicle.",
 )
 @click.option("--seed", default=1, show_default=True, help="Seed of vehicles, wind and noise.")
 @click.option(

@@ -12,9 +12,10 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from flysid.cli.addresses import SOURCE, here
+from flysid.cli.checks import Words
 from flysid.cli.display import Display
 from flysid.cli.output import align_columns, check_target, explain, printable, say, say_drawn
-from flysid.cli.source import READING_OF_A_LOOK, Words, opened_flights, reading_options
+from flysid.cli.source import READING_OF_A_LOOK, opened_flights, reading_options
 from flysid.cli.trust import Own, Setting
 from flysid.extras import Extra, extra
 from flysid.showing import fold
@@ -64,12 +65,17 @@ def command(
 
     if plot is not None:
         check_picture(plot)
-        check_target(plot, force)
+        check_target(plot, force, makes_folders=False)
     if (source / RUN_FILE).is_file():
         source, own = _of_run(source)
         flights = flights or own
-    with Display().shown(), opened_flights(source, told) as lake, part(READING_OF_A_LOOK):
-        logs = select(lake, Selection(flights=flights)).logs
+    chosen = Selection(flights=flights)
+    with (
+        Display().shown(),
+        opened_flights(source, told, selection=chosen) as lake,
+        part(READING_OF_A_LOOK),
+    ):
+        logs = select(lake, chosen).logs
         found = judge(logs, axes or ("roll", "pitch"))
     known = [j for j in found if j.margins is not None]
     if as_json:

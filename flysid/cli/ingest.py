@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from flysid.cli.bounds import memory_option, time_option
+from flysid.cli.bounds import COUNT, memory_option, time_option
 from flysid.cli.display import Display, progress_options
 from flysid.cli.lakeoptions import LakeOptions, check_pattern, lake_options
 from flysid.cli.losses import report
@@ -26,7 +26,13 @@ if TYPE_CHECKING:
     "-o", "--output", "data", cls=Own, default="data", show_default=True, help="The folder to fill."
 )
 @click.option(
-    "-j", "--jobs", cls=Own, default=0, metavar="N", help="Worker processes; one per core when not given."
+    "-j",
+    "--jobs",
+    cls=Own,
+    default=0,
+    type=COUNT,
+    metavar="N",
+    help="Worker processes; one per core when not given.",
 )
 @memory_option
 @time_option

@@ -79,23 +79,29 @@ def motions(paths: Sequence[Path], limits: Limits, bounds: Bounds, display: Disp
     return found
 
 
+def check_one_log(count: int) -> None:
+    """Raise UsageError where a recipe would be corrected by several logs, or by none."""
+    if count != 1:
+        raise UsageError(f"--correct takes one log, not {count}", hint="every flight has its own biases")
+
+
 def write_corrected(
     moved: Mapping[Path, Motion], recipe: str, output: Path, limits: Limits, quiet: bool
 ) -> None:
     """Write a recipe with what was found of one log taken out of its signals."""
-    from flysid.files import write_atomically
+    from flysid.files import write_atomically, writing_to
     from flysid.ingest.align.signals import FlightLog
     from flysid.ingest.formats.registry import read
     from flysid.ingest.kinematics.telling import corrected_recipe
 
-    if len(moved) != 1:
-        raise UsageError(f"--correct takes one log, not {len(moved)}", hint="every flight has its own biases")
+    check_one_log(len(moved))
     ((path, motion),) = moved.items()
     if motion.found is None:
         raise UsageError(f"nothing to correct: {motion.reason}")
     flight = read(path, limits=limits)
     text, done = corrected_recipe(recipe, FlightLog(flight), motion.found)
-    write_atomically(output, text.encode())
+    with writing_to(output):
+        write_atomically(output, text.encode())
     for line in done:
         say(f"corrected: {line}", quiet)
     say(f"written: {output}", quiet)

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
+from flysid.cli.bounds import COUNT
 from flysid.cli.output import say
 from flysid.cli.trust import Own, Setting
 from flysid.errors import UsageError
@@ -104,6 +105,7 @@ def cluster_options(function: F) -> F:
             "--workers",
             cls=Own,
             default=0,
+            type=COUNT,
             metavar="N",
             help="A Dask cluster of N processes on this machine.",
         ),

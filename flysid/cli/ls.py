@@ -48,7 +48,7 @@ def command(
         return
     from flysid.ingest.lake.chosen_flights import select
 
-    with display.shown(), opened_flights(data) as lake:
+    with display.shown(), opened_flights(data, selection=selection) as lake:
         flights = select(lake, selection).facts
     if as_json:
         click.echo(json.dumps({"flights": [as_document(f) for f in flights]}, indent=1))
@@ -62,7 +62,7 @@ def _suggest(data: Path, selection: Selection, display: Display, as_json: bool, 
     from flysid.progress import part
 
     missing = Missing()
-    with display.shown(), opened_flights(data, share=READING_OF_A_FIT) as whole:
+    with display.shown(), opened_flights(data, share=READING_OF_A_FIT, selection=selection) as whole:
         lake = select(whole, selection)
         with part(READING_OF_A_FIT), missing.gathering():
             found = lake.suggest()

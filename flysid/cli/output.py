@@ -110,10 +110,22 @@ def cores() -> int:
         return os.cpu_count() or 1
 
 
-def check_target(path: Path, force: bool) -> None:
-    """Raise UsageError where `path` exists and may not be replaced."""
+def check_target(path: Path, force: bool, *, makes_folders: bool = True) -> None:
+    """What can be known wrong of a target before the work that it is for.
+
+    Parameters
+    ----------
+    makes_folders : whether the folders on the way to it are made.
+
+    Raises
+    ------
+    UsageError : it exists and may not be replaced. WriteError : nothing can be written there.
+    """
+    from flysid.files import check_place
+
     if os.path.lexists(path) and not force:
         raise UsageError("the target exists", path=path, hint="choose another with -o, or add --force")
+    check_place(path, makes_folders=makes_folders)
 
 
 def comparison_forms(function: F) -> F:

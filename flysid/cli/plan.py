@@ -9,11 +9,14 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from flysid.cli.bounds import POSITIVE
+from flysid.cli.checks import Asked, Words
 from flysid.cli.display import Display
 from flysid.cli.output import check_target, printable
-from flysid.cli.source import Words, open_source, selection_options, words_options
+from flysid.cli.source import open_source, selection_options, words_options
 from flysid.cli.trust import Own, Setting
 from flysid.errors import UsageError
+from flysid.manifest import RUN_FILE
 
 if TYPE_CHECKING:
     from flysid.ingest.lake.chosen_flights import Selection
@@ -48,12 +51,14 @@ class Beginning:
 @click.option(
     "--band",
     nargs=2,
-    type=float,
+    type=POSITIVE,
     metavar="LOW HIGH",
     help="Hz.  [default: around the poles of a run's models]",
 )
-@click.option("--seconds", default=60.0, show_default=True, help="Duration of the flight.")
-@click.option("--rate", default=50.0, show_default=True, metavar="HZ", help="Sample rate of plan.csv.")
+@click.option("--seconds", default=60.0, type=POSITIVE, show_default=True, help="Duration of the flight.")
+@click.option(
+    "--rate", default=50.0, type=POSITIVE, show_default=True, metavar="HZ", help="Sample rate of plan.csv."
+)
 @click.option(
     "--kind",
     default="multisine",
@@ -71,12 +76,16 @@ class Beginning:
 @click.option(
     "--more",
     default=3.0,
+    type=POSITIVE,
     show_default=True,
     metavar="MINUTES",
     help="Further minutes of the same flying, for a run.",
 )
 @click.option(
-    "--aim", type=float, metavar="PERCENT", help="Flight time until every figure is known to this accuracy."
+    "--aim",
+    type=POSITIVE,
+    metavar="PERCENT",
+    help="Flight time until every figure is known to this accuracy.",
 )
 @click.option(
     "--channel",
@@ -123,15 +132,21 @@ def command(
     recipe.toml for its log, and parameters for autopilots that can fly it. Exit code 3: a run does not
     determine some of its figures.
     """
-    from flysid.plan.flightplan import axis_of, make_plan, within
+    from flysid.plan.flightplan import axis_of, check_limits, make_plan, within
 
     if out is not None:
         check_target(out, force)
-    if more <= 0.0 or (aim is not None and aim <= 0.0):
-        raise UsageError("--more and --aim must be above zero")
+    if source is not None and not source.exists():
+        raise UsageError("no such run, folder or log", path=source, hint="without one: --axis and --band")
+    own, bounds = (tuple(map(axis_of, words)) for words in (axes, limits))
+    names = [axis.name for axis in own] or _commanded(source, words, channels)
+    if names:
+        check_limits(names, bounds)
+    _check_signals(band, seconds, rate, kind, ardupilot=place is not None, px4=px4_plane)
+    if band is None and not is_run(source):
+        raise no_band()
     begun = _begun(source, words, selection, channels, data, quiet)
-    chosen = tuple(map(axis_of, axes)) or begun.axes
-    chosen = within(chosen, tuple(map(axis_of, limits)))
+    chosen = within(own or begun.axes, bounds)
     plan = None
     if band or begun.band_hz or not begun.known:
         plan = make_plan(kind, chosen, _band(band, begun, rate), seconds, rate)
@@ -146,6 +161,41 @@ def command(
     return 3 if begun.unknown or any(not k.is_determined for k in begun.known) else 0
 
 
+def _commanded(source: Path | None, words: Words, channels: tuple[str, ...]) -> list[str]:
+    """Inputs of the channels that are meant, as far as a recipe tells before anything is read."""
+    from flysid.ingest.align.recipe import load_recipe
+    from flysid.validate.run import RECIPE_FILE, open_run
+
+    name: str | Path = words.recipe
+    if source is not None and is_run(source):
+        open_run(source).check_channels(channels)
+        name = source / RECIPE_FILE if (source / RECIPE_FILE).is_file() else ""
+    if not name:
+        return []
+    recipe = load_recipe(name)
+    return list(dict.fromkeys(i for c in recipe.chosen(channels) for i in recipe.channel(c).inputs))
+
+
+def _check_signals(
+    band: tuple[float, float] | None, seconds: float, rate: float, kind: str, *, ardupilot: bool, px4: bool
+) -> None:
+    """Raise UsageError where no signal can be as it is asked for, whatever the flights tell."""
+    from flysid.plan.autopilots import require_chirp
+    from flysid.plan.flightplan import check_flight
+
+    if band is not None:
+        check_flight(band, seconds, rate)
+    if ardupilot:
+        require_chirp(kind, "ArduPilot")
+    if px4:
+        require_chirp(kind, "PX4")
+
+
+def is_run(source: Path | None) -> bool:
+    """Whether a plan begins from a run."""
+    return source is not None and (source / RUN_FILE).is_file()
+
+
 def _begun(
     source: Path | None,
     words: Words,
@@ -155,18 +205,15 @@ def _begun(
     quiet: bool,
 ) -> Beginning:
     """What the source tells."""
-    from flysid.validate.run import RUN_FILE
-
     if source is None:
         return Beginning()
-    if not source.exists():
-        raise UsageError("no such run, folder or log", path=source, hint="without one: --axis and --band")
-    if (source / RUN_FILE).is_file():
+    if is_run(source):
         return _of_run(source, channels, data)
     from flysid.ingest.align.recipe import load_recipe, recipe_text
     from flysid.plan.briefing import axes_of_last_flight
 
-    with Display(quiet=quiet).shown(), open_source(source, words, selection, None, quiet) as (lake, name):
+    asked = Asked(words, selection, channels)
+    with Display(quiet=quiet).shown(), open_source(source, asked, None, quiet) as (lake, name):
         recipe = load_recipe(name)
         wanted = channels or lake.channels(recipe)
         found = [axes_of_last_flight(lake.dataset(recipe, channel)) for channel in wanted]
@@ -179,10 +226,7 @@ def _of_run(folder: Path, channels: tuple[str, ...], data: Path | None) -> Begin
     from flysid.validate.run import RECIPE_FILE, held_out, open_run, run_file
 
     run = open_run(folder)
-    names = [c.name for c in run.channels]
-    strange = [name for name in channels if name not in names and name not in run.skipped]
-    if strange:
-        raise UsageError(f"the run has no channel {strange[0]!r}", hint=f"one of {', '.join(names)}")
+    run.check_channels(channels)
     held = [h for h in held_out(run, data) if not channels or h.channel.name in channels]
     lost = [f"{n}: {why}" for n, why in run.skipped.items() if not channels or n in channels]
     if not held:
@@ -216,12 +260,17 @@ def _band(band: tuple[float, float] | None, begun: Beginning, rate: float) -> tu
     if band:
         return band
     if begun.band_hz is None:
-        raise UsageError(
-            "no band to excite",
-            hint="--band LOW HIGH in Hz: 0.3 times the slowest to 3 times the fastest motion",
-        )
+        raise no_band()
     low, high = begun.band_hz
     return low, min(high, 0.2 * rate)
+
+
+def no_band() -> UsageError:
+    """What to say where neither the command line nor a run's models tell what to excite."""
+    return UsageError(
+        "no band to excite",
+        hint="--band LOW HIGH in Hz: 0.3 times the slowest to 3 times the fastest motion",
+    )
 
 
 def _files(

@@ -17,7 +17,7 @@ from flysid.cli.trust import Own, ProjectFile
 from flysid.showing import first_of
 
 if TYPE_CHECKING:
-    from flysid.cli.source import Words
+    from flysid.cli.checks import Words
     from flysid.ingest.lake.chosen_flights import Selection
     from flysid.ingest.lake.lake import StoredLog
     from flysid.ingest.lake.timeline import Curve
@@ -61,6 +61,7 @@ def command(
 
     from flysid.cli.output import check_target
     from flysid.errors import UsageError
+    from flysid.ingest.align.recipe import load_recipe
     from flysid.ingest.lake.chosen_flights import select
     from flysid.ingest.lake.timeline import lay_out
 
@@ -68,8 +69,14 @@ def command(
         raise UsageError("fields, --pair and --recipe each say what to draw", hint="give one of them")
     target = out or Path(f"{source.name or 'flights'}.html".replace("/", "_"))
     if not term:
-        check_target(target, force)
-    with Display().shown(), opened_flights(source, told) as lake:
+        if not is_page(target):
+            from flysid.validate.pictures import check_picture
+
+            check_picture(target)
+        check_target(target, force, makes_folders=is_page(target))
+    if recipe:
+        load_recipe(recipe)
+    with Display().shown(), opened_flights(source, told, selection=selection) as lake:
         shown = replace(selection.stretches, mishaps=True)  # a crash is what people look for
         timelines = [
             lay_out(log, choose_curves(log, fields, pair, recipe), shown.allowed(log))
@@ -81,7 +88,7 @@ def command(
         click.echo(flights_as_text(timelines, shutil.get_terminal_size().columns))
         return
     title = first_of([t.name for t in timelines], 3)
-    if target.suffix.lower() in (".html", ".htm"):
+    if is_page(target):
         from flysid.validate.report.flight_page import render_flights
         from flysid.validate.report.html import write_page
 
@@ -93,6 +100,11 @@ def command(
     click.echo(str(target))
     if show:
         webbrowser.open(target.resolve().as_uri())
+
+
+def is_page(target: Path) -> bool:
+    """Whether a page is written, and no picture."""
+    return target.suffix.lower() in (".html", ".htm")
 
 
 def choose_curves(log: StoredLog, fields: Sequence[str], pair: str | None, recipe: str) -> list[list[Curve]]:

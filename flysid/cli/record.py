@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from flysid.cli.bounds import AT_LEAST_ONE, POSITIVE
 from flysid.cli.output import ExitCode, say
 from flysid.cli.trust import Own, Setting
 from flysid.errors import UsageError
@@ -44,9 +45,13 @@ if TYPE_CHECKING:
 )
 @click.option("--heartbeat", cls=Own, is_flag=True, help="Send heartbeats; otherwise nothing is sent.")
 @click.option(
-    "--buffer", cls=Own, type=int, metavar="BYTES", help="Socket buffer.  [default: as large as possible]"
+    "--buffer",
+    cls=Own,
+    type=AT_LEAST_ONE,
+    metavar="BYTES",
+    help="Socket buffer.  [default: as large as possible]",
 )
-@click.option("--for", "seconds", type=float, metavar="S", help="Stop after this many seconds.")
+@click.option("--for", "seconds", type=POSITIVE, metavar="S", help="Stop after this many seconds.")
 @click.option("-q", "--quiet", is_flag=True, help="Only paths and errors.")
 def command(
     links: tuple[str, ...],

@@ -14,11 +14,13 @@ import click
 
 from flysid.cli import complete
 from flysid.cli.addresses import SOURCE
+from flysid.cli.bounds import COUNT
+from flysid.cli.checks import Words
 from flysid.cli.display import Display
 from flysid.cli.losses import losses
 from flysid.cli.ls import clock_text
 from flysid.cli.output import align_columns, printable, say
-from flysid.cli.source import Words, opened_flights, reading_options
+from flysid.cli.source import opened_flights, reading_options
 from flysid.errors import StoreError, UsageError
 from flysid.flight import BOOT, RECEIVED, TIME
 from flysid.showing import counted
@@ -37,7 +39,9 @@ HEADINGS = ("COLUMN", "TYPE", "UNIT", "SCALE", *STATISTICS, "VALUES")
 @click.argument("source", type=SOURCE, metavar="LOG|DATA")
 @click.argument("names", nargs=-1, metavar="[FLIGHT] [STREAM]", shell_complete=complete.flights)
 @click.option("--json", "as_json", is_flag=True, help="Print the manifest (or the stream's entry) as JSON.")
-@click.option("-n", "--rows", default=5, show_default=True, help="Number of rows of the stream to print.")
+@click.option(
+    "-n", "--rows", default=5, type=COUNT, show_default=True, help="Number of rows of the stream to print."
+)
 @click.option("--fields", is_flag=True, help="Print unit, range, mean and missing values of all fields.")
 @click.option("--params", is_flag=True, help="Print the parameters at the end of the log.")
 @click.option("--messages", is_flag=True, help="Print the text messages, in order.")
@@ -67,6 +71,7 @@ def command(
             "--fields, --params, --messages, --events and --track are mutually exclusive",
             hint="run the command once for each",
         )
+    check_count(names)
     with Display().shown(), opened_flights(source, told) as lake:
         flight, stream = _split(str(source), names, [facts.id for facts in lake.facts])
         [log] = select(lake, Selection(flights=(flight,))).logs
@@ -93,12 +98,16 @@ def command(
             click.echo(stream_json(entry) if as_json else stream_text(log, entry, rows))
 
 
-def _split(source: str, names: Sequence[str], flights: Sequence[str]) -> tuple[str, str | None]:
-    """The flight and the stream that are meant: one name is the stream's where there is one flight."""
+def check_count(names: Sequence[str]) -> None:
+    """Raise UsageError where there are more names than a flight's and a stream's."""
     if len(names) > 2:
         raise UsageError(
             f"{len(names)} names are too many", hint="flysid show LOG [STREAM], or DATA FLIGHT [STREAM]"
         )
+
+
+def _split(source: str, names: Sequence[str], flights: Sequence[str]) -> tuple[str, str | None]:
+    """The flight and the stream that are meant: one name is the stream's where there is one flight."""
     if len(names) == 2:
         return names[0], names[1]
     if len(names) == 1 and not (len(flights) == 1 and not flights[0].startswith(names[0])):

@@ -5,7 +5,6 @@ from __future__ import annotations
 import shutil
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from functools import partial, wraps
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -14,40 +13,22 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 
 from flysid.cli import complete
+from flysid.cli.bounds import POSITIVE
+from flysid.cli.checks import Asked, Words, check_flights, check_source, is_ingested, refuse_reading_again
 from flysid.cli.output import say
 from flysid.cli.trust import ProjectFile, Setting
 from flysid.errors import FlysidError, FormatError, RecipeError, UsageError, WriteError
 from flysid.extras import Extra, extra
 
 if TYPE_CHECKING:
-    from flysid.ingest.formats.base import Limits
     from flysid.ingest.lake.chosen_flights import Selection
+    from flysid.ingest.lake.finding import FoundLogs
     from flysid.ingest.lake.lake import Lake
 
 F = TypeVar("F", bound=Callable[..., Any])
 READING_OF_A_FIT = 0.05
 READING_OF_A_LOOK = 0.5
 """Shares of the work that reading the logs is, before a fit and before a look."""
-
-
-@dataclass(frozen=True)
-class Words:
-    """What the command line says of the channels: a recipe, or from which fields to which."""
-
-    recipe: str
-    inputs: tuple[str, ...]
-    outputs: tuple[str, ...]
-    dt: float | None
-    time_unit: str = ""
-    date_order: str = ""
-    format: str = ""
-
-    @property
-    def limits(self) -> Limits:
-        """How a log is to be read."""
-        from flysid.ingest.formats.base import Limits
-
-        return Limits(time_unit=self.time_unit, date_order=self.date_order, format=self.format)
 
 
 def _known_format(_ctx: click.Context, _param: click.Parameter, name: str) -> str:
@@ -119,7 +100,7 @@ def words_options(function: F) -> F:
         date_order_option,
         time_unit_option,
         click.option(
-            "--dt", type=float, metavar="SECONDS", help="Sample time of a table without a time column."
+            "--dt", type=POSITIVE, metavar="SECONDS", help="Sample time of a table without a time column."
         ),
         click.option(
             "--to",
@@ -260,52 +241,54 @@ _STRETCHES = (
 
 
 @contextmanager
-def open_source(
-    data: Path, words: Words, selection: Selection, place: Path | None, quiet: bool
-) -> Iterator[tuple[Lake, str]]:
+def open_source(data: Path, asked: Asked, place: Path | None, quiet: bool) -> Iterator[tuple[Lake, str]]:
     """The flights that are meant, and the name of a recipe; both hold until the block ends.
 
-    Logs are ingested first, into the new folder `place`, which goes again where the block fails; for as long
-    as the block lasts where `place` is None.
+    Logs are ingested first, into the folder `place`, which goes again where the block fails; for as long
+    as the block lasts where `place` is None. Logs of an earlier run that are there are removed.
 
     Raises
     ------
-    UsageError : neither a recipe nor fields, or both; no such file or folder, or no log in it; a unit of time
-        for an ingested folder; flights of several vehicles that are not to be pooled.
-    RecipeError : a field is not there.
+    UsageError : as `check_source`; flights of several vehicles that are not to be pooled.
+    RecipeError : as `check_source`; a field is not there.
     """
-    if words.recipe and (words.inputs or words.outputs or words.dt is not None):
-        raise UsageError(
-            "--recipe and --from, --to or --dt are mutually exclusive", hint="leave out one or the other"
-        )
-    if is_ingested(data):
-        _refuse_reading_again(data, words)
-    from flysid.ingest.align.recipe import load_recipe
+    logs = check_source(data, asked)
     from flysid.ingest.lake.chosen_flights import require_one_vehicle, select
     from flysid.ingest.lake.lake import open as open_lake
 
-    if words.recipe:
-        load_recipe(words.recipe)  # a name that is none is said before any log is read
+    if place is not None and place.exists():
+        from flysid.manifest import check_data_folder
+
+        shutil.rmtree(check_data_folder(place))
     with TemporaryDirectory() as folder:
         target = place or Path(folder) / "data"
-        recipe = Path(folder) / "quick.toml"
         try:
             with _naming(data, target):
-                whole = open_lake(
-                    data if is_ingested(data) else _taken_in(data, target, words, quiet, READING_OF_A_FIT)
-                )
-                lake = select(whole, selection)
-                if not selection.pool:
+                whole = open_lake(data if logs is None else _taken_in(logs, data, target, asked.words, quiet))
+                lake = select(whole, asked.selection)
+                if not asked.selection.pool:
                     require_one_vehicle(lake)
-                if words.recipe:
-                    require_fit(lake, words.recipe)
-                else:
-                    recipe.write_text(_written(words, lake), "utf-8")
-                yield lake, words.recipe or str(recipe)
+                yield lake, _recipe_for(lake, asked, Path(folder) / "quick.toml", quiet)
         except BaseException:
             if place is not None:
                 shutil.rmtree(place, ignore_errors=True)
             raise
+
+
+def _recipe_for(lake: Lake, asked: Asked, quick: Path, quiet: bool) -> str:
+    """The recipe that is named, the one that is chosen, or one of fields, which is written to `quick`."""
+    words = asked.words
+    if words.recipe:
+        require_fit(lake, words.recipe)
+        return words.recipe
+    if asked.is_open and (asked.channels or lake.recipes()):
+        from flysid.ingest.lake.recipe_choice import choose_recipe
+
+        choice = choose_recipe(lake, asked.channels)
+        say(choice.words, quiet)
+        return choice.name
+    quick.write_text(_written(words, lake), "utf-8")
+    return str(quick)
 
 
 def require_fit(lake: Lake, recipe: str) -> None:
@@ -334,28 +317,40 @@ def require_fit(lake: Lake, recipe: str) -> None:
 
 @contextmanager
 def opened_flights(
-    source: Path, told: Words | None = None, share: float = READING_OF_A_LOOK
+    source: Path,
+    told: Words | None = None,
+    share: float = READING_OF_A_LOOK,
+    selection: Selection | None = None,
 ) -> Iterator[Lake]:
     """The flights of an ingested folder, or of logs, which are read for this block only.
 
-    `share`: of all the work that reading logs is.
+    Parameters
+    ----------
+    share : of all the work that reading logs is.
+    selection : flights that it names are there: which is looked at before logs are read.
 
     Raises
     ------
-    UsageError : there is no such file or folder, or no log in it; a unit of time for an ingested folder.
+    UsageError : there is no such file or folder, or no log in it; a unit of time for an ingested folder; a
+        flight that is not there.
     FormatError : nothing of a log can be read.
     """
+    from flysid.ingest.lake.finding import find_logs
     from flysid.ingest.lake.lake import open as open_lake
+    from flysid.ingest.lake.workers import Bounds
 
     words = told or Words("", (), (), None)
     if is_ingested(source):
-        _refuse_reading_again(source, words)
+        refuse_reading_again(source, words)
         yield open_lake(source)
         return
+    logs = find_logs([source], Bounds())
+    if selection is not None:
+        check_flights(logs, source, selection)
     with TemporaryDirectory() as folder:
         place = Path(folder) / "data"
         with _naming(source, place):
-            yield open_lake(_taken_in(source, place, words, True, share))
+            yield open_lake(_taken_in(logs, source, place, words, True, share))
 
 
 @contextmanager
@@ -370,23 +365,6 @@ def _naming(source: Path, place: Path) -> Iterator[None]:
         if error.path == str(place) and not isinstance(error, WriteError):
             error.path = str(source)
         raise
-
-
-def _refuse_reading_again(data: Path, words: Words) -> None:
-    """Raise UsageError where words say how to read what has been read."""
-    if words.time_unit or words.date_order or words.format:
-        raise UsageError(
-            "ingested data already have their format and times",
-            path=data,
-            hint="flysid ingest --format, --time-unit or --date-order reads a log again",
-        )
-
-
-def is_ingested(data: Path) -> bool:
-    """Whether `flysid ingest` made this folder; anything else names logs."""
-    from flysid.manifest import DATA_FILE
-
-    return (data / DATA_FILE).is_file()
 
 
 def say_mixed_gains(lake: Lake, quiet: bool) -> None:
@@ -410,18 +388,25 @@ def lost_on_the_way(data: Path, lake: Lake) -> bool:
 
 def _written(words: Words, lake: Lake) -> str:
     """A recipe for the fields that are asked for; without any, the error names what there is."""
-    from flysid.ingest.align.quick import quick_recipe
+    from flysid.ingest.align.quick import NEITHER, quick_recipe
 
     if not (words.inputs or words.outputs) and (served := lake.recipes()):
         raise UsageError(
-            "neither a recipe nor fields are given",
+            NEITHER,
             hint=f"--recipe {', or --recipe '.join(served)}; 'flysid ls DATA --suggest' says how well",
         )
     return quick_recipe(lake.logs, words.inputs, words.outputs, words.dt)
 
 
-def _taken_in(logs: Path, place: Path, words: Words, quiet: bool, share: float) -> Path:
-    """Ingest a log, a folder of logs or a pattern, as a `share` of the work.
+def _taken_in(
+    logs: FoundLogs,
+    source: Path,
+    place: Path,
+    words: Words,
+    quiet: bool,
+    share: float = READING_OF_A_FIT,
+) -> Path:
+    """Ingest the logs that `source` names, as a `share` of the work.
 
     Raises
     ------
@@ -429,19 +414,16 @@ def _taken_in(logs: Path, place: Path, words: Words, quiet: bool, share: float) 
     """
     from flysid.cli.losses import report
     from flysid.ingest.lake.batch import ingest_logs
-    from flysid.ingest.lake.finding import find_logs
     from flysid.ingest.lake.workers import Bounds
     from flysid.progress import part
 
     with part(0.0, share):
-        bounds = Bounds()
-        found = find_logs([logs], bounds)
-        results = list(ingest_logs(found, place, limits=words.limits, bounds=bounds))
+        results = list(ingest_logs(logs, place, limits=words.limits, bounds=Bounds()))
     skipped = [result for result in results if result.skipped]
     if len(skipped) == len(results) == 1:
         reason, _, hint = skipped[0].reason.partition("; try: ")
         raise FormatError(reason, path=skipped[0].path, hint=hint)
     report(results, quiet)
     if len(skipped) == len(results):
-        raise FormatError("nothing could be read", path=logs, hint="what the reasons above name")
+        raise FormatError("nothing could be read", path=source, hint="what the reasons above name")
     return place

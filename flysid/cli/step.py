@@ -1,8 +1,10 @@
-"""`flysid step DATA --recipe R`: step responses from ordinary flying, with intervals."""
+"""`flysid step DATA [--recipe R]`: step responses from ordinary flying, with intervals."""
 
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -10,9 +12,11 @@ from typing import TYPE_CHECKING
 import click
 
 from flysid.cli.addresses import SOURCE
+from flysid.cli.bounds import POSITIVE
+from flysid.cli.checks import Asked, Words, check_source
 from flysid.cli.display import Display
 from flysid.cli.output import check_target, printable, say_drawn, say_left_out
-from flysid.cli.source import Words, open_source, say_mixed_gains, selection_options, words_options
+from flysid.cli.source import open_source, say_mixed_gains, selection_options, words_options
 from flysid.cli.trust import Own, Setting
 
 if TYPE_CHECKING:
@@ -27,10 +31,12 @@ if TYPE_CHECKING:
 @click.option(
     "--channel", "-c", "channels", cls=Setting, multiple=True, help="Only this channel; repeatable."
 )
-@click.option("--horizon", default=2.0, show_default=True, metavar="S", help="Length of the response.")
+@click.option(
+    "--horizon", default=2.0, type=POSITIVE, show_default=True, metavar="S", help="Length of the response."
+)
 @click.option(
     "--fast",
-    type=float,
+    type=POSITIVE,
     metavar="SIZE",
     help="Two responses: where the input exceeds SIZE within the horizon, and where it does not.",
 )
@@ -54,30 +60,42 @@ def command(
 ) -> int:
     """Estimate the step response from ordinary flight: latency, rise time, overshoot, settling time.
 
-    DATA is an ingested folder, a log or table (.csv), a folder of logs or a quoted pattern. A channel whose
-    input reacts to its output is refused, because its record holds no step response. Exit code 3: --channel
-    named such a channel.
+    DATA is an ingested folder, a log or table (.csv), a folder of logs or a quoted pattern. Without a recipe
+    and fields, the shipped recipe is taken that fits, with its channels of a command and the response to
+    it. A channel whose input reacts to its output is refused, because its record holds no step response.
+    Exit code 3: --channel named such a channel.
     """
-    from flysid.validate.pictures import check_picture
+    if plot is not None:
+        from flysid.validate.pictures import check_picture
+
+        check_picture(plot)
+        check_target(plot, force, makes_folders=False)
+    asked = Asked(words, selection, channels, chooses=True)
+    places = [data] if against is None else [data, against]
+    for place in places:
+        check_source(place, asked)
+    from flysid.ingest.align.recipe import load_recipe
+    from flysid.ingest.lake.recipe_choice import commands_of
     from flysid.validate.steps import channel_steps, draw_steps
 
-    if plot is not None:
-        check_picture(plot)
-        check_target(plot, force)
     found: list[ChannelStep] = []
     skipped: dict[str, str] = {}
-    for place in (data, *([against] if against is not None else [])):
-        of = place.name if against is not None else ""
-        with (
-            Display(quiet=quiet).shown(),
-            open_source(place, words, selection, None, quiet) as (lake, chosen),
-        ):
-            steps, why = channel_steps(lake, chosen, channels=channels, horizon_s=horizon, fast=fast, of=of)
+    name = words.recipe
+    for place, of in zip(places, _names(places), strict=True):
+        with Display(quiet=quiet).shown(), open_source(place, asked, None, quiet) as (lake, chosen):
+            recipe = load_recipe(chosen)
+            name = name or recipe.name
+            if asked.is_open:  # the second place is looked at as the first one is
+                wanted = channels or commands_of(recipe)
+                asked = replace(asked, words=replace(words, recipe=chosen), channels=wanted)
+            steps, why = channel_steps(
+                lake, chosen, channels=asked.channels, horizon_s=horizon, fast=fast, of=of
+            )
             say_mixed_gains(lake, quiet)
         found += steps
         skipped |= {f"{name} of {of}" if of else name: reason for name, reason in why.items()}
     if as_json:
-        body = {"recipe": words.recipe or "quick", "steps": [s.to_dict() for s in found], "skipped": skipped}
+        body = {"recipe": name, "steps": [s.to_dict() for s in found], "skipped": skipped}
         click.echo(json.dumps(body, indent=1, allow_nan=False))
     else:
         for step in sorted(found, key=lambda s: s.name):
@@ -86,5 +104,13 @@ def command(
         say_drawn("step responses", plot, partial(draw_steps, found, plot), quiet)
     for name, reason in skipped.items():
         say_left_out(name, reason)
-    asked = any(name.split(" of ")[0] in channels for name in skipped)
-    return 3 if asked or not found else 0
+    refused = any(name.split(" of ")[0] in channels for name in skipped)
+    return 3 if refused or not found else 0
+
+
+def _names(places: Sequence[Path]) -> list[str]:
+    """What tells responses of several places apart: their names, or their paths where they share a name."""
+    if len(places) < 2:
+        return [""] * len(places)
+    names = [place.name for place in places]
+    return names if len(set(names)) == len(names) else [str(place) for place in places]

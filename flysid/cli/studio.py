@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import click
 
 from flysid.cli.addresses import SOURCE
+from flysid.cli.bounds import ALARM_RATE
 from flysid.cli.output import say
 from flysid.cli.trust import Own
 from flysid.errors import UsageError
@@ -22,7 +23,14 @@ if TYPE_CHECKING:
 
 @click.command("studio")
 @click.argument("data", default="data", type=SOURCE)
-@click.option("--port", cls=Own, default=0, metavar="N", help="Port on 127.0.0.1; a free one when not given.")
+@click.option(
+    "--port",
+    cls=Own,
+    default=0,
+    type=click.IntRange(0, 65535),
+    metavar="N",
+    help="Port on 127.0.0.1; a free one when not given.",
+)
 @click.option(
     "--runs",
     "runs",
@@ -43,7 +51,12 @@ if TYPE_CHECKING:
     "--watch", "run", type=click.Path(path_type=Path), help="With --live: a run's models beside it."
 )
 @click.option(
-    "--false-alarms", default=0.1, show_default=True, metavar="RATE", help="False alarms per hour of flight."
+    "--false-alarms",
+    default=0.1,
+    type=ALARM_RATE,
+    show_default=True,
+    metavar="RATE",
+    help="False alarms per hour of flight.",
 )
 @click.option(
     "-o",

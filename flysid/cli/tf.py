@@ -1,8 +1,10 @@
-"""`flysid tf DATA --recipe R`: transfer functions with intervals, and the measured frequency response."""
+"""`flysid tf DATA [--recipe R]`: transfer functions with intervals, and the measured frequency response."""
 
 from __future__ import annotations
 
 import json
+import math
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,10 +13,11 @@ import click
 
 from flysid.cli import complete
 from flysid.cli.addresses import SOURCE
+from flysid.cli.bounds import POSITIVE
+from flysid.cli.checks import Asked, Words, check_source
 from flysid.cli.display import Display, progress_options
 from flysid.cli.output import ExitCode, align_columns, check_target, explain, say, say_drawn, say_left_out
 from flysid.cli.source import (
-    Words,
     lost_on_the_way,
     open_source,
     say_mixed_gains,
@@ -30,14 +33,17 @@ if TYPE_CHECKING:
     from flysid.validate.transfers import ChannelTransfers
 
 
-def _auto_or(kind: type) -> Any:
+def _auto_or(kind: type, words: str) -> Any:
     def parsed(_ctx: click.Context, _param: click.Parameter, value: str) -> Any:
         if value == "auto":
             return value
         try:
-            return kind(value)
+            number = kind(value)
         except ValueError:
-            raise click.BadParameter(f"a number, or auto, not {value!r}") from None
+            number = math.nan
+        if not math.isfinite(number) or number < 0:
+            raise click.BadParameter(f"{words} of at least 0, or auto, not {value!r}")
+        return number
 
     return parsed
 
@@ -76,7 +82,7 @@ def _auto_or(kind: type) -> Any:
     "--poles",
     cls=Setting,
     default="auto",
-    callback=_auto_or(int),
+    callback=_auto_or(int, "a whole number"),
     show_default=True,
     help="Number of poles, per output.",
 )
@@ -84,12 +90,17 @@ def _auto_or(kind: type) -> Any:
     "--zeros",
     cls=Setting,
     default="auto",
-    callback=_auto_or(int),
+    callback=_auto_or(int, "a whole number"),
     show_default=True,
     help="Number of zeros, per input.",
 )
 @click.option(
-    "--dead-time", cls=Setting, default="auto", callback=_auto_or(float), show_default=True, metavar="S"
+    "--dead-time",
+    cls=Setting,
+    default="auto",
+    callback=_auto_or(float, "a number"),
+    show_default=True,
+    metavar="S",
 )
 @click.option(
     "--hold",
@@ -106,7 +117,7 @@ def _auto_or(kind: type) -> Any:
     help="A line per segment: removed before the fit, or estimated with it.",
 )
 @click.option(
-    "--band", nargs=2, type=float, metavar="LOW HIGH", help="Fit the response in this band only, rad/s."
+    "--band", nargs=2, type=POSITIVE, metavar="LOW HIGH", help="Fit the response in this band only, rad/s."
 )
 @click.option(
     "--no-refine", is_flag=True, help="Keep the fit to the frequency response: no refinement of the free run."
@@ -144,19 +155,25 @@ def command(
 ) -> int:
     """Identify transfer functions in s, with intervals, from the frequency response and the free run.
 
-    DATA is an ingested folder, a log or table (.csv), a folder of logs or a quoted pattern. All its flights
-    are used; 'flysid fit --models tf' and 'flysid validate' judge such a model on held-out flights.
-    Channels that the data do not support are named. Exit code 3: --channel named one of them; 4: --fail-if
-    holds.
+    DATA is an ingested folder, a log or table (.csv), a folder of logs or a quoted pattern. Without a recipe
+    and fields, the shipped recipe is taken that fits, with its channels of a command and the response to
+    it. All flights are used; 'flysid fit --models tf' and 'flysid validate' judge such a model on
+    held-out flights. Channels that the data do not support are named. Exit code 3: --channel named one of
+    them; 4: --fail-if holds.
     """
-    from flysid.model.transfer_function import TF
-    from flysid.validate.transfers import identify
-
     if plot is not None:
         from flysid.validate.pictures import check_picture
 
         check_picture(plot)
-        check_target(plot, force)
+        check_target(plot, force, makes_folders=False)
+    asked = Asked(words, selection, channels, chooses=True)
+    check_source(data, asked)
+    from flysid.ingest.align.recipe import load_recipe
+    from flysid.ingest.lake.recipe_choice import commands_of
+    from flysid.model.transfer_function import TF
+    from flysid.validate.expected_figures import Figures
+    from flysid.validate.transfers import identify
+
     estimator = TF(
         poles=settings["poles"],
         zeros=settings["zeros"],
@@ -168,17 +185,24 @@ def command(
         band=settings["band"] or None,
         method=settings["method"],
     )
+    estimator.check()
+    figures = Figures(tuple(channels), tuple(reference), reference_at, condition)
+    if words.recipe:
+        figures.check(words.recipe)
     missing = Missing()
-    with display.shown(), open_source(data, words, selection, None, quiet) as (lake, chosen):
+    with display.shown(), open_source(data, asked, None, quiet) as (lake, chosen):
+        recipe = load_recipe(chosen)
+        wanted = channels or (commands_of(recipe) if asked.is_open else ())
+        replace(figures, channels=wanted).check(chosen)
         with missing.gathering():
             found, skipped = identify(
-                lake, chosen, estimator, channels=channels, reference=reference, reference_at=reference_at
+                lake, chosen, estimator, channels=wanted, reference=reference, reference_at=reference_at
             )
         lost = lost_on_the_way(data, lake)
         say_mixed_gains(lake, quiet)
     if as_json:
         body = {
-            "recipe": words.recipe or "quick",
+            "recipe": words.recipe or recipe.name,
             "channels": [c.to_dict() for c in found],
             "skipped": dict(skipped),
             **missing.to_dict(),

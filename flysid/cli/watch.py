@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shlex
+import shutil
 import subprocess
 import threading
 import time
@@ -15,10 +16,11 @@ from typing import TYPE_CHECKING
 import click
 
 from flysid.cli.addresses import SOURCE
-from flysid.cli.output import ExitCode, printable, say
+from flysid.cli.bounds import ALARM_RATE, POSITIVE
+from flysid.cli.output import ExitCode, check_target, printable, say
 from flysid.cli.trust import Own, Setting
 from flysid.errors import DataError, UsageError
-from flysid.showing import counted
+from flysid.showing import counted, one_of
 from flysid.surroundings import environment_of_the_user
 
 if TYPE_CHECKING:
@@ -35,6 +37,7 @@ KINDS = ("udp:", "udpout:", "tcp:", "serial:")
 @click.option(
     "--false-alarms",
     default=0.1,
+    type=ALARM_RATE,
     show_default=True,
     metavar="RATE",
     help="False alarms per hour of flight, over all channels.",
@@ -44,7 +47,7 @@ KINDS = ("udp:", "udpout:", "tcp:", "serial:")
 @click.option("--data", type=SOURCE, help="The run's data, if it has moved.")
 @click.option("-o", "--output", type=click.Path(path_type=Path), help="Also record the link to this file.")
 @click.option("--heartbeat", cls=Own, is_flag=True, help="Send heartbeats; otherwise nothing is sent.")
-@click.option("--for", "seconds", type=float, metavar="S", help="Stop after this many seconds.")
+@click.option("--for", "seconds", type=POSITIVE, metavar="S", help="Stop after this many seconds.")
 @click.option(
     "--exec",
     "hook",
@@ -78,6 +81,11 @@ def command(
     from flysid.validate.run import open_run
 
     opened = open_run(run)
+    check_watch(opened, source, channels, label, hook)
+    if not is_link(source) and (output is not None or heartbeat or seconds is not None):
+        raise UsageError("-o, --heartbeat and --for are for a LINK", path=source, hint="leave them out")
+    if output is not None:
+        check_target(output, force=False)
     say("calibrating on held-out flights", quiet)
     watches = calibrate(opened, data, channels, label, false_alarms)
     for one in watches:
@@ -92,7 +100,7 @@ def command(
         if hook:
             call(hook, event)
 
-    if source.startswith(KINDS):
+    if is_link(source):
         follow(opened, watches, source, output, heartbeat, seconds, tell)
     else:
         look_back(opened, watches, Path(source), tell, quiet)
@@ -100,25 +108,50 @@ def command(
     return ExitCode.ALARM if fail and alarms else 0
 
 
+def is_link(source: str) -> bool:
+    """Whether a link is watched, and no log."""
+    return source.startswith(KINDS)
+
+
+def check_watch(
+    run: Run, source: str, channels: tuple[str, ...], label: str | None, hook: str | None
+) -> None:
+    """What can be known wrong before flights are read.
+
+    Raises
+    ------
+    UsageError : the run has no such channel or model; no such log; no such command.
+    """
+    if is_link(source):
+        from flysid.live.links import parse_link
+
+        parse_link(source)
+    run.check_channels(channels)
+    known = dict.fromkeys(m for c in run.channels if c.name in (channels or (c.name,)) for m in c.models)
+    if label is not None and label not in known:
+        raise UsageError(f"the run has no model {label!r}", path=run.folder, hint=one_of(list(known), label))
+    if not is_link(source) and not Path(source).is_file():
+        links = ", ".join(f"{kind}..." for kind in KINDS)
+        raise UsageError("no such log", path=source, hint=f"check its name and folder; links are {links}")
+    if hook and shutil.which((shlex.split(hook) or [""])[0]) is None:
+        raise UsageError(f"--exec {hook!r} names no command", hint="check its name, or give its whole path")
+
+
 def calibrate(
     run: Run, data: Path | None, channels: tuple[str, ...], label: str | None, false_alarms: float
 ) -> list[ChannelWatch]:
     """The watches of the chosen channels; says which cannot be watched. Raises where none can."""
-    if not 0.0 < false_alarms <= 3600.0:
-        raise UsageError(f"{false_alarms:g} false alarms an hour", hint="above 0, e.g. 0.1")
     from flysid.live.watching import watches_of
     from flysid.validate.run import held_out
 
-    unknown = set(channels) - {c.name for c in run.channels}
-    if unknown:
-        names = ", ".join(c.name for c in run.channels)
-        raise UsageError(f"the run has no channel {sorted(unknown)[0]!r}", hint=f"it has {names}")
     held = [h for h in held_out(run, data) if not channels or h.channel.name in channels]
     watches, skipped = watches_of(held, label, false_alarms)
     for name, why in skipped.items():
         say(f"{name} is not watched: {why}")
     if not watches:
-        raise DataError("no channel can be watched", hint="fit with more flights", path=run.folder)
+        raise DataError(
+            "no channel can be watched, for the reasons above", hint="what they name", path=run.folder
+        )
     return watches
 
 

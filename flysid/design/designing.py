@@ -95,10 +95,8 @@ def design_run(run: Run, wish: Wish, data: str | Path | None = None) -> Design:
 
 def wished_channels(run: Run, wish: Wish) -> Run:
     """The run with the channels of the wish; UsageError where it has no such channel."""
+    run.check_channels(wish.channels)
     names = [c.name for c in run.channels]
-    unknown = [c for c in wish.channels if c not in names]
-    if unknown:
-        raise UsageError(f"no channel {unknown[0]!r} in the run", hint=f"--channel {' or '.join(names)}")
     return replace(run, channels=tuple(c for c in run.channels if c.name in (wish.channels or names)))
 
 

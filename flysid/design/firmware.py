@@ -25,7 +25,7 @@ from scipy.constants import g
 from flysid.dataset import FloatArray
 from flysid.design.law import Gains
 from flysid.errors import DataError, UsageError
-from flysid.files import why_unread
+from flysid.files import remedy_unread, why_unread
 
 SAFETY = (
     "Calculated from a model of past flights; not tested on your vehicle. Margins hold for the models "
@@ -248,7 +248,9 @@ def read_parameters(path: Path) -> dict[str, float]:
     try:
         text = path.read_text("utf-8")
     except (OSError, UnicodeDecodeError) as error:
-        raise UsageError(f"the parameter file cannot be read: {why_unread(error)}", path=path) from error
+        raise UsageError(
+            f"the parameter file cannot be read: {why_unread(error)}", path=path, hint=remedy_unread(error)
+        ) from error
     found: dict[str, float] = {}
     for number, line in enumerate(text.splitlines(), 1):
         words = re.split(r"[\s,=:]+", line.split("#")[0].strip())

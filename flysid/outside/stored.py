@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from flysid.errors import FormatError, UsageError
+from flysid.files import remedy_unread, why_unread
 from flysid.outside.matlab_text import Call, read_matlab_text
 from flysid.showing import counted
 
@@ -60,7 +61,9 @@ def read_stored(path: Path) -> dict[str, Any]:
             raise FormatError("too large for a linear model", path=path)
         fields = reader(path.read_bytes())
     except OSError as error:
-        raise UsageError(f"cannot be read: {error.strerror}", path=path) from error
+        raise UsageError(
+            f"cannot be read: {why_unread(error)}", path=path, hint=remedy_unread(error)
+        ) from error
     except FormatError as error:
         raise FormatError(error.message, hint=error.hint, path=path) from error
     except Exception as error:  # whatever a damaged file breaks is the file's fault

@@ -48,7 +48,7 @@ def ardupilot(plan: FlightPlan, place: str) -> list[ParameterFile]:
     ------
     UsageError : not a chirp; an axis, unit, frequency or duration that ArduPilot does not have.
     """
-    _require_chirp(plan, "ArduPilot")
+    require_chirp(plan.kind, "ArduPilot")
     unit, axes = SID_AXES[place]
     low, high = plan.band_hz
     seconds = plan.seconds / len(plan.axes)
@@ -109,7 +109,7 @@ def px4_plane(plan: FlightPlan) -> ParameterFile:
     ------
     UsageError : not a chirp; an axis, frequency or duration that PX4 does not have.
     """
-    _require_chirp(plan, "PX4")
+    require_chirp(plan.kind, "PX4")
     strange = [a.name for a in plan.axes if a.name not in FW_AXES]
     if strange:
         raise UsageError(
@@ -141,9 +141,10 @@ def px4_plane(plan: FlightPlan) -> ParameterFile:
     )
 
 
-def _require_chirp(plan: FlightPlan, firmware: str) -> None:
-    if plan.kind != "chirp":
+def require_chirp(kind: str, firmware: str) -> None:
+    """Raise UsageError for a kind of flight that an autopilot does not make by itself."""
+    if kind != "chirp":
         raise UsageError(
-            f"{firmware} cannot fly {plan.kind} by itself",
+            f"{firmware} cannot fly {kind} by itself",
             hint="--kind chirp; plan.csv is for a computer beside the autopilot",
         )

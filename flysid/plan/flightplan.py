@@ -13,6 +13,7 @@ import numpy as np
 from flysid.dataset import FloatArray
 from flysid.errors import UsageError
 from flysid.escaping import csv_line
+from flysid.ingest.formats.common.units import is_known
 from flysid.ingest.synth import manoeuvres
 from flysid.plan.multisines import (
     Lines,
@@ -106,7 +107,10 @@ def axis_of(text: str) -> CommandedAxis:
     peak = float(match["peak"])
     if not (math.isfinite(peak) and peak > 0.0):
         raise UsageError(f"the amplitude of {match['name']} must be above zero, not {match['peak']}")
-    return CommandedAxis(match["name"], peak, (match["unit"] or "").strip())
+    unit = (match["unit"] or "").strip()
+    if unit and not is_known(unit):
+        raise UsageError(f"unknown unit {unit!r} of {match['name']}", hint="e.g. deg, rad/s, m/s, or none")
+    return CommandedAxis(match["name"], peak, unit)
 
 
 def within(axes: Sequence[CommandedAxis], limits: Sequence[CommandedAxis]) -> tuple[CommandedAxis, ...]:
@@ -117,12 +121,7 @@ def within(axes: Sequence[CommandedAxis], limits: Sequence[CommandedAxis]) -> tu
     UsageError : a limit of an axis that is not flown, or in another unit.
     """
     own = {limit.name: limit for limit in limits}
-    strange = sorted(set(own) - {a.name for a in axes})
-    if strange:
-        raise UsageError(
-            f"a limit for {', '.join(strange)}, which the plan does not command",
-            hint=f"its axes: {', '.join(a.name for a in axes)}",
-        )
+    check_limits([a.name for a in axes], limits)
     for axis in axes:
         limit = own.get(axis.name)
         if limit is not None and limit.unit and limit.unit != axis.unit:
@@ -172,15 +171,19 @@ def make_plan(
     return FlightPlan(kind, tuple(axes), band_hz, rate_hz, u)
 
 
-def _check(
-    axes: Sequence[CommandedAxis], band_hz: tuple[float, float], seconds: float, rate_hz: float
-) -> None:
+def check_limits(axes: Sequence[str], limits: Sequence[CommandedAxis]) -> None:
+    """Raise UsageError for a limit of an axis that is not flown."""
+    strange = sorted({limit.name for limit in limits}.difference(axes))
+    if strange:
+        raise UsageError(
+            f"a limit for {', '.join(strange)}, which the plan does not command",
+            hint=f"its axes: {', '.join(axes)}",
+        )
+
+
+def check_flight(band_hz: tuple[float, float], seconds: float, rate_hz: float) -> None:
+    """Raise UsageError where no signal can have this band, length and rate, whatever the axes."""
     low, high = band_hz
-    names = [a.name for a in axes]
-    if not axes:
-        raise UsageError("no axis to fly", hint="--axis NAME=PEAK, e.g. --axis roll=0.15")
-    if len(set(names)) < len(names):
-        raise UsageError(f"an axis is named twice: {', '.join(names)}")
     if not all(map(math.isfinite, (low, high, seconds, rate_hz))) or not 0.0 < low < high:
         raise UsageError(f"no band: {low:g} to {high:g} Hz", hint="lowest and highest frequency, above zero")
     if seconds <= 0.0 or rate_hz <= 0.0:
@@ -192,6 +195,17 @@ def _check(
         )
     if seconds * rate_hz > MOST_SAMPLES:
         raise UsageError(f"{seconds:g} s at {rate_hz:g} Hz are too many rows", hint="a shorter flight")
+
+
+def _check(
+    axes: Sequence[CommandedAxis], band_hz: tuple[float, float], seconds: float, rate_hz: float
+) -> None:
+    names = [a.name for a in axes]
+    if not axes:
+        raise UsageError("no axis to fly", hint="--axis NAME=PEAK, e.g. --axis roll=0.15")
+    if len(set(names)) < len(names):
+        raise UsageError(f"an axis is named twice: {', '.join(names)}")
+    check_flight(band_hz, seconds, rate_hz)
 
 
 def _lines(axes: int, band_hz: tuple[float, float], seconds: float) -> list[Lines]:

@@ -16,7 +16,7 @@ from flysid.dataset import Dataset
 from flysid.errors import RecipeError
 from flysid.flight import BOOT, RECEIVED, TIME, Flight, field_unit, matching_streams
 from flysid.ingest.align.align import align
-from flysid.ingest.align.recipe import ChannelSpec, Recipe, SignalSpec, Source, parse_recipe
+from flysid.ingest.align.recipe import QUICK, ChannelSpec, Recipe, SignalSpec, Source, parse_recipe
 from flysid.ingest.align.signals import FlightLog, Log
 from flysid.ingest.formats.base import WHOLE_BATCH_BYTES, Limits
 from flysid.ingest.formats.common.units import is_known
@@ -26,8 +26,8 @@ from flysid.showing import first_of
 _ELEMENT = re.compile(r"^(.+?)(\[\d+\])?$")
 _PLAIN = re.compile(r"[^A-Za-z0-9_]+")
 _OWN = (TIME, BOOT, RECEIVED)
-QUICK = "quick"  # the name of a recipe that is made of fields, which nobody has named
 SHOWN = 12
+NEITHER = "neither a recipe nor fields are given"
 
 
 @dataclass(frozen=True)
@@ -105,7 +105,7 @@ def quick_recipe(
     if not inputs or not outputs:
         lacking = f"no {'output' if inputs else 'input'} is named" if inputs or outputs else ""
         raise RecipeError(
-            lacking or "neither a recipe nor fields are given",
+            lacking or NEITHER,
             hint=f"--from FIELD --to FIELD, or --recipe; fields: {first_of(_fields(logs), SHOWN)}",
         )
     words = [*inputs, *outputs]

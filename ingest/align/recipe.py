@@ -36,9 +36,13 @@ from typing import Any, Literal, cast
 import msgspec
 
 from flysid.errors import RecipeError
+from flysid.files import remedy_unread, why_unread
 from flysid.ingest.align.transforms import TRANSFORMS
 from flysid.ingest.formats.common.units import is_known
+from flysid.showing import one_of
 
+QUICK = "quick"
+"""The name of a recipe that is made of fields, which nobody has named."""
 SUFFIX = ".toml"
 
 
@@ -228,13 +232,22 @@ class Recipe:
     clocks: tuple[ClockSpec, ...] = ()
     labels: tuple[Label, ...] = ()
 
+    @property
+    def title(self) -> str:
+        """What a message calls it: nobody has named one that is made of fields."""
+        return "the recipe of these fields" if self.name == QUICK else f"recipe {self.name!r}"
+
     def channel(self, name: str) -> ChannelSpec:
-        """A channel by name; RecipeError names the nearest one otherwise."""
+        """A channel by name; RecipeError names those that there are otherwise, and the nearest one."""
         if name in self.channels:
             return self.channels[name]
-        raise RecipeError(
-            f"recipe {self.name!r} has no channel {name!r}", hint=_nearest(name, list(self.channels))
-        )
+        raise RecipeError(f"{self.title} has no channel {name!r}", hint=one_of(list(self.channels), name))
+
+    def chosen(self, wanted: Sequence[str]) -> tuple[str, ...]:
+        """The channels that are wanted, in the recipe's order, or all; raises as `channel`."""
+        for name in wanted:
+            self.channel(name)
+        return tuple(name for name in self.channels if not wanted or name in wanted)
 
     def signals_of(self, channel: str) -> tuple[str, ...]:
         """Names of the signals of a channel, inputs first; without its references."""
@@ -299,7 +312,9 @@ def recipe_text(name: str) -> tuple[str, str]:
     try:
         return path.read_text("utf-8"), name
     except OSError as error:
-        raise RecipeError(f"cannot be read: {error.strerror}", path=name) from error
+        raise RecipeError(
+            f"cannot be read: {why_unread(error)}", path=name, hint=remedy_unread(error)
+        ) from error
     except UnicodeDecodeError as error:
         raise RecipeError("not a text file in UTF-8", path=name, byte=error.start) from error
 

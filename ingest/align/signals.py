@@ -21,7 +21,7 @@ from flysid.errors import RecipeError
 from flysid.flight import BOOT, ROW_NUMBER, TIME, Flight, field_scale, field_unit, matching_streams
 from flysid.flightwriter import int_values
 from flysid.ingest.align.allowed import Allowed
-from flysid.ingest.align.recipe import SignalSpec, Source
+from flysid.ingest.align.recipe import Recipe, SignalSpec, Source
 from flysid.ingest.align.transforms import TRANSFORMS
 from flysid.ingest.align.values import (
     MOST_VALUES,
@@ -170,6 +170,11 @@ def find_source(spec: Sequence[Source], log: Log) -> tuple[Source, str] | None:
             continue
         return source, stream
     return None
+
+
+def serves(log: Log, recipe: Recipe, channel: str) -> bool:
+    """Whether a log holds a source of every signal of a channel."""
+    return all(find_source(recipe.signals[s].sources, log) is not None for s in recipe.signals_of(channel))
 
 
 def missing(signal: str, spec: Sequence[Source], logs: Sequence[Log]) -> RecipeError:

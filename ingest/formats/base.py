@@ -18,6 +18,7 @@ from pathlib import Path
 import pyarrow as pa
 
 from flysid.errors import FormatError
+from flysid.files import remedy_unread, why_unread
 from flysid.flight import ClockMap, Damage, Flight, Source
 from flysid.parts import exhaust
 
@@ -168,7 +169,9 @@ def map_file(path: Path) -> Iterator[memoryview]:
                     view.release()
                     mapped.close()
     except OSError as error:
-        raise FormatError(f"cannot be read: {error.strerror}", path=path) from error
+        raise FormatError(
+            f"cannot be read: {why_unread(error)}", path=path, hint=remedy_unread(error)
+        ) from error
 
 
 def release(view: memoryview, start: int, stop: int) -> None:

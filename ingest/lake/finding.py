@@ -29,7 +29,7 @@ from flysid.ingest.formats.recognised import TEXT, kind_of, packing_of, stranger
 from flysid.ingest.formats.registry import confidence_of, known_suffixes
 from flysid.ingest.formats.rosbag2.side_files import ALL as SIDE_SUFFIXES
 from flysid.ingest.lake.workers import Bounds, Lost, read_bounded
-from flysid.manifest import DATA_FILE
+from flysid.manifest import DATA_FILE, about_run
 
 GLOB_MARKS = frozenset("*?[")
 ANYBODYS_SUFFIXES = (".log", ".txt")  # any program's notes end so, too
@@ -84,18 +84,22 @@ def find_logs(given: Sequence[str | Path], bounds: Bounds | None = None) -> Foun
         for path in (path for item in given for path in _expand(str(item))):
             found.add(search.found_in(path))
     if not found.paths and all(unread.reason == NOTHING for unread in found.unread.values()):
-        taken_in = next((path for path in found.unread if (path / DATA_FILE).is_file()), None)
         raise UsageError(
             NOTHING,
             path=", ".join(str(path) for path in found.unread),
-            hint="name the log itself; in a folder, names of logs end in "
-            + " ".join(sorted(known_suffixes()))
-            if taken_in is None
-            else f"this is an ingested folder: 'flysid ls {taken_in}' lists its flights",
+            hint=next(filter(None, map(_other_folder, found.unread)), "")
+            or f"name the log itself; in a folder, names of logs end in {' '.join(sorted(known_suffixes()))}",
         )
     unique = {os.path.realpath(path): path for path in reversed(found.paths)}
     paths = tuple(path for path in found.paths if unique.get(os.path.realpath(path)) is path)
     return FoundLogs(paths, tuple(found.unread.values()), tuple(found.passed_over.values()))
+
+
+def _other_folder(path: Path) -> str:
+    """What a folder without logs is, where flysid made it; "" otherwise."""
+    if (path / DATA_FILE).is_file():
+        return f"this is an ingested folder: 'flysid ls {path}' lists its flights"
+    return about_run(path)
 
 
 def _expand(item: str) -> list[Path]:

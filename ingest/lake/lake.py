@@ -19,7 +19,7 @@ from flysid.ingest.align.align import Aligned, align, align_to_file
 from flysid.ingest.align.allowed import Allowed
 from flysid.ingest.align.recipe import Recipe, load_recipe, shipped_recipes
 from flysid.ingest.align.report import AlignReport
-from flysid.ingest.align.signals import find_source
+from flysid.ingest.align.signals import find_source, serves
 from flysid.ingest.align.vehicle import NAME
 from flysid.ingest.lake.stretches import Stretches
 from flysid.manifest import (
@@ -186,7 +186,7 @@ class Lake(Shown):
         unlike = {
             log.facts.layout: log for log in self.logs
         }.values()  # of those with equal columns, one tells
-        return tuple(name for name in recipe.channels if any(_serves(log, recipe, name) for log in unlike))
+        return tuple(name for name in recipe.channels if any(serves(log, recipe, name) for log in unlike))
 
     def align(self, recipe: Recipe | str | Path, channel: str) -> Aligned:
         """The dataset of a channel and how it was made; raises as `flysid.ingest.align.align`."""
@@ -319,7 +319,3 @@ def mirror(address: str, facts: Sequence[FlightFacts]) -> Path:
 
 def _as_recipe(recipe: Recipe | str | Path) -> Recipe:
     return recipe if isinstance(recipe, Recipe) else load_recipe(recipe)
-
-
-def _serves(log: StoredLog, recipe: Recipe, channel: str) -> bool:
-    return all(find_source(recipe.signals[s].sources, log) is not None for s in recipe.signals_of(channel))

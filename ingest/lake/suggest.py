@@ -13,7 +13,7 @@ from flysid.extras import Extra, extra
 from flysid.feedback import Feedback, feedback
 from flysid.ingest.align.align import align
 from flysid.ingest.align.recipe import ChannelSpec, Recipe, load_recipe, shipped_recipes
-from flysid.ingest.align.signals import Log, find_source
+from flysid.ingest.align.signals import Log, serves
 from flysid.ingest.excitation.dead_time import LONGEST_S
 from flysid.ingest.excitation.delay import Delay, estimate_delay
 from flysid.ingest.excitation.enough import MIN_DURATION_S, too_short_alone
@@ -81,18 +81,13 @@ def suggest(logs: Iterable[Log], recipes: Sequence[str | Recipe] | None = None) 
     known = list(logs)
     found: list[Suggestion] = []
     for i, log in enumerate(known):
-        served = [(r, channel) for r in chosen for channel in r.channels if _serves(log, r, channel)]
+        served = [(r, channel) for r in chosen for channel in r.channels if serves(log, r, channel)]
         for j, (recipe, channel) in enumerate(served):
             share = (i + j / len(served)) / len(known)
             tell(f"checking {recipe.name}, {channel}", log=log.name, share=share)
             make = partial(_suggest_channel, log, recipe, channel)
             found += extra(Extra.SUGGESTION, make, (), f"{channel} of {log.name}")
     return found
-
-
-def _serves(log: Log, recipe: Recipe, channel: str) -> bool:
-    """Whether a log has all streams of a channel."""
-    return all(find_source(recipe.signals[s].sources, log) for s in recipe.signals_of(channel))
 
 
 def unbounded(found: Suggestion) -> bool:

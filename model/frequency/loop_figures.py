@@ -14,7 +14,7 @@ loop's gain fades, so that its peak is no lower.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -26,6 +26,13 @@ from flysid.model.polynomials import DB, Z95, ComplexArray
 
 NEIGHBOURS = 5
 HALF_POWER = np.log(2.0) / 2.0
+COMMAND = "bandwidth_rads", "peak_db", "bandwidth_phase_rads", "bandwidth_gain_rads", "phase_delay_ms"
+"""Figures of a closed loop's response from its command, in the order of `command_figures`."""
+CROSSING = "crossover_rads", "phase_margin_deg"
+GAIN_MARGIN = "gain_margin_db"
+SENSITIVITY = "sensitivity_peak_db", "disturbance_rejection_bandwidth_rads"
+LOOP = (*CROSSING, GAIN_MARGIN, *SENSITIVITY)
+"""Figures of a broken loop, in the order of `loop_figures`."""
 _NOT_FLAT = "the gain is not flat at the lowest frequency that can be trusted"
 
 
@@ -115,9 +122,13 @@ def command_figures(measured: MeasuredResponse, source: int = 0) -> list[LoopFig
     """
     curve = _LoopCurve.of(measured, source)
     if isinstance(curve, str):
-        names = "bandwidth_rads", "peak_db", "bandwidth_phase_rads", "bandwidth_gain_rads", "phase_delay_ms"
-        return [LoopFigure(name, None, why=curve) for name in names]
+        return unknown(COMMAND, curve)
     return [_half_power(curve), _resonance(curve), *_handling(curve)]
+
+
+def unknown(names: Sequence[str], why: str) -> list[LoopFigure]:
+    """Figures that the record does not tell, for one reason."""
+    return [LoopFigure(name, None, why=why) for name in names]
 
 
 @dataclass(frozen=True, eq=False)
@@ -216,47 +227,46 @@ def _shift(curve: _LoopCurve, by: complex) -> _LoopCurve:
 
 
 def _crossing(loop: MeasuredResponse) -> list[LoopFigure]:
-    names = ("crossover_rads", "phase_margin_deg")
     curve = _LoopCurve.of(loop, 0)
     if isinstance(curve, str):
-        return [LoopFigure(n, None, why=curve) for n in names]
+        return unknown(CROSSING, curve)
     found = curve.crossings(curve.smooth().real)
     if not found:
         where = "above" if curve.smooth().real[0] > 0 else "below"
         why = f"the loop's gain stays {where} 1 in the whole trusted band"
-        return [LoopFigure(n, None, why=why) for n in names]
+        return unknown(CROSSING, why)
     x, error, own = _root(curve, found[-1], _real)
     values, _ = curve.parabola(x)
     margin = 180.0 + np.degrees(values[0].imag)
     # the phase's own error, and what an error of the crossover adds along the phase's slope
     spread = np.degrees(np.hypot(own, values[1].imag * error))
     return [
-        _interval(names[0], x, error, log=True),
-        _not_below_0(_interval(names[1], float(margin), float(spread))),
+        _interval(CROSSING[0], x, error, log=True),
+        _not_below_0(_interval(CROSSING[1], float(margin), float(spread))),
     ]
 
 
 def _gain_margin(loop: MeasuredResponse) -> LoopFigure:
-    name = "gain_margin_db"
     curve = _LoopCurve.of(loop, 0)
     if isinstance(curve, str):
-        return LoopFigure(name, None, why=curve)
+        return LoopFigure(GAIN_MARGIN, None, why=curve)
     shifted = _shift(curve, -1j * np.pi)
     found = shifted.crossings(shifted.smooth().imag)
     if not found:
-        return LoopFigure(name, None, why="the loop's phase does not pass -180 degrees in the trusted band")
+        return LoopFigure(
+            GAIN_MARGIN, None, why="the loop's phase does not pass -180 degrees in the trusted band"
+        )
     x, error, own = _root(shifted, found[0], _imag)
     values, _ = shifted.parabola(x)
     spread = DB * float(np.hypot(own, values[1].real * error))
-    return _not_below_0(_interval(name, -DB * values[0].real, spread))
+    return _not_below_0(_interval(GAIN_MARGIN, -DB * values[0].real, spread))
 
 
 def _sensitivity(loop: MeasuredResponse) -> list[LoopFigure]:
     """Ms, disturbance-rejection bandwidth and peak from S = 1 / (1 + L)."""
-    names = ("sensitivity_peak_db", "disturbance_rejection_bandwidth_rads")
     curve = _LoopCurve.of(loop, 0)
     if isinstance(curve, str):
-        return [LoopFigure(n, None, why=curve) for n in names]
+        return unknown(SENSITIVITY, curve)
     value = np.exp(curve.log)
     s = 1.0 / (1.0 + value)
     # d ln S = -L / (1 + L) d ln L
@@ -265,15 +275,15 @@ def _sensitivity(loop: MeasuredResponse) -> list[LoopFigure]:
         log=np.log(np.abs(s)) + 1j * np.unwrap(np.angle(s)),
         error=curve.error * np.abs(value * s),
     )
-    peak = replace(_not_below_0(_peak(of_s)), name=names[0])
+    peak = replace(_not_below_0(_peak(of_s)), name=SENSITIVITY[0])
     if peak.value is not None and peak.value < 0.0:
-        peak = LoopFigure(names[0], None, why="its peak lies outside the trusted band")
+        peak = LoopFigure(SENSITIVITY[0], None, why="its peak lies outside the trusted band")
     crossings = _shift(of_s, -HALF_POWER).crossings(_shift(of_s, -HALF_POWER).smooth().real)
     if not crossings:
         why = "|S| does not pass -3 dB in the trusted band"
-        return [peak, LoopFigure(names[1], None, why=why)]
+        return [peak, LoopFigure(SENSITIVITY[1], None, why=why)]
     x, error, _ = _root(_shift(of_s, -HALF_POWER), crossings[0], _real)
-    return [peak, _interval(names[1], x, error, log=True)]
+    return [peak, _interval(SENSITIVITY[1], x, error, log=True)]
 
 
 def _peak(curve: _LoopCurve) -> LoopFigure:

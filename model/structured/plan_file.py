@@ -33,7 +33,7 @@ import numpy as np
 
 from flysid.dataset import FloatArray, Signal
 from flysid.errors import UsageError
-from flysid.files import why_unread
+from flysid.files import remedy_unread, why_unread
 
 TABLES = ("F", "G", "H", "D")
 FORMS = 'a number, "NAME", { name = "NAME", start = 1.0 } or { tied = "NAME", factor = -1.0 }'
@@ -119,7 +119,9 @@ class Plan:
         try:
             text = Path(path).read_text("utf-8")
         except (OSError, UnicodeDecodeError) as error:
-            raise UsageError(f"cannot be read: {why_unread(error)}", path=path) from error
+            raise UsageError(
+                f"cannot be read: {why_unread(error)}", path=path, hint=remedy_unread(error)
+            ) from error
         return cls.parse(text, str(path))
 
     @classmethod

@@ -72,7 +72,8 @@ def test_a_verdict_on_some_of_what_was_held_out(place: Path) -> None:
     trained = next(flight for flight in run.flights if flight not in held)
     none = call("validate", "run", "-o", "none", "--flight", trained, cwd=place)
     assert none.returncode == 1
-    assert "none of the chosen data was held out; try: choose among what was held out: " in none.stderr
+    assert "lateral: none of the chosen data was held out\n" in none.stderr
+    assert "try:   choose among what was held out: " in none.stderr
     assert held[0] in none.stderr
 
 

@@ -22,6 +22,7 @@ from flysid.fleet.models.gather import Gathered
 from flysid.fleet.models.groups import GroupModel, Response, fit_group, response_of
 from flysid.fleet.models.scatter import Scatter, pool
 from flysid.model.threads import on_one_thread
+from flysid.showing import one_of
 
 FORMAT = "flysid-fleet-fit"
 FORMAT_VERSION = 1
@@ -130,6 +131,13 @@ class FleetFit:
         }
 
 
+def check_keys(by: Sequence[str]) -> None:
+    """Raise UsageError for a key by which flights cannot be grouped."""
+    for key in by:
+        if key not in KEYS:
+            raise UsageError(f"flights cannot be grouped by {key!r}", hint=one_of(list(KEYS), key))
+
+
 @on_one_thread
 def fit_groups(gathered: Gathered, by: Sequence[str]) -> FleetFit:
     """The linear models of all groups.
@@ -142,9 +150,7 @@ def fit_groups(gathered: Gathered, by: Sequence[str]) -> FleetFit:
     ------
     UsageError : another key.
     """
-    for key in by:
-        if key not in KEYS:
-            raise UsageError(f"flights cannot be grouped by {key!r}", hint="one of " + ", ".join(KEYS))
+    check_keys(by)
     groups: list[Group] = []
     scatter: dict[str, Scatter] = {}
     omegas: dict[str, Any] = {}

@@ -99,7 +99,7 @@ def test_of_a_run_what_is_known_and_what_more_makes_of_it(run: Run, tmp_path: Pa
         (("--band", 0.2, 4), "no axis to fly"),
         (("--axis", "roll=0.1"), "no band"),
         (("nowhere",), "no such run"),
-        (("--axis", "a=1", "--band", 1, 5, "--more", -1), "above zero"),
+        (("--axis", "a=1furlong", "--band", 1, 5), "unknown unit 'furlong' of a"),
         (("--axis", "a=1", "--limit", "b=1", "--band", 1, 5), "does not command"),
         (("--axis", "a=1", "--band", 1, 5, "--ardupilot", "mixer"), "cannot fly multisine"),
     ],
