@@ -33,7 +33,7 @@ SIDES = {
     "right": ("to the right of", "to the left of"),
     "down": ("below", "above"),
 }
-NEXT = "correct them at the source, or in the recipe: flysid doctor LOG --kinematics --correct RECIPE"
+NEXT = "correct them at the source, or in the recipe: 'flysid doctor --kinematics' with --correct"
 
 
 def sentence(parameter: Parameter, comparison: Comparison) -> str:

@@ -229,8 +229,8 @@ def verdict(found: Survey) -> tuple[str, str]:
         return f"damaged: {100.0 * share:.0f} % of the bytes lost", "copy it from the vehicle again"
     if found.source.format in ("csv", "parquet"):
         return (
-            "a table: 'flysid show FILE' lists its columns",
-            "flysid fit FILE --from COLUMN --to COLUMN -o RUN",
+            "a table: 'flysid show' lists its columns",
+            "name two of its columns to 'flysid fit': --from, --to",
         )
     if not attitude and not velocity and not rates:
         return "unusable: no attitude and no velocity", advice

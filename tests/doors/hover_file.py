@@ -1,4 +1,4 @@
-"""`python -m tests.doors.hover_file FILE`: two flights an axis of `bench.structured`, as a dataset file."""
+"""`python -m tests.doors.hover_file FILE`: three flights of `bench.structured`, all axes in each."""
 
 from __future__ import annotations
 
@@ -8,7 +8,14 @@ from dataclasses import replace
 from bench.structured import flown
 from flysid.datasetfile import write_dataset
 
+SEEDS = (1, 2, 3)
+APART_NS = 10**12
+
 if __name__ == "__main__":
-    first = flown(1)
-    second = [replace(segment, flight=f"{segment.flight} again") for segment in flown(2).segments]
-    write_dataset(sys.argv[1], replace(first, segments=(*first.segments, *second)))
+    data = [flown(seed) for seed in SEEDS]
+    segments = [
+        replace(segment, flight=f"flight-{seed}", t0_ns=n * APART_NS)
+        for seed, one in zip(SEEDS, data, strict=True)
+        for n, segment in enumerate(one.segments)
+    ]
+    write_dataset(sys.argv[1], replace(data[0], segments=tuple(segments)))

@@ -19,6 +19,7 @@ from tests.samplelogs import ardrone, dataflash, dataflash_systemid
 SAMPLES = ROOT / "sample_logs"
 LOGS = ROOT.parent / "shared" / "logs"
 ARDUPILOT = "--plant ardrone --plan routine --sensor telemetry-slow --no-truth -q"
+FAST = ARDUPILOT.replace("telemetry-slow", "telemetry")
 QUICK = "python -m tests.quick_flysid"
 """Runs that a page's lines begin from: three models that take no time to fit."""
 Prepare = Callable[[Reader], None]
@@ -149,8 +150,8 @@ other_run = lines(
 
 watched = lines(
     "rm -rf run",
-    f"flysid synth -o long {ARDUPILOT} --duration 120 --format tlog",
-    f"flysid synth -o late {ARDUPILOT} --duration 60 --format tlog --seed 9 --change 1:1:lag:3",
+    f"flysid synth -o long {FAST} --duration 120 --format tlog",
+    f"flysid synth -o late {FAST} --duration 40 --format tlog --seed 9 --change 1:1:lag:3",
     "mv late/01-multisine-seed9.tlog crash.bin",
     "flysid ingest long -o long-data -q",
     f"{QUICK} fit -j 1 long-data -r ardupilot-attitude --holdout 0.5 -o run -q",

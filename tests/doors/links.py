@@ -20,9 +20,13 @@ PORT = 14550
 """The pages' port: one door at a time may have it."""
 _PORT_IS_TAKEN = Path(tempfile.gettempdir()) / f"flysid-doors-{PORT}.lock"
 _ADDRESS = re.compile(r"http://127\.0\.0\.1:\d+/\S*")
+_FITTING = re.compile(r'"model": "\w')
+"""In a line of `--progress json`."""
+_HEARD = re.compile(r"^[1-9][\d.]* s  \w+ (arrives|does not arrive)", re.MULTILINE)
+"""Said of a channel at a time of the vehicle's clock, which is known once its frames have come."""
+_FLOWN_S = 8.0
 _FRAMES_HZ = 200.0
 _ENOUGH_BYTES = 10_000
-_FLOWN_S = 8.0
 
 
 def recorded(file: str) -> Callable[[Reader, str], Done]:
@@ -50,10 +54,20 @@ def flown(reader: Reader, line: str) -> Done:
     def act(running: Running) -> None:
         running.wait_for_words("shows faults as they occur")
         reader.run_while(vehicle, lambda _: time.sleep(_FLOWN_S))
-        running.wait_for_words("its streams have stopped")
+        running.wait_for(lambda: _HEARD.search(running.out.read_text("utf-8")))
 
     with FileLock(_PORT_IS_TAKEN):
         return reader.run_while(line, act)
+
+
+def notified(reader: Reader, line: str) -> Done:
+    """`flown`, of a line that hands every event to ./notify.sh."""
+    script = reader.folder / "notify.sh"
+    script.write_text("#!/bin/sh\ncat >> events\n", "utf-8")
+    script.chmod(0o700)
+    done = flown(reader, line)
+    assert "does not arrive" in (reader.folder / "events").read_text("utf-8")
+    return done
 
 
 def heard(reader: Reader, line: str) -> Done:
@@ -73,6 +87,11 @@ def served(reader: Reader, line: str) -> Done:
     """A line that serves a page until Ctrl-C: the page is there."""
     with FileLock(_PORT_IS_TAKEN):
         return reader.run_while(line, _look_at_page)
+
+
+def fitting_has_begun(running: Running) -> None:
+    """Wait until a fit has accepted its words, read its flights and fits a model, or has ended."""
+    running.wait_for(lambda: running.process.poll() is not None or _FITTING.search(running.err.read_text()))
 
 
 def until(words: str) -> Callable[[Reader, str], Done]:

@@ -8,14 +8,14 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from tests.command import ROOT
 
 COUNTED = Path(__file__).with_name("counted.py")
-TIMEOUT_S = 400.0
+TIMEOUT_S = 1800.0
 Done = subprocess.CompletedProcess[str]
 
 
@@ -28,7 +28,7 @@ class Running:
     out: Path
     err: Path
 
-    def wait_for(self, there: Callable[[], bool]) -> None:
+    def wait_for(self, there: Callable[[], object]) -> None:
         """Until `there`; an error where the line ends before, or the time is up."""
         end = time.monotonic() + TIMEOUT_S
         while not there():
@@ -61,7 +61,8 @@ class Reader:
         """A line that runs until Ctrl-C, which comes after `act`."""
         with self.running(line) as running:
             act(running)
-            os.killpg(running.process.pid, signal.SIGINT)
+            with suppress(ProcessLookupError):  # it has ended by itself
+                os.killpg(running.process.pid, signal.SIGINT)
             running.process.wait(TIMEOUT_S)
         return self._done(running)
 

@@ -145,7 +145,7 @@ def test_doctor_stays_within_the_width_with_long_names_and_leaves_out_empty_colu
     (tmp_path / "t.csv").write_text("t,a\n0,1\n0.1,2\n0.2,3\n")
     table = flysid("doctor", tmp_path / "t.csv").stdout.splitlines()
     assert table[0].split() == ["FILE", "TIME", "LOST", "VERDICT"]
-    assert "--from COLUMN --to COLUMN" in " ".join(line.strip() for line in table[2:])
+    assert "to 'flysid fit': --from, --to" in " ".join(line.strip() for line in table[2:])
 
 
 def test_a_failed_ingest_leaves_no_folder(tmp_path: Path, logs: Path) -> None:
