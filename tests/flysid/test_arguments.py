@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from flysid.fleet import reading
+from flysid.fleet.models import gather
 from flysid.ingest.formats import registry
 from flysid.ingest.lake import batch, lake
 from tests.command import Done, call, call_quick
@@ -49,6 +50,7 @@ def closed(monkeypatch: pytest.MonkeyPatch) -> None:
 
     monkeypatch.setattr(batch, "read_bounded", refuse)
     monkeypatch.setattr(reading, "read_bounded", refuse)
+    monkeypatch.setattr(gather, "run_bounded", refuse)
     monkeypatch.setattr(registry, "open_log", refuse)
     monkeypatch.setattr(lake, "read_entry", refuse)
     monkeypatch.setattr(lake, "read_flight", refuse)

@@ -36,6 +36,7 @@ def place(tmp_path: Path) -> Path:
     """A stranger's run and data, and beside them what is nobody's business."""
     for name in ("run", "data"):
         shutil.copytree(released()[-1] / name, tmp_path / "strangers" / name)
+    (tmp_path / "strangers" / "flight.tlog").touch()
     (tmp_path / "secret").write_text(SECRET)
     return tmp_path / "strangers"
 
