@@ -23,6 +23,7 @@ from flysid.cli.output import printable
 from flysid.errors import FlysidError
 from flysid.showing import WIDTH
 
+LESS_MEMORY = "close other programs; where the verb has them, --jobs 1 and a smaller --memory take less"
 VERBS = {
     "compare": "Compare the models of two runs on flights that neither has trained on.",
     "demo": "Simulate flights, ingest, fit and validate them; open the report.",
@@ -116,6 +117,6 @@ def main() -> None:
         report_error(FlysidError(f"operating system error: {error.strerror or error}", path=error.filename))
         sys.exit(1)
     except MemoryError:
-        report_error(FlysidError("not enough memory", hint="close other programs"))
+        report_error(FlysidError("not enough memory", hint=LESS_MEMORY))
         sys.exit(1)
     sys.exit(code if isinstance(code, int) else 0)

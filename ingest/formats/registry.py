@@ -18,6 +18,7 @@ from flysid.ingest.formats.opening import OpenLog, members_of, open_log, own_nam
 from flysid.ingest.formats.recognised import stranger
 from flysid.mirror import log_at
 from flysid.place import Place, is_address
+from flysid.showing import one_of
 
 ENTRY_POINTS = "flysid.formats"
 CERTAIN = 0.95
@@ -100,7 +101,7 @@ def find_format(name: str) -> Format:
     try:
         return all_formats()[name]
     except KeyError:
-        raise UsageError(f"no format {name!r}", hint="one of " + ", ".join(all_formats())) from None
+        raise UsageError(f"no format {name!r}", hint=one_of(list(all_formats()), name)) from None
 
 
 def detect(head: bytes, name: str) -> Format:
