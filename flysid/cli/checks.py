@@ -109,6 +109,8 @@ def check_words(words: Words, channels: Sequence[str]) -> None:
             f"no {'output' if words.inputs else 'input'} is named",
             hint=f"add {lacking}; 'flysid show LOG --fields' lists the fields",
         )
+    elif both := sorted({*words.inputs} & {*words.outputs}):
+        raise UsageError(f"{both[0]!r} is both input and output", hint="--to takes what answers --from")
     elif words.dt is not None and not fields:
         from flysid.ingest.align.quick import NEITHER
 

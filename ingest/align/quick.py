@@ -146,6 +146,10 @@ def driven_by(recipe: Recipe, reference: Sequence[str], logs: Sequence[Log]) -> 
             source = Source(place.stream, place.field)
             name = place.name if place.name not in signals else f"{place.name}_reference"
             signals[name] = SignalSpec(unit, (source,), hold="zero")
+        if all(name in channel.outputs for channel in recipe.channels.values()):
+            raise RecipeError(
+                f"{word!r} is an output: it does not drive its own loop", hint="a chirp, or a setpoint"
+            )
         names.append(name)
     channels = {n: replace(c, reference=tuple(names)) for n, c in recipe.channels.items()}
     return replace(recipe, signals=signals, channels=channels)

@@ -20,6 +20,7 @@ from flysid.ingest.formats.recognised import stranger
 from flysid.ingest.formats.rosbag2.side_files import READ
 from flysid.mirror import log_at
 from flysid.place import Place, is_address
+from flysid.showing import one_of
 
 ENTRY_POINTS = "flysid.formats"
 CERTAIN = 0.95
@@ -102,7 +103,7 @@ def find_format(name: str) -> Format:
     try:
         return all_formats()[name]
     except KeyError:
-        raise UsageError(f"no format {name!r}", hint="one of " + ", ".join(all_formats())) from None
+        raise UsageError(f"no format {name!r}", hint=one_of(list(all_formats()), name)) from None
 
 
 def detect(head: bytes, name: str) -> Format:

@@ -111,5 +111,8 @@ def factor(unit: str, wanted: str) -> float:
         raise RecipeError(f"unknown unit {unit if from_unit not in _UNITS else wanted!r}")
     (dimension, base), (other, wanted_base) = _UNITS[from_unit], _UNITS[to_unit]
     if dimension != other:
-        raise RecipeError(f"{unit or 'a plain number'} cannot become {wanted or 'a plain number'}")
+        raise RecipeError(
+            f"{unit or 'a plain number'} cannot become {wanted or 'a plain number'}",
+            hint="state the same kind of unit for the signal and for its source",
+        )
     return base / wanted_base
