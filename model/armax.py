@@ -11,7 +11,6 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from flysid.dataset import Dataset
-from flysid.model.last_gates import no_worse_than_held
 from flysid.model.linear.difference_equation import FittedLinear
 from flysid.model.linear.pem_fit import ARMAX_NOISES, fit_prediction_error
 from flysid.model.linear.settings import Auto, PolynomialSettings
@@ -40,7 +39,6 @@ class ARMAX(PolynomialSettings):
 
     @on_one_thread
     @once(fit_key)
-    @no_worse_than_held
     def fit(self, train: Dataset, validation: Dataset | None = None) -> FittedLinear:
         """Choose orders, fit by prediction error.
 

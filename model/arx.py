@@ -21,7 +21,6 @@ from flysid.errors import FitError, UsageError
 from flysid.model.arguments import check_rows
 from flysid.model.freerun import Difference
 from flysid.model.gram import LeastSquares
-from flysid.model.last_gates import no_worse_than_held
 from flysid.model.linear.data import CHOICE_ROWS, Parts, Scaling, as_tuple, judging_window
 from flysid.model.linear.difference_equation import FittedLinear
 from flysid.model.linear.initial_state import equation_starts
@@ -61,7 +60,6 @@ class ARX(PolynomialSettings):
 
     @on_one_thread
     @once(fit_key)
-    @no_worse_than_held
     def fit(self, train: Source, validation: Dataset | None = None) -> FittedLinear:
         """Choose orders and fit.
 

@@ -12,7 +12,6 @@ from dataclasses import dataclass, field
 
 from flysid.dataset import Dataset
 from flysid.errors import UsageError
-from flysid.model.last_gates import no_worse_than_held
 from flysid.model.linear.difference_equation import FittedLinear
 from flysid.model.linear.pem_fit import BJ_NOISES, fit_prediction_error
 from flysid.model.linear.settings import Auto, PolynomialSettings
@@ -42,7 +41,6 @@ class BJ(PolynomialSettings):
 
     @on_one_thread
     @once(fit_key)
-    @no_worse_than_held
     def fit(self, train: Dataset, validation: Dataset | None = None) -> FittedLinear:
         """Choose orders, fit by prediction error.
 

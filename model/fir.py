@@ -19,7 +19,6 @@ from flysid.dataset import Dataset, FloatArray
 from flysid.errors import FitError, UsageError
 from flysid.model.arguments import check_inputs
 from flysid.model.freerun import Difference
-from flysid.model.last_gates import no_worse_than_held
 from flysid.model.linear.data import Parts, Scaling, as_tuple
 from flysid.model.linear.difference_equation import FittedLinear
 from flysid.model.linear.orders import grid_gram
@@ -59,7 +58,6 @@ class FIR:
     offset: bool = True
 
     @on_one_thread
-    @no_worse_than_held
     def fit(self, train: Source, validation: Dataset | None = None) -> FittedLinear:  # noqa: ARG002
         """Posterior mean and covariance of the taps. Nothing is chosen on validation data.
 

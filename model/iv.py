@@ -25,7 +25,6 @@ import numpy as np
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, FitError, UsageError
 from flysid.model.iv_orders import orders_by_reference, words_of
-from flysid.model.last_gates import no_worse_than_held
 from flysid.model.linear.data import CHOICE_ROWS, Parts, judging_window
 from flysid.model.linear.difference_equation import FittedLinear
 from flysid.model.linear.iv_stages import IVOrders, SignalRoles, fitted_by_iv, scaled_blocks
@@ -60,7 +59,6 @@ class IV(PolynomialSettings):
     reference: Sequence[str] = field(default=(), kw_only=True)
 
     @on_one_thread
-    @no_worse_than_held
     def fit(self, train: Source, validation: Dataset | None = None) -> FittedLinear:
         """Choose delays and orders (on the first 200,000 samples of a dataset on disk), fit.
 

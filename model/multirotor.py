@@ -31,7 +31,6 @@ from flysid.model.base import Rule, write_document
 from flysid.model.capabilities import Coefficient
 from flysid.model.documents import array_of, head_of, signals_of, with_null
 from flysid.model.freerun import saturate
-from flysid.model.last_gates import no_worse_than_held
 from flysid.model.linear.data import Parts
 from flysid.model.polynomials import Z95
 from flysid.model.rotorcraft.axis_fit import FittedAxis, Record, fit_axis
@@ -105,7 +104,6 @@ class Multirotor:
     curve: bool | None = None
 
     @on_one_thread
-    @no_worse_than_held
     def fit(self, train: Dataset, validation: Dataset | None = None) -> FittedMultirotor:  # noqa: ARG002
         """Fit every output by itself.
 

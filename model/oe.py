@@ -14,7 +14,6 @@ from typing import ClassVar
 
 from flysid.dataset import Dataset
 from flysid.model.detrend import TRENDS
-from flysid.model.last_gates import no_worse_than_held
 from flysid.model.linear.data import Parts
 from flysid.model.linear.difference_equation import FittedLinear
 from flysid.model.linear.oe_search import search
@@ -45,7 +44,6 @@ class OE(PolynomialSettings):
 
     @on_one_thread
     @once(fit_key)
-    @no_worse_than_held
     def fit(self, train: Dataset, validation: Dataset | None = None) -> FittedLinear:
         """Choose delays and orders, refine.
 

@@ -14,7 +14,6 @@ from flysid.dataset import Dataset
 from flysid.errors import FlysidError
 from flysid.model.arx import ARX
 from flysid.model.base import Estimator, Fitted
-from flysid.model.last_gates import no_worse_than_held
 from flysid.model.linear.difference_equation import FittedLinear
 from flysid.model.linear_choice import best_linear, linear_estimators
 from flysid.model.oe import OE
@@ -41,7 +40,6 @@ class OneRule(RuleSettings):
 
     @on_one_thread
     @once(fit_key)
-    @no_worse_than_held
     def fit(self, train: Dataset, validation: Dataset | None = None) -> FittedTS:
         """Choose orders, or states, by the validation free run and refine on it.
 

@@ -18,7 +18,6 @@ from flysid.dataset import Dataset, FloatArray
 from flysid.errors import FitError, UsageError
 from flysid.model.arguments import check_inputs
 from flysid.model.detrend import Trend, check_trend, detrend
-from flysid.model.last_gates import no_worse_than_held
 from flysid.model.linear.data import CHOICE_ROWS, Parts, as_tuple, judging_window
 from flysid.model.linear.output_error import find_delays
 from flysid.model.linear.settings import check_hint
@@ -96,7 +95,6 @@ class StateSpace:
 
     @on_one_thread
     @once(fit_key)
-    @no_worse_than_held
     def fit(self, train: Source, validation: Dataset | None = None) -> FittedStateSpace:
         """Choose, fit.
 

@@ -22,7 +22,6 @@ from flysid.errors import DataError, UsageError
 from flysid.model.detrend import Trend, check_trend, detrend
 from flysid.model.frequency.rational import Hold
 from flysid.model.frequency.response import measure_response, split_references
-from flysid.model.last_gates import no_worse_than_held
 from flysid.model.linear.data import Parts
 from flysid.model.linear.stability import unstable_words
 from flysid.model.statespace import delayed_model
@@ -81,7 +80,6 @@ class StructuredStateSpace:
     n_init: int | None = None
 
     @on_one_thread
-    @no_worse_than_held
     def fit(self, train: Dataset, validation: Dataset | None = None) -> FittedStructured:  # noqa: ARG002
         """Measure all responses, fit, drop what is superfluous, and sample.
 
