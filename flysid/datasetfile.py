@@ -21,7 +21,7 @@ import pyarrow.parquet as pq
 from flysid import tabular
 from flysid.dataset import Dataset, FloatArray, Segment, Signal
 from flysid.errors import DataError, StoreError, UsageError
-from flysid.files import new_file, writing_to
+from flysid.files import new_file, remedy_unread, why_unread, writing_to
 from flysid.version import check_version
 
 ROWS_PER_GROUP = 1 << 19
@@ -267,6 +267,10 @@ def open_dataset(path: str | Path) -> DatasetFile:
             rows = file.metadata.num_rows
             document = json.loads((file.schema_arrow.metadata or {})[tabular.META])
     except (OSError, pa.ArrowException, KeyError, ValueError) as error:
+        if isinstance(error, OSError) and error.errno is not None:
+            raise StoreError(
+                f"cannot be read: {why_unread(error)}", path=path, hint=remedy_unread(error)
+            ) from error
         raise StoreError("not a dataset file of flysid", path=path, hint=HOW) from error
     if not isinstance(document, dict) or document.get("format") != tabular.FORMAT:
         raise StoreError("not a dataset file of flysid", path=path, hint=HOW)

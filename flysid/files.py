@@ -9,11 +9,11 @@ import re
 import shutil
 import sys
 import tempfile
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from flysid.errors import WriteError
+from flysid.errors import StoreError, WriteError
 
 # `f_type` of file systems whose syncfs(2) waits for what their fsync(2) waits for. Others may not: FUSE does
 # not pass it on to the program behind it.
@@ -63,6 +63,13 @@ def remedy_unread(error: OSError | ValueError) -> str:
     return "give a file" if number == errno.EISDIR else "copy it again, from a sound medium"
 
 
+def unread_table(error: Exception, path: str | Path, otherwise: str) -> StoreError:
+    """A stored table that the system refuses to read; or that is damaged, for which `otherwise` helps."""
+    if isinstance(error, OSError) and error.errno is not None and error.errno != errno.ENOENT:
+        return StoreError(f"cannot be read: {error.strerror}", path=path, hint=remedy_unread(error))
+    return StoreError(f"damaged or missing: {error}", path=path, hint=otherwise)
+
+
 @contextmanager
 def writing_to(path: Path) -> Iterator[None]:
     """Turn the system's refusal to write into a WriteError that names the path."""
@@ -89,13 +96,23 @@ def check_place(path: Path, *, makes_folders: bool = True) -> None:
         pass
 
 
+_REMEDIES: Mapping[int, str] = {
+    errno.ENOENT: "make the folder that it is to be in first",
+    errno.EEXIST: "a file is in the way of a folder: remove it, or choose another name",
+    errno.EISDIR: "a folder is in the way of a file: choose another name",
+    errno.ENAMETOOLONG: "choose a shorter name",
+    errno.ENOSPC: "free space or choose another folder",
+    errno.EDQUOT: "free some of your own space (quota), or choose another folder",
+    errno.EFBIG: "choose a folder on a file system that takes larger files",
+    errno.EMFILE: "allow more open files: ulimit -n 4096",
+    errno.ENFILE: "close other programs: the system has too many files open",
+    errno.EIO: "look after that disk: it failed; choose another one",
+}
+
+
 def _remedy(error: Exception) -> str:
-    number = getattr(error, "errno", None)
-    if number == errno.ENOENT:
-        return "make the folder that it is to be in first"
-    if number in (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOTDIR):
-        return "choose another folder"
-    return "free space or choose another folder"
+    """What to try where the system refuses to write: by its reason, not by its kind."""
+    return _REMEDIES.get(getattr(error, "errno", None) or 0, "choose another folder")
 
 
 def _refusals() -> tuple[type[Exception], ...]:
@@ -127,6 +144,8 @@ def locked(lock: Path, target: Path, *, keep: bool = True) -> Iterator[None]:
         try:
             held.acquire()
         except filelock.Timeout as error:
+            if not lock.exists():  # a folder in which no file can be made counts as taken, too
+                raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT)) from error
             raise WriteError(
                 "another flysid is writing to this place", path=target, hint="wait until it has finished"
             ) from error

@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from flysid.copies import find_copy
 from flysid.errors import DataError, StoreError, UsageError
-from flysid.showing import counted
+from flysid.showing import counted, significant
 from flysid.stretch import FloatArray, Stretch
 
 By = Literal["auto", "flight", "time"]
@@ -156,9 +156,11 @@ def plan_split(
     else:
         train, test = _by_time(data, flights, holdout, guard, rng)
     if not train or not test:
+        samples = sum(len(s.y) for s in data.segments)
         raise DataError(
             f"too little data to hold out {100.0 * holdout:.0f} % by {way}: "
-            f"{sum(len(s.y) for s in data.segments)} samples in {counted(len(data.segments), 'segment')}",
+            f"{samples} samples, {significant(samples * data.dt_s)} s, in "
+            f"{counted(len(data.segments), 'segment')}",
             hint="add flights, or longer ones",
         )
     refuse_copies(data, train, test)

@@ -20,8 +20,16 @@ import pyarrow.parquet as pq
 
 from flysid import mirror
 from flysid.catalogue import CATALOGUE_FILE
-from flysid.errors import StoreError, UsageError, WriteError
-from flysid.files import filling, put_in_place, remove_left_behind, slug, write_atomically, writing_to
+from flysid.errors import UsageError, WriteError
+from flysid.files import (
+    filling,
+    put_in_place,
+    remove_left_behind,
+    slug,
+    unread_table,
+    write_atomically,
+    writing_to,
+)
 from flysid.files import locked as locked_file
 from flysid.flight import BOOT, TIME, ClockMap, Damage, Flight, Source
 from flysid.flightwriter import FlightWriter, in_order
@@ -315,7 +323,7 @@ def read_entry(folder: Path, entry: StreamEntry, columns: Sequence[str] | None =
     try:
         table = pq.ParquetFile(mirror.fetch(path)).read(columns=needed)
     except (OSError, pa.ArrowException) as error:
-        raise StoreError(f"damaged or missing: {error}", path=path, hint="ingest the log again") from error
+        raise unread_table(error, path, "ingest the log again") from error
     if not entry.is_sorted:
         table = in_order(table)
     return table if columns is None else table.select(list(columns))

@@ -193,6 +193,12 @@ def step_response(
     records, scale = _records(data, output, factor, taps)
     masks = [_mask(u[:, source] * scale[source], taps, above, below) for u, _ in records]
     samples = sum(int(m[taps - 1 :].sum()) for m in masks)
+    largest = max(float(np.abs(u[:, source]).max()) * scale[source] for u, _ in records)
+    if above is not None and largest <= above:
+        raise DataError(
+            f"{data.inputs[source].name} never exceeds {above:g}: at most {significant(largest)}",
+            hint="a smaller size: what parts slow input from fast lies below the largest that was flown",
+        )
     if samples < 4 * taps:
         wanted = "" if above is None and below is None else " of the class asked for"
         raise DataError(

@@ -21,7 +21,7 @@ from typing import Any, Literal
 import numpy as np
 
 from flysid.dataset import Dataset
-from flysid.errors import UsageError
+from flysid.errors import DataError, UsageError
 from flysid.model.arguments import check_inputs
 from flysid.model.detrend import Trend, check_trend, detrend
 from flysid.model.frequency.assemble import OneTransfer, assemble, runner
@@ -157,6 +157,7 @@ class TF:
         """
         plant, references = split_references(train, self.reference)
         self._check(len(plant.inputs))
+        self._check_dead_time(train)
         train = detrend(train, self.trend)
         validation = None if validation is None else detrend(validation, self.trend)
         chosen = [self._output(_single(train, i), _single(validation, i)) for i in range(len(train.outputs))]
@@ -193,6 +194,17 @@ class TF:
                 f"no band: {low:g} to {high:g} rad/s", hint="the lowest frequency first, above 0"
             )
         forms(n_u, self.poles, self.zeros, self.dead_time_s, self.stable)
+
+    def _check_dead_time(self, train: Dataset) -> None:
+        """Raise DataError where an output's response to any input begins behind the end of every segment."""
+        given = self.dead_time_s if isinstance(self.dead_time_s, Sequence) else [self.dead_time_s]
+        stated = max((t for t in given if isinstance(t, int | float)), default=0.0)
+        longest = max((len(segment) for segment in train.segments), default=0) * train.dt_s
+        if stated and stated >= longest:
+            raise DataError(
+                f"no segment is longer than the dead time of {stated:g} s; the longest has {longest:.4g} s",
+                hint="a shorter dead time, or auto",
+            )
 
     def _output(self, train: Dataset, validation: Dataset | None) -> tuple[OneTransfer, str]:
         """The transfer functions of one output, chosen on the fitting part and refined on all."""

@@ -81,7 +81,7 @@ def rows_by_sqlite(path: Path, place: Path) -> list[Row] | None:
     link = sqlite3.connect(place / path.name)
     try:
         link.execute("PRAGMA cell_size_check = 1")
-        return link.execute("SELECT id, topic_id, timestamp, data FROM messages ORDER BY id").fetchall()
+        return sorted(link.execute("SELECT id, topic_id, timestamp, data FROM messages"))
     except sqlite3.DatabaseError:
         return None
     finally:

@@ -173,7 +173,9 @@ def _training_of(a: RunSource) -> list[HeldOut]:
         raise DataError(
             f"it cannot be ruled out that run A was trained on these flights: {error.message}",
             path=a.run.folder,
-            hint="give the folder that run A was fitted on with --data-a",
+            hint="give the folder that run A was fitted on with --data-a"
+            if isinstance(error, UsageError)
+            else error.hint or "fit run A again",
         ) from error
 
 

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from flysid.errors import StoreError, UsageError
+from flysid.files import remedy_unread, why_unread
 from flysid.manifest import DATA_FILE
 from flysid.validate.compare_models import CONTENDERS
 from flysid.validate.judge import DOCUMENT, REPORT
@@ -153,7 +154,11 @@ def _judge(run: Run) -> list[RunChannel] | None:
             _channel(run, name, body[FREE_RUN], about[name if name in about else name.rpartition("/")[0]])
             for name, body in document["channels"].items()
         ]
-    except (OSError, ValueError, RecursionError, LookupError, TypeError, AttributeError) as error:
+    except OSError as error:
+        raise StoreError(
+            f"the report cannot be read: {why_unread(error)}", path=path, hint=remedy_unread(error)
+        ) from error
+    except (ValueError, RecursionError, LookupError, TypeError, AttributeError) as error:
         raise StoreError(
             "the report of the run is damaged", path=path, hint=f"flysid validate {run.folder} --force"
         ) from error

@@ -6,7 +6,8 @@ import importlib.util
 from pathlib import Path
 from typing import Any
 
-from flysid.errors import UsageError, WriteError
+from flysid.errors import UsageError
+from flysid.files import writing_to
 
 SUFFIXES = (".png", ".svg", ".pdf")
 
@@ -22,7 +23,5 @@ def check_picture(path: str | Path) -> None:
 def save_picture(figure: Any, path: str | Path) -> None:
     """Write a matplotlib figure; equal figures give equal SVG files. Raises WriteError."""
     dateless = {"Date": None} if Path(path).suffix.lower() == ".svg" else None
-    try:
+    with writing_to(Path(path)):
         figure.savefig(path, dpi=110, metadata=dateless)
-    except OSError as error:
-        raise WriteError(f"cannot be written: {error.strerror}", path=path) from error

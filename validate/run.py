@@ -23,6 +23,7 @@ from typing import Any
 from flysid.dataset import Dataset
 from flysid.datasetfile import DatasetFile, open_dataset
 from flysid.errors import StoreError, UsageError
+from flysid.files import remedy_unread, why_unread
 from flysid.foreign import inner_path
 from flysid.ingest.align.doubts import Doubt
 from flysid.ingest.align.recipe import Recipe, load_recipe
@@ -264,7 +265,7 @@ def open_run(folder: str | Path) -> Run:
         body = json.loads(path.read_text("utf-8"))
     except OSError as error:
         raise StoreError(
-            f"not a run: {RUN_FILE} cannot be read ({error.strerror})", path=folder, hint="fit it again"
+            f"{RUN_FILE} cannot be read: {why_unread(error)}", path=folder, hint=remedy_unread(error)
         ) from error
     except (ValueError, RecursionError) as error:
         raise StoreError("the run is damaged: not JSON", path=path, hint="fit it again") from error

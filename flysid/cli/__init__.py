@@ -25,6 +25,7 @@ from flysid.extras import hearing
 from flysid.showing import WIDTH
 from flysid.surroundings import ignore_matplotlib_style, keep_working_folder_out, refuse_numba_settings
 
+LESS_MEMORY = "close other programs; where the verb has them, --jobs 1 and a smaller --memory take less"
 VERBS = {
     "compare": "Compare the models of two runs on flights that neither has trained on.",
     "demo": "Simulate flights, ingest, fit and validate them; open the report.",
@@ -118,6 +119,6 @@ def main() -> None:
         report_error(FlysidError(f"operating system error: {error.strerror or error}", path=error.filename))
         sys.exit(1)
     except MemoryError:
-        report_error(FlysidError("not enough memory", hint="close other programs"))
+        report_error(FlysidError("not enough memory", hint=LESS_MEMORY))
         sys.exit(1)
     sys.exit(code if isinstance(code, int) else 0)

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from flysid.errors import UsageError
 
 if TYPE_CHECKING:
+    from flysid.ingest.formats.base import Limits
     from flysid.ingest.lake.chosen_flights import Selection
     from flysid.ingest.lake.finding import FoundLogs
 
@@ -27,7 +28,15 @@ class Words:
     outputs: tuple[str, ...]
     dt: float | None
     time_unit: str = ""
+    date_order: str = ""
     format: str = ""
+
+    @property
+    def limits(self) -> Limits:
+        """How a log is to be read."""
+        from flysid.ingest.formats.base import Limits
+
+        return Limits(time_unit=self.time_unit, date_order=self.date_order, format=self.format)
 
 
 @dataclass(frozen=True)
@@ -100,6 +109,8 @@ def check_words(words: Words, channels: Sequence[str]) -> None:
             f"no {'output' if words.inputs else 'input'} is named",
             hint=f"add {lacking}; 'flysid show LOG --fields' lists the fields",
         )
+    elif both := sorted({*words.inputs} & {*words.outputs}):
+        raise UsageError(f"{both[0]!r} is both input and output", hint="--to takes what answers --from")
     elif words.dt is not None and not fields:
         from flysid.ingest.align.quick import NEITHER
 
@@ -138,11 +149,9 @@ def refuse_without_words(words: Words, logs: FoundLogs, place: Path) -> None:
     if words.recipe or words.inputs:
         return
     from flysid.ingest.align.quick import NEITHER
-    from flysid.ingest.formats.base import Limits
     from flysid.ingest.lake.beginning import recipes_by_beginning
 
-    limits = Limits(time_unit=words.time_unit, format=words.format)
-    fitting = recipes_by_beginning(logs.paths[0], limits) if logs.paths else {}
+    fitting = recipes_by_beginning(logs.paths[0], words.limits) if logs.paths else {}
     if fitting:
         hint = f"--recipe {', or --recipe '.join(fitting)}; 'flysid ls {place} --suggest' says how well"
     else:
@@ -155,11 +164,11 @@ def refuse_without_words(words: Words, logs: FoundLogs, place: Path) -> None:
 
 def refuse_reading_again(data: Path, words: Words) -> None:
     """Raise UsageError where words say how to read what has been read."""
-    if words.time_unit or words.format:
+    if words.time_unit or words.date_order or words.format:
         raise UsageError(
             "ingested data already have their format and times",
             path=data,
-            hint="flysid ingest --format, or --time-unit, reads a log again",
+            hint="flysid ingest --format, --time-unit or --date-order reads a log again",
         )
 
 

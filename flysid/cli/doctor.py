@@ -25,7 +25,7 @@ from flysid.cli.output import (
     say_passed_over,
     shorten,
 )
-from flysid.cli.source import format_option, time_unit_option
+from flysid.cli.source import date_order_option, format_option, time_unit_option
 from flysid.cli.trust import Own
 from flysid.errors import UsageError
 from flysid.progress import tell
@@ -48,6 +48,7 @@ SHORTEST_NAME = 12
 @time_option
 @format_option
 @time_unit_option
+@date_order_option
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 @click.option(
     "--kinematics",
@@ -75,6 +76,7 @@ def command(
     max_time: float | None,
     format_: str,
     time_unit: str,
+    date_order: str,
     as_json: bool,
     kinematics: bool,
     correct: str,
@@ -110,7 +112,7 @@ def command(
     surveys: dict[Path, Survey] = {}
     for skipped in found.unread:
         say(f"skipped: {skipped.path}: {skipped.reason}")
-    limits = Limits(time_unit=time_unit, format=format_)
+    limits = Limits(time_unit=time_unit, date_order=date_order, format=format_)
     look = partial(survey_or_reason, limits=limits)
     with display.shown():
         _begin(found.paths, 0)

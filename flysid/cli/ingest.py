@@ -12,7 +12,7 @@ from flysid.cli.display import Display, progress_options
 from flysid.cli.lakeoptions import LakeOptions, check_pattern, lake_options
 from flysid.cli.losses import report
 from flysid.cli.output import ExitCode, printable, say, say_passed_over
-from flysid.cli.source import format_option, time_unit_option
+from flysid.cli.source import date_order_option, format_option, time_unit_option
 from flysid.cli.trust import Own
 from flysid.showing import counted
 
@@ -38,6 +38,7 @@ if TYPE_CHECKING:
 @time_option
 @format_option
 @time_unit_option
+@date_order_option
 @click.option(
     "--vehicle-in",
     cls=Own,
@@ -57,6 +58,7 @@ def command(
     max_time: float | None,
     format_: str,
     time_unit: str,
+    date_order: str,
     vehicle_in: str,
     lake: LakeOptions,
     force: bool,
@@ -71,7 +73,8 @@ def command(
     time is skipped and named; the others are read. In folders and .zip archives, files that are not logs,
     such as notes and pictures, are named and ignored.
 
-    With --format or --time-unit, logs that are already ingested are read again, as their data may change.
+    With --format, --time-unit or --date-order, logs that are already ingested are read again, as their data
+    may change.
 
     LOG and the folder may be addresses: s3://BUCKET/FOLDER, gs://, az:// (flysid[fleet]). Logs that the
     lake already has are not fetched again. Exit code 75: a store or a cluster did not answer; run the
@@ -84,20 +87,19 @@ def command(
     from flysid.ingest.lake.workers import Bounds
 
     bounds = Bounds(max_memory, max_time)
+    limits = Limits(time_unit=time_unit, date_order=date_order, format=format_)
     if lake.concerns(logs, data):
         from flysid.cli.lakeingest import ingest_to_lake
 
-        limits = Limits(time_unit=time_unit, format=format_)
         return ingest_to_lake(
             logs, data, lake, limits, bounds, vehicle_in, jobs, force, as_json, quiet, display
         )
     found = find_logs(logs, bounds)
     results = []
     with display.shown():
-        again = force or bool(time_unit or format_)
-        told = Limits(time_unit=time_unit, format=format_)
+        again = force or bool(time_unit or date_order or format_)
         for result in ingest_logs(
-            found, data, jobs=jobs, force=again, limits=told, bounds=bounds, vehicle_in=vehicle_in
+            found, data, jobs=jobs, force=again, limits=limits, bounds=bounds, vehicle_in=vehicle_in
         ):
             results.append(result)
             said_below = result.unchanged or result.skipped

@@ -53,7 +53,7 @@ def compatibility_or_reason(path: Path, limits: Limits) -> Compatibility | str:
     from flysid.ingest.kinematics.compatibility import compatibility
 
     try:
-        flight = read(path, format=limits.format or None, time_unit=limits.time_unit, limits=limits)
+        flight = read(path, limits=limits)
         return compatibility(FlightLog(flight))
     except FlysidError as error:
         return error.advice
@@ -98,7 +98,7 @@ def write_corrected(
     ((path, motion),) = moved.items()
     if motion.found is None:
         raise UsageError(f"nothing to correct: {motion.reason}")
-    flight = read(path, format=limits.format or None, time_unit=limits.time_unit, limits=limits)
+    flight = read(path, limits=limits)
     text, done = corrected_recipe(recipe, FlightLog(flight), motion.found)
     with writing_to(output):
         write_atomically(output, text.encode())

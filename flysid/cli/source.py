@@ -37,6 +37,18 @@ def _known_format(_ctx: click.Context, _param: click.Parameter, name: str) -> st
     return find_format(name).name if name else ""
 
 
+def _known_unit(_ctx: click.Context, _param: click.Parameter, unit: str) -> str:
+    from flysid.ingest.formats.common.time_units import known_unit
+
+    return known_unit(unit) if unit else ""
+
+
+def _known_order(_ctx: click.Context, _param: click.Parameter, order: str) -> str:
+    from flysid.ingest.formats.common.stamps import known_order
+
+    return known_order(order) if order else ""
+
+
 format_option = click.option(
     "--format",
     "format_",
@@ -48,15 +60,24 @@ format_option = click.option(
 )
 time_unit_option = click.option(
     "--time-unit",
+    cls=Setting,
     default="",
-    type=click.Choice(["", "s", "ms", "us", "ns"]),
     metavar="UNIT",
-    help="Unit of a table's times, where it names none: s, ms, us or ns.",
+    callback=_known_unit,
+    help="Unit of a table's times, where it names none: s, ms, us, ns, min, h or d.",
+)
+date_order_option = click.option(
+    "--date-order",
+    cls=Setting,
+    default="",
+    metavar="ORDER",
+    callback=_known_order,
+    help="Order of a table's dates, where 04/05/2025 may be meant two ways: dmy, mdy or ymd.",
 )
 
 
 def words_options(function: F) -> F:
-    """Adds --recipe, --from, --to, --dt, --time-unit and --format; the verb takes them as one `words`."""
+    """Adds --recipe, --from, --to, --dt, --time-unit, --date-order and --format, as one `words`."""
 
     @wraps(function)
     def verb(
@@ -66,14 +87,17 @@ def words_options(function: F) -> F:
         outputs: tuple[str, ...],
         dt: float | None,
         time_unit: str,
+        date_order: str,
         format_: str,
         **options: Any,
     ) -> Any:
-        return function(*args, words=Words(recipe, inputs, outputs, dt, time_unit, format_), **options)
+        words = Words(recipe, inputs, outputs, dt, time_unit, date_order, format_)
+        return function(*args, words=words, **options)
 
     decorated: Any = verb
     for option in (
         format_option,
+        date_order_option,
         time_unit_option,
         click.option(
             "--dt", type=POSITIVE, metavar="SECONDS", help="Sample time of a table without a time column."
@@ -109,13 +133,14 @@ def words_options(function: F) -> F:
 
 
 def reading_options(function: F) -> F:
-    """Adds --format and --time-unit; the verb takes them as one `told`."""
+    """Adds --format, --time-unit and --date-order; the verb takes them as one `told`."""
 
     @wraps(function)
-    def verb(*args: Any, format_: str, time_unit: str, **options: Any) -> Any:
-        return function(*args, told=Words("", (), (), None, time_unit, format_), **options)
+    def verb(*args: Any, format_: str, time_unit: str, date_order: str, **options: Any) -> Any:
+        told = Words("", (), (), None, time_unit, date_order, format_)
+        return function(*args, told=told, **options)
 
-    decorated: Any = time_unit_option(format_option(verb))
+    decorated: Any = date_order_option(time_unit_option(format_option(verb)))
     chosen: F = decorated
     return chosen
 
@@ -388,14 +413,12 @@ def _taken_in(
     FormatError : nothing of them can be read.
     """
     from flysid.cli.losses import report
-    from flysid.ingest.formats.base import Limits
     from flysid.ingest.lake.batch import ingest_logs
     from flysid.ingest.lake.workers import Bounds
     from flysid.progress import part
 
-    told = Limits(time_unit=words.time_unit, format=words.format)
     with part(0.0, share):
-        results = list(ingest_logs(logs, place, limits=told, bounds=Bounds()))
+        results = list(ingest_logs(logs, place, limits=words.limits, bounds=Bounds()))
     skipped = [result for result in results if result.skipped]
     if len(skipped) == len(results) == 1:
         reason, _, hint = skipped[0].reason.partition("; try: ")

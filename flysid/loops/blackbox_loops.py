@@ -50,7 +50,7 @@ def fields_of(log: Any, stream: str, names: Iterable[str]) -> dict[str, FloatArr
     wanted = list(names)
     try:
         table = log.table(stream, wanted)
-    except (KeyError, DataError, UsageError) as error:
+    except (KeyError, UsageError) as error:
         raise DataError(
             f"{log.name} lacks a field of the rate loop: {error}",
             hint="log PID terms, sticks and gyro (Betaflight before 4.0)",

@@ -140,7 +140,7 @@ def _column(log: Any, stream: str, name: str, place: int | None = None) -> tuple
     """(N,) times in s and values, of an array its `place`-th."""
     try:
         table = log.table(stream, ["time_ns", name])
-    except (KeyError, DataError, UsageError) as error:
+    except (KeyError, UsageError) as error:
         raise DataError(
             f"{log.name} lacks {stream}.{name}", hint="log setpoint, output and rate of the rate loop, fast"
         ) from error

@@ -24,6 +24,7 @@ def ingest(workspace: Workspace, log: Path, asked: Upload) -> tuple[list[str], L
     words = ["ingest", str(log), "-o", str(workspace.data), "--jobs", "1"]
     words += ["--format", asked.format] if asked.format else []
     words += ["--time-unit", asked.time_unit] if asked.time_unit else []
+    words += ["--date-order", asked.date_order] if asked.date_order else []
     return words, "read", {"upload": log.parent.name, "name": log.name}
 
 

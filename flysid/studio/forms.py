@@ -59,6 +59,7 @@ class Upload(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     name: str
     format: str = ""
     time_unit: str = ""
+    date_order: str = ""
 
 
 class Draft(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

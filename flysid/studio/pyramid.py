@@ -23,7 +23,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from flysid.dataset import FloatArray
-from flysid.errors import StoreError
+from flysid.files import unread_table
 from flysid.flight import BOOT, TIME, field_scale
 from flysid.flightwriter import int_values
 from flysid.ingest.align.resample import GAP_PERIODS
@@ -257,7 +257,7 @@ def _parts(folder: Path, entry: StreamEntry, columns: list[str]) -> Iterator[pa.
             if table.num_rows:
                 yield table
     except (OSError, pa.ArrowException) as error:
-        raise StoreError(f"damaged or missing: {error}", path=path, hint="ingest the log again") from error
+        raise unread_table(error, path, "ingest the log again") from error
 
 
 def _new_file(place: Path) -> Path:

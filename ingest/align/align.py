@@ -430,5 +430,7 @@ def _too_short(report: AlignReport, min_samples: int) -> DataError:
     return DataError(
         f"channel {report.channel!r}: no segment of {min_samples} samples at {report.rate_hz:.4g} Hz"
         f"{dropped}" + (f" ({reasons})" if reasons else ""),
-        hint="fly longer without pauses in the log, or lower min_segment_s in a recipe of your own",
+        hint=f"choose a source of {' and '.join(n for n, count in lost.items() if count)} that holds numbers"
+        if not_finite and not short
+        else "fly longer without pauses in the log, or lower min_segment_s in a recipe of your own",
     )

@@ -18,6 +18,7 @@ from flysid.flight import BOOT, RECEIVED, TIME, Flight, field_unit, matching_str
 from flysid.ingest.align.align import align
 from flysid.ingest.align.recipe import QUICK, ChannelSpec, Recipe, SignalSpec, Source, parse_recipe
 from flysid.ingest.align.signals import FlightLog, Log
+from flysid.ingest.formats.base import WHOLE_BATCH_BYTES, Limits
 from flysid.ingest.formats.common.units import is_known
 from flysid.ingest.formats.registry import read
 from flysid.showing import first_of
@@ -50,6 +51,7 @@ def dataset_from(
     *,
     dt_s: float | None = None,
     time_unit: str = "",
+    date_order: str = "",
 ) -> Dataset:
     """The dataset of some fields of logs: one clock, cut at gaps, inputs held from sample to sample.
 
@@ -58,11 +60,12 @@ def dataset_from(
     source : a log or table (.csv), or several of them: paths, or flights in memory.
     inputs, outputs : fields, as `FIELD` where one stream has it, else as `STREAM.FIELD`.
     dt_s : seconds from row to row, for tables that have no time column.
-    time_unit : of a table's times that state none: "s", "ms", "us" or "ns".
+    time_unit : of a table's times that state none: "s", "ms", "us", "ns", "min", "h" or "d".
+    date_order : of a table's dates that may be meant in two: "dmy", "mdy" or "ymd".
 
     Raises
     ------
-    FormatError : a log cannot be read; a table whose times may be in several units.
+    FormatError : a log cannot be read; a table whose times may be in several units or orders.
     RecipeError : a field is nowhere, or in several streams; a table needs `dt_s`, or a log has its own time.
     DataError : the logs are too short, or a signal never moves.
 
@@ -73,7 +76,8 @@ def dataset_from(
     (0.1, 600)
     """
     sources = [source] if isinstance(source, str | Path | Flight) else source
-    logs = [FlightLog(s if isinstance(s, Flight) else read(s, time_unit=time_unit)) for s in sources]
+    told = Limits(batch_bytes=WHOLE_BATCH_BYTES, time_unit=time_unit, date_order=date_order)
+    logs = [FlightLog(s if isinstance(s, Flight) else read(s, limits=told)) for s in sources]
     driving, driven = ([words] if isinstance(words, str) else list(words) for words in (inputs, outputs))
     recipe = parse_recipe(tomllib.loads(quick_recipe(logs, driving, driven, dt_s)))
     signals = list(recipe.signals)
@@ -142,6 +146,10 @@ def driven_by(recipe: Recipe, reference: Sequence[str], logs: Sequence[Log]) -> 
             source = Source(place.stream, place.field)
             name = place.name if place.name not in signals else f"{place.name}_reference"
             signals[name] = SignalSpec(unit, (source,), hold="zero")
+        if all(name in channel.outputs for channel in recipe.channels.values()):
+            raise RecipeError(
+                f"{word!r} is an output: it does not drive its own loop", hint="a chirp, or a setpoint"
+            )
         names.append(name)
     channels = {n: replace(c, reference=tuple(names)) for n, c in recipe.channels.items()}
     return replace(recipe, signals=signals, channels=channels)

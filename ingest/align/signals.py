@@ -34,6 +34,7 @@ from flysid.ingest.align.values import (
     texts_of,
 )
 from flysid.ingest.formats.common.units import factor, is_known
+from flysid.showing import one_of
 from flysid.stretch import FloatArray
 
 IntArray = npt.NDArray[np.int64]
@@ -186,8 +187,22 @@ def missing(signal: str, spec: Sequence[Source], logs: Sequence[Log]) -> RecipeE
     names = sorted({*streams, *(key.rpartition("/")[2] for key in streams)})
     near = [n for s in spec for n in difflib.get_close_matches(s.stream, names, n=2, cutoff=0.5)]
     flights = ", ".join(log.name for log in logs[:3]) + (", ..." if len(logs) > 3 else "")
-    hint = ", ".join(dict.fromkeys(near)) or "streams logged: " + ", ".join(streams[:8])
+    hint = _near_fields(spec, logs) or ", ".join(dict.fromkeys(near))
+    hint = hint or "streams logged: " + ", ".join(streams[:8])
     return RecipeError(f"signal {signal!r} needs {wanted}; not in {flights}", hint=hint)
+
+
+def _near_fields(spec: Sequence[Source], logs: Sequence[Log]) -> str:
+    """Of a stream that is there and lacks a field: what it has; "" where no source's stream is there."""
+    for source in spec:
+        for log in logs:
+            stream = find_stream(source.stream, log.rows)
+            if stream is not None:
+                columns = [name for name in log.columns(stream) if name not in (TIME, BOOT)]
+                wanted = [*source.fields, *source.where, *([source.time] if source.time else [])]
+                lacking = next((name for name in wanted if not base_column(name, set(columns))), "")
+                return f"{stream} has no field {lacking!r}: {one_of(columns, lacking)}" if lacking else ""
+    return ""
 
 
 def _has_fields(source: Source, columns: Sequence[str]) -> bool:
@@ -378,7 +393,8 @@ def _by_rows(source: Source, table: pa.Table) -> IntArray:
     numbered = (table.schema.metadata or {}).get(b"time_source") == ROW_NUMBER.encode()
     if numbered and source.row_period_s is None:
         raise RecipeError(
-            "the table has no column that can be its time", hint="--dt SECONDS, or row_period_s in the recipe"
+            "the table has no column that can be its time",
+            hint="--dt SECONDS, or row_period_s in the recipe; a time rises from row to row",
         )
     if not numbered and source.row_period_s is not None:
         raise RecipeError("the log tells the time", hint="leave out --dt, or row_period_s in the recipe")

@@ -35,7 +35,9 @@ class Limits:
     Attributes
     ----------
     max_chunk_bytes : of one decompressed chunk.
-    time_unit : of a table's times that state none: "s", "ms", "us" or "ns"; "" where the caller cannot tell.
+    time_unit : of a table's times that state none: "s", "ms", "us", "ns", "min", "h" or "d"; "" where the
+        caller cannot tell.
+    date_order : of a table's dates that fit in two: "dmy", "mdy" or "ymd"; "" where the caller cannot tell.
     format : the log's format, by name; "" where its bytes shall tell.
     """
 
@@ -43,6 +45,7 @@ class Limits:
     max_ratio: float = 200.0
     batch_bytes: int = 8 << 20
     time_unit: str = ""
+    date_order: str = ""
     format: str = ""
 
 

@@ -73,7 +73,12 @@ class OpenLog:
 
     def read(self, fmt: Format, limits: Limits) -> Parts:
         """The parts of the log; what its packing and its side files lost counts as damage."""
-        return self.told((yield from fmt.read(self.view, self.name, limits)))
+        try:
+            return self.told((yield from fmt.read(self.view, self.name, limits)))
+        except FormatError as error:
+            if limits.format:
+                error.hint = f"leave out --format {limits.format}: the log's own bytes tell its format"
+            raise
 
     def told(self, found: T) -> T:
         """What was found in the log, with what its packing and its side files lost."""

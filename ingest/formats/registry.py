@@ -20,6 +20,7 @@ from flysid.ingest.formats.recognised import stranger
 from flysid.ingest.formats.rosbag2.side_files import READ
 from flysid.mirror import log_at
 from flysid.place import Place, is_address
+from flysid.showing import one_of
 
 ENTRY_POINTS = "flysid.formats"
 CERTAIN = 0.95
@@ -102,7 +103,7 @@ def find_format(name: str) -> Format:
     try:
         return all_formats()[name]
     except KeyError:
-        raise UsageError(f"no format {name!r}", hint="one of " + ", ".join(all_formats())) from None
+        raise UsageError(f"no format {name!r}", hint=one_of(list(all_formats()), name)) from None
 
 
 def detect(head: bytes, name: str) -> Format:
@@ -191,6 +192,7 @@ def read(
     *,
     format: str | None = None,  # noqa: A002
     time_unit: str = "",
+    date_order: str = "",
     limits: Limits | None = None,
 ) -> Flight:
     """Read a whole log into memory.
@@ -200,13 +202,14 @@ def read(
     path : the log, or its address in an object store (`s3://`, `gs://`, `az://`); also packed (.gz, .zst),
         or in a .zip archive: `flights.zip/one.tlog`, or the archive itself where it holds one log.
     format : name of its format; found from its bytes when None.
-    time_unit : of a table's times that state none: "s", "ms", "us" or "ns".
+    time_unit : of a table's times that state none: "s", "ms", "us", "ns", "min", "h" or "d".
+    date_order : of a table's dates that may be meant in two: "dmy", "mdy" or "ymd".
     limits : bounds for hostile input.
 
     Raises
     ------
-    FormatError : not a log, empty or unreadable; a table whose times may be in several units.
-    UsageError : `format` or `time_unit` is not a name that flysid knows; no log is at the address.
+    FormatError : not a log, empty or unreadable; a table whose times may be in several units or orders.
+    UsageError : `format`, `time_unit` or `date_order` is no name that flysid knows; no log is at the address.
 
     Examples
     --------
@@ -215,7 +218,12 @@ def read(
     True
     """
     limits = limits or Limits(batch_bytes=WHOLE_BATCH_BYTES)
-    limits = replace(limits, time_unit=time_unit or limits.time_unit, format=format or limits.format)
+    limits = replace(
+        limits,
+        time_unit=time_unit or limits.time_unit,
+        date_order=date_order or limits.date_order,
+        format=format or limits.format,
+    )
     file = _file(path)
     with blaming(file), open_log(sole_log(file), limits) as log:
         fmt = format_of(log, limits)

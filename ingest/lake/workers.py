@@ -42,7 +42,15 @@ from flysid.ingest.formats.blame import blaming
 HEADROOM_BYTES = 1 << 30
 JOIN_S = 5.0
 _NEEDED_BY_ALL = "flysid.ingest.lake.batch"
+_NO_BEGINNING = "a script that ingests needs 'if __name__ == \"__main__\":' around what it does"
 _NO_WORKER = "no worker process can be started: {}"
+
+
+def _is_script() -> bool:
+    """Whether a file of the user's runs us, which a worker begins with, too: no command, no prompt."""
+    begun = sys.modules["__main__"]
+    return getattr(begun, "__file__", None) is not None and getattr(begun, "__spec__", None) is None
+
 
 Task = TypeVar("Task")
 Outcome = TypeVar("Outcome")
@@ -265,7 +273,7 @@ class _Worker(Generic[Task, Outcome]):
         if not self._is_ready and not broken:
             raise UsageError(
                 f"a worker process ended ({ended_how(code)}) before it could begin",
-                hint="a script that ingests needs 'if __name__ == \"__main__\":' around what it does",
+                hint=_NO_BEGINNING if _is_script() else "what it wrote above says why",
             )
         return task, Lost(FormatError(broken or f"its process {ended_how(code)}"), self._process.pid or 0)
 

@@ -236,7 +236,7 @@ LONG: dict[str, int] = {
     "docs/plan.md": 18,
     "docs/recipes.md": 13,
     "docs/report.md": 20,
-    "docs/structured.md": 15,
+    "docs/structured.md": 214,  # at least: the fit of hover.parquet was not waited for
     "docs/studio.md": 11,
     "docs/transfer-functions.md": 34,
     "docs/vehicle.md": 11,

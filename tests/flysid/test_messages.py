@@ -128,7 +128,7 @@ SAID: list[tuple[Callable[[], object], str]] = [
     ),
     (
         lambda: data(U[:12], Y[:12]).split(by="time"),
-        "too little data to hold out 30 % by time: 12 samples in 1 segment Try: add flights, or longer ones",
+        "too little data to hold out 30 % by time: 12 samples, 0.6 s, in 1 segment Try: add flights",
     ),
     (lambda: arx(na=-1), "na must be a whole number of at least 0, not -1"),
     (lambda: arx(nb=(1, 2)), "nb has 2 numbers for 1 input"),

@@ -17,8 +17,7 @@ from typing import Any
 
 from jinja2 import Environment, FunctionLoader, StrictUndefined
 
-from flysid.errors import StoreError
-from flysid.files import write_atomically
+from flysid.files import write_atomically, writing_to
 from flysid.validate.words import number, percentage
 
 
@@ -75,13 +74,7 @@ def write_page(path: str | Path, text: str) -> Path:
     StoreError : the file cannot be written.
     """
     path = Path(path)
-    try:
+    with writing_to(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         write_atomically(path, text.encode())
-    except OSError as error:
-        raise StoreError(
-            f"the page cannot be written: {error.strerror}",
-            path=path,
-            hint="choose another folder, or free some space",
-        ) from error
     return path

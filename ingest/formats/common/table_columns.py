@@ -6,13 +6,12 @@ pitch_cmd [deg]   v_x (m/s)   alt_m   rate_radps   vx_m_s   time_ms   TimeUS
 from __future__ import annotations
 
 import re
-from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 from flysid.ingest.formats.common.units import is_known
 
-_BRACKETS = re.compile(r"^(.*?)\s*[\[(]([^\])]*)[\])]$")
+_BRACKETS = re.compile(r"^(.*?)(\s*)[\[(]([^\])]*)[\])]$")
 _WORD = re.compile(r"[_ .]+")
 # "ms" may be milliseconds or m/s, "s", "g" and "n" may be anything: these state no unit behind a name
 _LAST_WORDS: Mapping[str, str] = {
@@ -97,8 +96,12 @@ _TIME_UNITS = {
     "minutes": "min",
     "h": "h",
     "hours": "h",
+    "d": "d",
+    "day": "d",
+    "days": "d",
 }
-_NO_NAMES = frozenset({"s", "h", "min", "mins", "hours", "minutes"})  # alone they may be anything
+_NO_NAMES = frozenset({"s", "h", "min", "mins", "hours", "minutes", "d", "day"})  # alone they may be anything
+_DAY_NAMES = frozenset({"datenum", "serialdate", "serialtime", "exceltime", "exceldate", "mjd", "juliandate"})
 _WORDS = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+")
 _TIME_WORDS = frozenset(
     {"time", "timestamp", "stamp", "datetime", "clock", "epoch", "unixtime", "tempo", "temps", "tiempo"}
@@ -124,18 +127,36 @@ class TimeName:
     is_plain: bool
 
 
-def named_and_measured(header: str, index: int) -> tuple[str, str]:
-    """(name, unit) of a column by its header: a unit in brackets leaves the name, one at its end stays.
+def named_and_measured(headers: Sequence[str]) -> list[tuple[str, str]]:
+    """(name, unit) of every column by its header: a unit in brackets leaves the name, one at its end stays.
+
+    Brackets are an index, and stay, where they hold a number right behind the name, or where those of columns
+    with the same name count up, or hold anything that is no unit.
 
     Examples
     --------
-    >>> named_and_measured("v_x [m/s]", 0), named_and_measured("vx_m_s", 1), named_and_measured("", 2)
-    (('v_x', 'm/s'), ('vx_m_s', 'm/s'), ('c3', ''))
+    >>> named_and_measured(["v_x [m/s]", "vx_m_s", "", "q[0]", "q[1]"])
+    [('v_x', 'm/s'), ('vx_m_s', 'm/s'), ('c3', ''), ('q[0]', ''), ('q[1]', '')]
     """
-    match = _BRACKETS.match(header)
-    if match and match[1] and (unit := unit_in(match[2])) is not None:
-        return match[1], unit
-    return header or f"c{index + 1}", unit_behind(header)
+    matches = [_BRACKETS.match(header) for header in headers]
+    inside: dict[str, set[str]] = {}
+    for match in matches:
+        if match:
+            inside.setdefault(match[1], set()).add(match[3].strip())
+    found = []
+    for index, (header, match) in enumerate(zip(headers, matches, strict=True)):
+        unit = unit_in(match[3]) if match and match[1] and not _is_index(match, inside[match[1]]) else None
+        if match and unit is not None:
+            found.append((match[1], unit))
+        else:
+            found.append((header or f"c{index + 1}", unit_behind(header)))
+    return found
+
+
+def _is_index(match: re.Match[str], alike: set[str]) -> bool:
+    """Whether brackets hold an index; `alike` is what those of columns with the same name hold."""
+    is_number = match[3].strip().isdecimal()
+    return (is_number and (not match[2] or len(alike) > 1)) or any(unit_in(text) is None for text in alike)
 
 
 def unit_behind(name: str) -> str:
@@ -171,6 +192,8 @@ def time_name(name: str) -> TimeName | None:
     if len(words) > 1 and unit:
         words.pop()
     joined = "".join(words)
+    if joined in _DAY_NAMES:
+        return TimeName("d", is_plain=True)
     if joined in _TIME_NAMES:
         return TimeName(unit or _TIME_UNITS.get(joined.removeprefix("time"), ""), is_plain=True)
     is_time = words[0] in _TIME_WORDS or words[-1] in _TIME_WORDS
@@ -195,11 +218,23 @@ def fraction_beside(name: str, others: Sequence[str]) -> str:
     return ""
 
 
-def once_each(names: Sequence[str]) -> list[str]:
-    """Names of which those that occur again get a number."""
-    seen: Counter[str] = Counter()
+def once_each(names: Sequence[str], taken: Collection[str] = ()) -> list[str]:
+    """Names of which those that occur again, or are `taken`, get a number behind them that makes them new.
+
+    Examples
+    --------
+    >>> once_each(["u", "u", "u_2"])
+    ['u', 'u_3', 'u_2']
+    """
+    wanted = set(names)
+    used = set(taken)
     found: list[str] = []
     for name in names:
-        seen[name] += 1
-        found.append(name if seen[name] == 1 else f"{name}_{seen[name]}")
+        free = name
+        number = 2
+        while free in used or (free != name and free in wanted):
+            free = f"{name}_{number}"
+            number += 1
+        used.add(free)
+        found.append(free)
     return found

@@ -1,72 +1,18 @@
-"""Times of tables from elsewhere: what unit they are in, and where the clock starts again.
-
-A time that states no unit has one where its size and steps leave one reading. Where they leave two, a guess
-would be silently wrong by a factor of 1000, so that the caller is asked.
-"""
+"""Times of tables from elsewhere, row by row: where a counter wraps, and where the clock starts again."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
 
-from flysid.errors import FormatError, UsageError
 from flysid.flight import ClockMap
-from flysid.ingest.formats.common.clock import UNIX_NS, IntArray, UtcFit, back_steps
+from flysid.ingest.formats.common.clock import LEAP_NS, UNIX_NS, IntArray, UtcFit, back_steps
 from flysid.stretch import FloatArray
 
-TIME_UNITS_NS: Mapping[str, int] = {
-    "s": 10**9,
-    "ms": 10**6,
-    "us": 10**3,
-    "ns": 1,
-    "min": 60 * 10**9,
-    "h": 3600 * 10**9,
-}
-GUESSED = ("s", "ms", "us", "ns")  # minutes and hours are stated or told
-UNUSED = (
-    "named like a time, and not used as one: its values do not rise, or fewer than half of the rows have "
-    "one; rows count as 1 s each"
-)
 MOSTLY = 0.9  # of the steps of a time go forwards, or none
 MOVING = 0.25  # of them go forwards: several rows may share a time, but not many
-YEARS_S = (946_684_800.0, 4_102_444_800.0)  # 2000 to 2100
-
-
-def time_unit(name: str, times: FloatArray, last: float, told: str, path: str) -> tuple[str, str]:
-    """The unit of a time column that states none, and how it is known.
-
-    Parameters
-    ----------
-    name : of the column.
-    times : (n,) its first values.
-    last : its last value.
-    told : what the caller says of it; "" for nothing.
-    path : of the table, for the error.
-
-    Raises
-    ------
-    FormatError : two units are plausible, or none. UsageError : `told` is no unit of time.
-    """
-    if told:
-        if told not in TIME_UNITS_NS:
-            raise UsageError(f"no unit of time {told!r}", hint="one of " + ", ".join(TIME_UNITS_NS))
-        return told, "as told"
-    span = max(float(last - times[0]), float(times.max() - times[0])) if len(times) else 0.0
-    found = plausible_units(times, span)
-    if len(found) == 1:
-        return found[0], "by its size and steps"
-    step = _step(times)
-    readings = [_reading(unit, span, step) for unit in found or GUESSED]
-    asked = " or ".join(f"--time-unit {unit}" for unit in found or TIME_UNITS_NS)
-    count = "more than one is" if found else "none is"
-    raise FormatError(
-        f"the times in {name!r} state no unit, and {count} plausible: {', or '.join(readings)}",
-        path=path,
-        hint=f"{asked} (in Python: time_unit=), or a name that states it, such as {name}_ms",
-    )
 
 
 def rises(values: FloatArray, least: float = MOVING) -> bool:
@@ -75,63 +21,57 @@ def rises(values: FloatArray, least: float = MOVING) -> bool:
     return len(values) > 0 and bool(np.mean(steps >= 0) >= MOSTLY and np.mean(steps > 0) >= least)
 
 
-def plausible_units(
-    times: FloatArray,
-    span: float,
-    *,
-    fastest_s: float = 1.2e-4,
-    slowest_s: float = 5.0,
-    longest_s: float = 86_400.0,
-    latest_s: float = 604_800.0,
-    shortest_s: float = 1.0,
-) -> list[str]:
-    """The units in which rows of a flight may count: by steps, length, and dates since 1970.
+@dataclass(frozen=True)
+class Turn:
+    """When a counter begins anew.
+
+    Attributes
+    ----------
+    period_ns : after which it does; 0 where it does not.
+    gap_ns : how long no row may be written around that moment. A clock that started again by chance as late
+        in its period would be taken for one that turned.
+    """
+
+    period_ns: int = 0
+    gap_ns: int = LEAP_NS
+
+
+NO_TURN = Turn()
+COUNTERS = {  # autopilots count microseconds or milliseconds in 32 bits
+    "s": Turn((1 << 32) * 1000),
+    "us": Turn((1 << 32) * 1000),
+    "ms": Turn((1 << 32) * 1_000_000),
+}
+
+
+def unwrapped(
+    time_ns: IntArray, turn: Turn, last_ns: int | None = None, turns: int = 0
+) -> tuple[IntArray, int]:
+    """(n,) times of a counter that begins anew after a period, such as a clock at midnight, as rising ones.
+
+    It wraps where it goes on one period later, but for the gap. Any other leap back is a clock that started
+    again.
 
     Parameters
     ----------
-    times : (n,) first values. span : from the first to the last value of the table.
-    fastest_s : no table is logged faster than 8 kHz, the fastest loop of flight controllers.
-    slowest_s : nor flown with rows further apart.
-    longest_s : nor for longer than a day.
-    latest_s, shortest_s : whoever writes fractions writes seconds; other units are plausible, too, where
-        these would be more than one apart, or count more than a week (GPS) and give no date, or where
-        another unit makes a flight of at least this time.
+    last_ns : what the counter said in the row before; None where these rows are the first.
+    turns : periods before that row.
+
+    Returns
+    -------
+    times, and the turns at their end.
     """
-    step = _step(times)
-    if step == 0.0:
-        return ["s"]
-    usual = []
-    dated = []
-    for unit in GUESSED:
-        size = TIME_UNITS_NS[unit] / 1e9
-        is_date = YEARS_S[0] <= float(np.median(times)) * size <= YEARS_S[1]
-        is_fast = step * size < fastest_s and not is_date
-        if is_fast or span * size > longest_s or float(np.abs(times).max()) * size > YEARS_S[1]:
-            continue
-        if step * size <= slowest_s:
-            usual.append(unit)
-        if is_date:
-            dated.append(unit)
-    both = [unit for unit in usual if unit in dated]
-    if both:
-        return both
-    if (times % 1).any():
-        is_clock = "s" in dated or float(np.abs(times).max()) <= latest_s
-        flights = [unit for unit in usual if unit != "s" and span * TIME_UNITS_NS[unit] / 1e9 >= shortest_s]
-        is_usual = step <= 1.0 and is_clock and not flights
-        return ["s"] if is_usual else list(dict.fromkeys(["s", *usual]))
-    return [unit for unit in GUESSED if unit in usual or unit in dated]
-
-
-def _step(times: FloatArray) -> float:
-    """The median step forwards; 0 where there is none."""
-    steps = np.diff(times)
-    return float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
-
-
-def _reading(unit: str, span: float, step: float) -> str:
-    size = TIME_UNITS_NS[unit] / 1e9
-    return f"{span * size:,.6g} s at {1 / (step * size):,.6g} Hz in {unit}"
+    period_ns, gap_ns = turn.period_ns, turn.gap_ns
+    if not period_ns or not len(time_ns) or time_ns.max() >= period_ns or time_ns.min() < 0:
+        return time_ns, 0
+    steps = np.diff(time_ns, prepend=time_ns[0] if last_ns is None else last_ns)
+    onwards = (steps < -gap_ns) & (np.abs(steps + period_ns) <= gap_ns)
+    late = (steps > gap_ns) & (np.abs(steps - period_ns) <= gap_ns)
+    count = turns + np.cumsum(onwards.astype(np.int64) - late.astype(np.int64))
+    again = np.flatnonzero((steps < -gap_ns) & ~onwards)
+    for row in again.tolist():
+        count[row:] -= count[row]
+    return time_ns + count * period_ns, int(count[-1])
 
 
 @dataclass
@@ -147,6 +87,17 @@ class TableClock:
     boot: int = 0
     last_ns: int | None = None
     late: int = 0
+    _turns: int = 0
+    _next: tuple[int, int] = (0, 0)
+    _counter_ns: int | None = None
+
+    def unwrapped(self, time_ns: IntArray, turn: Turn) -> IntArray:
+        """(n,) times of a counter with its turns undone; `boots` of the same rows makes them count."""
+        if not turn.period_ns or not len(time_ns):
+            return time_ns
+        times, turns = unwrapped(time_ns, turn, self._counter_ns, self._turns)
+        self._next = (int(time_ns[-1]), turns)
+        return times
 
     def boots(self, time_ns: IntArray) -> npt.NDArray[np.int32]:
         """(n,) the boot of every row: a time that steps back by more than a second begins another."""
@@ -163,6 +114,7 @@ class TableClock:
         joined = time_ns if self.last_ns is None else np.append(self.last_ns, time_ns)
         self.late += int(((np.diff(joined) < 0) & (begins[-len(joined) + 1 :] == 0)).sum())
         self.boot, self.last_ns = int(boots[-1]), int(time_ns[-1])
+        self._counter_ns, self._turns = self._next
         return boots.astype(np.int32)
 
     def clocks(self) -> tuple[ClockMap, ...]:
@@ -170,8 +122,14 @@ class TableClock:
         return self.fit.clocks() or (ClockMap(0, 0, 0),)
 
 
-def to_ns(values: FloatArray, unit_ns: int) -> tuple[IntArray, npt.NDArray[np.bool_]]:
-    """(n,) numbers of a unit as ns, and which of them are times; whole numbers keep all their digits."""
+def to_ns(values: FloatArray, unit_ns: int, origin: float = 0.0) -> tuple[IntArray, npt.NDArray[np.bool_]]:
+    """(n,) numbers of a unit as ns, and which of them are times; whole numbers keep all their digits.
+
+    Parameters
+    ----------
+    origin : the number that stands for 0 ns.
+    """
+    values = values - origin if origin else values
     known = np.isfinite(values) & (np.abs(values) < (1 << 62) / unit_ns)
     kept = np.where(known, values, 0.0)
     whole = np.floor(kept)

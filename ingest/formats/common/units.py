@@ -57,6 +57,7 @@ _UNITS: Mapping[str, tuple[str, float]] = {
     "ns": ("time", 1e-9),
     "min": ("time", 60.0),
     "h": ("time", 3600.0),
+    "d": ("time", 86400.0),
     "V": ("voltage", 1.0),
     "mV": ("voltage", 1e-3),
     "A": ("current", 1.0),
@@ -110,5 +111,8 @@ def factor(unit: str, wanted: str) -> float:
         raise RecipeError(f"unknown unit {unit if from_unit not in _UNITS else wanted!r}")
     (dimension, base), (other, wanted_base) = _UNITS[from_unit], _UNITS[to_unit]
     if dimension != other:
-        raise RecipeError(f"{unit or 'a plain number'} cannot become {wanted or 'a plain number'}")
+        raise RecipeError(
+            f"{unit or 'a plain number'} cannot become {wanted or 'a plain number'}",
+            hint="state the same kind of unit for the signal and for its source",
+        )
     return base / wanted_base

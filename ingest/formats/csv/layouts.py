@@ -4,96 +4,42 @@
     time_s,pitch_cmd [deg],v_x [m/s]
     0.00,1.5,0.012
 
-The separator is the one of comma, semicolon, tab and blanks that leaves the most numbers. The first of the
+The separator is the one of comma, semicolon, tab and blanks that leaves the most numbers; blanks that stand
+between words of a cell are none where another sign splits as many lines. The first of the
 lines that it splits alike is the header unless it holds numbers where the lines below do; then the comment
-right above may be the header, as NumPy and ROS write it. Units stand in brackets, or in a line of their own
-below the names.
+right above may be the header, as NumPy and ROS write it, or a line that damage took out of the table. Units
+stand in brackets, or in a line of their own below the names. Other lines above a header are facts about the
+log.
 """
 
 from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import lru_cache
 
-import numpy as np
-
-from flysid.ingest.formats.common.table_columns import (
-    fraction_beside,
-    named_and_measured,
-    once_each,
-    time_name,
-    unit_in,
+from flysid.ingest.formats.common.stamps import is_stamp
+from flysid.ingest.formats.common.table_columns import named_and_measured, once_each, unit_in
+from flysid.ingest.formats.common.table_numbers import MISSING, MOSTLY, is_number
+from flysid.ingest.formats.common.time_columns import (
+    Column,
+    TimeColumn,
+    columns_of,
+    find_time,
+    unused_times,
 )
-from flysid.ingest.formats.common.table_times import MOSTLY, MOVING, TIME_UNITS_NS, rises
-from flysid.stretch import FloatArray
 
 BLANKS = b" "  # any number of them, and of tabs
 SEPARATORS = (b",", b";", b"\t", BLANKS)
 COMMENT = ("#", "%")
-ZONE = r"(Z|[+-]\d\d(:?\d\d)?)"
-STAMP = rf"^\d{{4}}-\d\d-\d\d[ T]\d\d:\d\d(:\d\d(\.\d{{1,9}})?)?{ZONE}?$"
-CLOCK = r"^\d\d?:\d\d:\d\d(\.\d{1,9})?$"
-NUMBER = r"^[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?$"
-MISSING = frozenset(
-    {"", "nan", "NaN", "NAN", "NA", "N/A", "null", "NULL", "None", "inf", "-inf", "Inf", "-Inf"}
-)
-_NUMBER = re.compile(NUMBER)
-_DECIMAL_COMMA = re.compile(r"^[+-]?\d+,\d+$")
-_STAMP = re.compile(STAMP)
-_CLOCK = re.compile(CLOCK)
-_DATE = re.compile(r"^\d{4}-\d\d-\d\d$")
 _CELL = re.compile(r'(?:"[^"]*"|\S)+')
 # GPS sentences and JSON, whose commas separate no columns
 _OTHER_TEXT = re.compile(r"^\s*([$!][A-Z]{2}[A-Z0-9]{1,},|[\[{]\s*([\[{\"\d-]|$))")
-DATED = "date and time of day"
-CLOCKED = "time of day"
-
-
-@dataclass(frozen=True)
-class Column:
-    """A column: its name without the unit, its unit where one is stated and known, and whether it is text."""
-
-    name: str
-    unit: str = ""
-    is_text: bool = False
-
-
-@dataclass(frozen=True)
-class TimeColumn:
-    """Which column tells the time.
-
-    Attributes
-    ----------
-    unit : of its numbers; DATED or CLOCKED for stamps; "" where nothing states it.
-    why : how the unit is known, in a word or two.
-    first : (n,) its first values, where `unit` is "".
-    nanoseconds : the column that holds what is missing of a second; -1 where none does.
-    """
-
-    index: int
-    name: str
-    unit: str
-    why: str = "stated"
-    first: FloatArray = field(default_factory=lambda: np.empty(0), compare=False)
-    nanoseconds: int = -1
-
-    @property
-    def unit_ns(self) -> int:
-        """Nanoseconds per unit; 0 for stamps."""
-        return 0 if self.is_stamp else TIME_UNITS_NS[self.unit]
-
-    @property
-    def is_stamp(self) -> bool:
-        """Whether it holds dates or times of day, not numbers."""
-        return self.unit in (DATED, CLOCKED)
-
-    @property
-    def source(self) -> str:
-        """In words, for the stream's `time_source`."""
-        return f"{self.name}: {self.unit}" if self.is_stamp else f"{self.name} in {self.unit}, {self.why}"
+LONGEST_UNIT = 12
+ERASED = b"\xff"
+_LETTER = re.compile(r"[^\W\d_]")
 
 
 @dataclass(frozen=True)
@@ -103,23 +49,29 @@ class Layout:
     Attributes
     ----------
     separator : one byte.
-    decimal_comma : 1,5 means 1.5.
     start : where the first row begins in the file.
+    header : where the header begins; -1 where the table has none.
     columns : one per cell of a line.
     time : None where no column tells the time: rows are numbered.
+    unused_times : columns that are called a time, where none tells it, and why.
     """
 
     separator: bytes
-    decimal_comma: bool
     start: int
+    header: int
     columns: tuple[Column, ...]
     time: TimeColumn | None
+    unused_times: Mapping[str, str] = field(default_factory=dict)
 
     @property
-    def unused_times(self) -> list[str]:
-        """Columns that are called a time, where none tells it."""
-        named = [(column.name, time_name(column.name)) for column in self.columns]
-        return [name for name, says in named if says and says.is_plain] if self.time is None else []
+    def decimal(self) -> str:
+        """The decimal sign of the table: a comma where one of its columns has commas."""
+        return "," if any(c.style.decimal == "," for c in self.columns if not c.is_text) else "."
+
+    def is_plain(self, index: int) -> bool:
+        """Whether the cells of a column are numbers that are read at once, without a look at their text."""
+        column = self.columns[index]
+        return not column.is_text and column.style.is_plain and column.style.decimal == self.decimal
 
 
 @dataclass(frozen=True)
@@ -132,6 +84,34 @@ class _Table:
     told: float
 
 
+@dataclass(frozen=True)
+class _Line:
+    """A line of the head: its place, its text, and whether damage was left out of that."""
+
+    at: int
+    text: str
+    is_damaged: bool = False
+
+
+@dataclass(frozen=True)
+class _Head:
+    """The lines of the head: those of a table, maybe, and their bytes; comments without their marks."""
+
+    lines: list[_Line]
+    comments: list[_Line]
+    size: int
+
+
+@dataclass(frozen=True)
+class _Header:
+    """(name, unit) of every column, the rows below, where the first begins, and where the header does."""
+
+    named: list[tuple[str, str]]
+    rows: list[list[str]]
+    start: int
+    at: int = -1
+
+
 @lru_cache(maxsize=4)  # detection asks twice before the reader does
 def layout_of(head: bytes) -> Layout | None:
     """The layout of a table whose first bytes these are; None where they are no table of numbers.
@@ -139,46 +119,46 @@ def layout_of(head: bytes) -> Layout | None:
     At least half of these bytes must stand in the table's lines: two lines alike in a binary file, or in
     another kind of text, are none.
     """
-    lines, comments, size = _lines(head)
-    if not lines or _OTHER_TEXT.match(lines[0][1]):
+    found = _lines(head)
+    sound = [line for line in found.lines if not line.is_damaged]
+    if not sound or _OTHER_TEXT.match(sound[0].text):
         return None
-    found = [table for s in SEPARATORS if (table := _table(lines, size, s)) is not None]
-    if not found:
+    tables = [t for s in SEPARATORS if (t := _table(sound, found.size, s)) is not None]
+    if not tables:
         return None
-    table = max(found, key=lambda t: (t.told, len(t.rows), len(t.rows[0])))
-    above = [cells_of(text, table.separator) for at, text in comments if at < table.places[0]]
-    names, rows, start = _header(table, above)
-    decimal_comma = table.separator != b"," and _has_decimal_commas(rows)
-    kinds = [_is_text([row[i] for row in rows], decimal_comma) for i in range(len(names))]
-    columns = tuple(Column(n, u, t) for (n, u), t in zip(names, kinds, strict=True))
-    time = _time_column(columns, rows, decimal_comma)
-    if sum(not c.is_text for i, c in enumerate(columns) if time is None or i != time.index) == 0:
+    signed = [t for t in tables if t.separator != BLANKS and 2 * t.told >= 1]
+    most = max((len(t.rows) for t in signed), default=0)
+    chosen = signed if most and all(most >= len(t.rows) for t in tables) else tables
+    table = max(chosen, key=lambda t: (t.told, len(t.rows), len(t.rows[0])))
+    header = _header(table, found)
+    columns = columns_of(header.named, header.rows)
+    time = find_time(columns, header.rows)
+    times = time.parts if time is not None else ()
+    if all(column.is_text for i, column in enumerate(columns) if i not in times):
         return None
-    return Layout(table.separator, decimal_comma, start, columns, time)
+    unused = unused_times(columns, header.rows) if time is None else {}
+    return Layout(table.separator, header.start, header.at, tuple(columns), time, unused)
 
 
-def _table(lines: Sequence[tuple[int, str]], size: int, separator: bytes) -> _Table | None:
+def _table(lines: Sequence[_Line], size: int, separator: bytes) -> _Table | None:
     """The lines that a separator splits alike, if they are a table; words between blanks are none."""
-    split = [(at, line, cells_of(line, separator)) for at, line in lines]
-    counts = Counter(len(row) for _, _, row in split)
+    split = [(line, cells_of(line.text, separator)) for line in lines]
+    counts = Counter(len(row) for _, row in split)
     counts.pop(1, None)
     cells, alike = max(counts.items(), key=lambda c: c[1], default=(0, 0))
-    whole = [each for each in split if len(each[2]) == cells]
-    if alike < 2 or 2 * sum(len(line) + 1 for _, line, _ in whole) < size:
+    whole = [each for each in split if len(each[1]) == cells]
+    if alike < 2 or 2 * sum(len(line.text) + 1 for line, _ in whole) < size:
         return None
-    rows = [row for _, _, row in whole]
-    below = rows[2:] or rows[1:]  # names, units
+    rows = [row for _, row in whole]
+    below = _judged(rows)
     told = sum(_is_value(cell) for row in below for cell in row) / (cells * len(below))
     if separator == BLANKS and told < MOSTLY:
         return None
-    return _Table(separator, [at for at, _, _ in whole], rows, told)
+    return _Table(separator, [line.at for line, _ in whole], rows, told)
 
 
-def _lines(head: bytes) -> tuple[list[tuple[int, str]], list[tuple[int, str]], int]:
-    """(place, text) of the whole lines of the head that are neither blank nor comments nor unprintable.
-
-    Second, the comments, without their marks. Third, the bytes of all lines that are neither.
-    """
+def _lines(head: bytes) -> _Head:
+    """The whole lines of the head that are not blank, without what makes them unprintable."""
     found = []
     comments = []
     at = 0
@@ -187,13 +167,18 @@ def _lines(head: bytes) -> tuple[list[tuple[int, str]], list[tuple[int, str]], i
         line = raw.removeprefix(b"\xef\xbb\xbf") if at == 0 else raw
         text = text_of(line)
         if text.startswith(COMMENT):
-            comments.append((at, text.lstrip("#% \t")))
+            comments.append(_Line(at, text.lstrip("#% \t")))
         elif text.strip() and not is_instruction(text):
             size += len(raw) + 1
-            if is_printable(line):
-                found.append((at, text))
+            is_sound = is_printable(line)
+            found.append(_Line(at, text if is_sound else _cleaned(line), not is_sound))
         at += len(raw) + 1
-    return found, comments, size
+    return _Head(found, comments, size)
+
+
+def _cleaned(line: bytes) -> str:
+    """The text of a line without erased flash in front, and without control characters."""
+    return "".join(c for c in text_of(line.lstrip(ERASED)) if c.isprintable() or c == "\t")
 
 
 def text_of(line: bytes) -> str:
@@ -234,32 +219,67 @@ def cells_of(line: str, separator: bytes) -> list[str]:
     return [part.strip() for part in parts]
 
 
-def _header(
-    table: _Table, comments: Sequence[list[str]]
-) -> tuple[list[tuple[str, str]], list[list[str]], int]:
-    """(name, unit) of every column, the rows below, and where the first row begins.
-
-    `comments` : the cells of those above the table.
-    """
+def _header(table: _Table, head: _Head) -> _Header:
+    """The header of a table, and its rows."""
     rows = table.rows
     first = rows[0]
-    below = rows[2:] or rows[1:]  # a second line may hold units
-    told = [i for i, cells in enumerate(zip(*below, strict=True)) if all(map(_is_value, cells))]
-    if not all(_is_value(first[i]) for i in told or range(len(first))):
+    told = [
+        i
+        for i, cells in enumerate(zip(*_judged(rows), strict=True))
+        if 2 * sum(map(_is_value, cells)) >= len(cells)
+    ]
+    if _names(first, told):
         units = _units(rows[1]) if len(rows) > 2 else []
         count = 2 if units else 1
         start = table.places[count] if len(rows) > count else table.places[0]
-        return _name(first, units), rows[count:], start
+        return _Header(_name(first, units), rows[count:], start, table.places[0])
+    above = [line for line in head.lines if line.at < table.places[0]][-1:]
+    for line in above:
+        names = _fitted(cells_of(line.text, table.separator), rows)
+        words = [bool(_LETTER.search(names[i])) for i in told if names and names[i]]
+        if names and _names(names, told) and 2 * sum(words) >= len(words):
+            return _Header(_name(names, []), rows, table.places[0], line.at)
+    comments = [cells_of(c.text, table.separator) for c in head.comments if c.at < table.places[0]]
     units = _units(comments[-1]) if comments else []
-    names = comments[-2:-1] if units else comments[-1:]
-    if names and len(names[0]) == len(first) and not all(map(_is_value, names[0])):
-        return _name(names[0], units), rows, table.places[0]
-    return _name([""] * len(first), units), rows, table.places[0]
+    named = comments[-2:-1] if units else comments[-1:]
+    if named and len(named[0]) == len(first) and not all(map(_is_value, named[0])):
+        return _Header(_name(named[0], units), rows, table.places[0], 0)
+    return _Header(_name([""] * len(first), units), rows, table.places[0])
+
+
+def _judged(rows: list[list[str]], most: int = 100) -> list[list[str]]:
+    """The rows that are looked at for what kinds of cells a table has: not those of names and units."""
+    below = rows[2:] or rows[1:]
+    return below[:: max(1, len(below) // most)]
+
+
+def _names(cells: Sequence[str], told: Sequence[int]) -> bool:
+    """Whether the cells of a line are names: above columns of numbers stands a word; a dash is none."""
+    judged = told or range(len(cells))
+    return any(not _is_value(cells[i]) and _LETTER.search(cells[i]) for i in judged)
+
+
+def _fitted(names: list[str], rows: Sequence[Sequence[str]]) -> list[str]:
+    """The cells of a header that has another number of them than the rows; [] where a fit is a guess.
+
+    Separators may end all rows, or the header; R leaves out the name of the column that numbers its rows.
+    """
+    count = len(rows[0])
+    if len(names) == count:
+        return names
+    if len(names) == count + 1 and not names[-1]:
+        return names[:-1]
+    if len(names) != count - 1:
+        return []
+    if not any(row[-1] for row in rows):
+        return [*names, ""]
+    is_numbered = all(row[0] == str(number) for number, row in enumerate(rows, 1))
+    return ["", *names] if is_numbered else []
 
 
 def _name(header: Sequence[str], units: Sequence[str]) -> list[tuple[str, str]]:
     """(name, unit) of every column; units of a line of their own come first."""
-    named = [named_and_measured(cell.strip("'"), i) for i, cell in enumerate(header)]
+    named = named_and_measured([cell.strip("'") for cell in header])
     names = once_each([name for name, _ in named])
     if len(units) != len(names):
         units = [""] * len(names)
@@ -267,85 +287,20 @@ def _name(header: Sequence[str], units: Sequence[str]) -> list[tuple[str, str]]:
 
 
 def _units(cells: Sequence[str]) -> list[str]:
-    """The units that a line of cells holds; [] where it holds something else.
+    """The units that a line of cells holds, those that are not known as they are; [] where it has none.
 
-    "1" is a unit, too, but a row of nothing else is one of values.
+    "1" is a unit, too, but a row of nothing else is one of values; so is one with a number above numbers.
     """
     units = [unit_in(cell) for cell in cells]
-    found = [unit for unit in units if unit is not None]
-    return found if len(found) == len(units) and any(unit not in ("", "1") for unit in found) else []
+    if not any(unit not in (None, "", "1") for unit in units):
+        return []
+    if any(unit is None and _is_value(cells[i]) and cells[i] not in MISSING for i, unit in enumerate(units)):
+        return []
+    if any(units[i] is None and len(cells[i]) > LONGEST_UNIT for i in range(len(cells))):
+        return []
+    return [cell.strip("[]() ") if unit is None else unit for cell, unit in zip(cells, units, strict=True)]
 
 
 def _is_value(cell: str) -> bool:
-    """Whether a cell holds a number, a date, or nothing."""
-    if cell in MISSING:
-        return True
-    return any(shape.match(cell) for shape in (_NUMBER, _DECIMAL_COMMA, _STAMP, _CLOCK, _DATE))
-
-
-def _has_decimal_commas(rows: Sequence[Sequence[str]]) -> bool:
-    cells = [cell for row in rows for cell in row]
-    return any(map(_DECIMAL_COMMA.match, cells)) and not any("." in c for c in cells if _NUMBER.match(c))
-
-
-def _is_text(cells: Sequence[str], decimal_comma: bool) -> bool:
-    """Whether a column holds words: fewer than nine in ten of its cells are numbers."""
-    told = [c for c in cells if c not in MISSING]
-    numbers = sum(bool(_NUMBER.match(c.replace(",", ".") if decimal_comma else c)) for c in told)
-    return numbers < MOSTLY * len(told)
-
-
-def _time_column(
-    columns: Sequence[Column], rows: Sequence[Sequence[str]], decimal_comma: bool
-) -> TimeColumn | None:
-    """The column that tells most rows their time, at least half, and rises; the first and plainest of such.
-
-    Rows without a time are counted as lost. Numbering all rows for their sake would invent times. Dates with
-    times of day need no name.
-    """
-    names = [column.name for column in columns]
-    fractions = {name: beside for name in names if (beside := fraction_beside(name, names))}
-    found: list[tuple[int, int, TimeColumn]] = []
-    for index, column in enumerate(columns):
-        says = time_name(column.name)
-        if column.name in fractions.values() or (says is None and not column.is_text):
-            continue
-        told = [row[index] for row in rows if row[index] not in MISSING]
-        time = TimeColumn(index, column.name, column.unit if column.unit in TIME_UNITS_NS else "")
-        if column.is_text:
-            padded = ["0" + cell if cell[1:2] == ":" else cell for cell in told]  # in the order of their text
-            time = replace(time, unit=_kind_of_stamps(told), first=_places(padded))
-            if not (time.unit == DATED or (time.unit and says)):
-                continue
-        elif column.name in fractions:
-            other = names.index(fractions[column.name])
-            whole = [numbers_in([row[index], row[other]], decimal_comma) for row in rows]
-            values = np.array([pair[0] + pair[1] / 1e9 for pair in whole if len(pair) == 2])
-            time = replace(time, unit="s", why=f"with {names[other]}", first=values, nanoseconds=other)
-        else:
-            values = np.array(numbers_in(told, decimal_comma))
-            time = replace(time, unit=time.unit or (says.unit if says else ""), first=values)
-        if rises(time.first, MOVING if says is None or says.is_plain else MOSTLY):
-            rank = 0 if says is None else 1 + says.is_plain
-            found.append((len(time.first), rank, time))
-    count, _, best = max(found, key=lambda each: each[:2], default=(0, 0, None))
-    return best if 2 * count >= len(rows) else None
-
-
-def _places(cells: Sequence[str]) -> FloatArray:
-    """(n,) the place of each text among all in their order."""
-    return np.asarray(np.unique(cells, return_inverse=True)[1], dtype=np.float64)
-
-
-def _kind_of_stamps(cells: Sequence[str]) -> str:
-    """DATED or CLOCKED where most cells are such stamps; "" where they are none."""
-    for shape, kind in ((_STAMP, DATED), (_CLOCK, CLOCKED)):
-        if cells and sum(bool(shape.match(cell)) for cell in cells) >= MOSTLY * len(cells):
-            return kind
-    return ""
-
-
-def numbers_in(cells: Sequence[str], decimal_comma: bool) -> list[float]:
-    """The values of those cells that are numbers."""
-    plain = [cell.replace(",", ".") if decimal_comma else cell for cell in cells]
-    return [float(cell) for cell in plain if _NUMBER.match(cell)]
+    """Whether a cell holds a number, a date, a time, or nothing."""
+    return cell in MISSING or is_number(cell) or is_stamp(cell)

@@ -23,6 +23,7 @@ from flysid.flight import ClockMap, Damage
 from flysid.ingest.formats.base import Limits, Parts, StreamPart, Summary, release
 from flysid.ingest.formats.common.clock import SECOND_NS, IntArray, UtcFit
 from flysid.ingest.formats.common.columns import ByteMatrix, RecordLayout, gather, message_schema
+from flysid.ingest.formats.common.gps_weeks import WEEK_NS, note_of, weeks_lost
 from flysid.ingest.formats.common.vehicle_time import Clocked, Source, VehicleTime
 from flysid.ingest.formats.dataflash.frames import LOOK_AHEAD, Messages, Walker
 from flysid.ingest.formats.dataflash.inner import HEAD
@@ -31,7 +32,6 @@ from flysid.ingest.formats.dataflash.layouts import FMT_ID, HEADER_BYTES, Defini
 SNIFF_BYTES = 16384
 SYSTEM = 1
 GPS_EPOCH_NS = 315_964_800 * SECOND_NS
-WEEK_NS = 7 * 86400 * SECOND_NS
 LEAP_SECONDS = ((1_483_228_800, 18), (1_435_708_800, 17), (1_341_100_800, 16), (1_230_768_000, 15), (0, 14))
 MAX_NS = (1 << 63) - 1
 TELLING = frozenset({"UNIT", "MULT", "FMTU", "MSG", "DSF"})
@@ -100,7 +100,8 @@ def _parts(reader: _Reader, messages: Messages) -> Iterator[StreamPart]:
         time_ns, boots = reader.time.times((SYSTEM, 1, code), rows, clocked.get(code))
         matrix = _matrix(messages, rows, items[code])
         if items[code].name.startswith("GPS"):
-            note_utc(reader.time.fit(), _records(matrix, _layout_of(items[code])), time_ns, boots)
+            records = _records(matrix, _layout_of(items[code]))
+            reader.info.update(note_utc(reader.time.fit(), records, time_ns, boots))
         yield _table(reader, code, matrix, time_ns, boots)
     reader.row += len(messages)
 
@@ -240,18 +241,23 @@ def _gps_ns(records: npt.NDArray[np.void], names: tuple[str, ...]) -> IntArray |
     return records[week].astype(np.int64) * WEEK_NS + records[within].astype(np.int64) * 1_000_000
 
 
-def note_utc(fit: UtcFit, records: npt.NDArray[np.void], time_ns: IntArray, boots: IntArray) -> None:
-    """Anchor vehicle time to UTC by GPS messages that have a fix."""
+def note_utc(
+    fit: UtcFit, records: npt.NDArray[np.void], time_ns: IntArray, boots: IntArray
+) -> dict[str, str]:
+    """Anchor vehicle time to UTC by GPS messages that have a fix; says where their dates lacked weeks."""
     names = records.dtype.names or ()
     gps_ns = _gps_ns(records, names)
     if gps_ns is None:
-        return
+        return {}
     fixed = gps_ns > WEEK_NS
     if "Status" in names and records.dtype["Status"].kind in "iu":
         fixed &= records["Status"] >= 2
+    weeks = weeks_lost(gps_ns[fixed] + GPS_EPOCH_NS)
+    gps_ns = gps_ns + weeks * WEEK_NS
     for boot in np.unique(boots[fixed]).tolist():
         rows = fixed & (boots == boot)
         fit.anchor(boot, time_ns[rows], utc_of_gps(gps_ns[rows]))
+    return {"clock_note": note_of(weeks)} if weeks else {}
 
 
 def utc_of_gps(gps_ns: IntArray) -> IntArray:

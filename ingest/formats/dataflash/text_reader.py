@@ -285,7 +285,7 @@ def _tables(
     for code, (rows, columns) in tables.items():
         time_ns, boots = reader.time.times((SYSTEM, 1, code), rows, clocked.get(code))
         if reader.definitions.items[code].name.startswith("GPS"):
-            note_utc(reader.time.fit(), heads[code], time_ns, boots)
+            reader.info.update(note_utc(reader.time.fit(), heads[code], time_ns, boots))
         yield _table(reader, code, columns, (time_ns, boots))
     reader.row += lines
 

@@ -46,6 +46,7 @@ class MessageId(IntEnum):
     """Messages that are known by their number, before their dialect is."""
 
     HEARTBEAT = 0
+    SYSTEM_TIME = 2
     RADIO_STATUS = 109
     AUTOPILOT_VERSION = 148
 

@@ -21,7 +21,7 @@ from flysid.errors import FormatError
 from flysid.flight import ClockMap, Damage
 from flysid.ingest.formats.base import HEAD_BYTES, Limits, Parts, StreamPart, Summary, release
 from flysid.ingest.formats.common.capture import is_capture
-from flysid.ingest.formats.common.clock import SECOND_NS, SIDE, BoolArray, IntArray, is_outlier
+from flysid.ingest.formats.common.clock import SECOND_NS, SIDE, UNIX_NS, BoolArray, IntArray, is_outlier
 from flysid.ingest.formats.common.columns import (
     ByteMatrix,
     RecordLayout,
@@ -29,10 +29,12 @@ from flysid.ingest.formats.common.columns import (
     gather,
     message_schema,
 )
+from flysid.ingest.formats.common.gps_weeks import weeks_lost
 from flysid.ingest.formats.common.vehicle_time import Clocked, Source, VehicleTime
 from flysid.ingest.formats.mavlink.capture import Capture, holds_mavlink, scan_batch
 from flysid.ingest.formats.mavlink.dialect import DEFAULT, Dialect, load_dialect
 from flysid.ingest.formats.mavlink.frames import LOOK_AHEAD, STAMP_BYTES, Frames, MessageId, Scanner
+from flysid.ingest.formats.mavlink.parameters import EXTENDED, NUMBERS, Encodings, with_values
 from flysid.ingest.formats.mavlink.probing import (
     choose_dialect,
     count_frames,
@@ -74,6 +76,8 @@ class _Reader:
     dialect: Dialect
     scanner: Scanner
     time: VehicleTime = field(default_factory=VehicleTime)
+    encodings: Encodings = field(default_factory=Encodings)
+    weeks_lost: int = 0
     schemas: dict[Source, pa.Schema] = field(default_factory=dict)
     admitted: set[Source] = field(default_factory=set)
     surplus: int = 0
@@ -169,7 +173,9 @@ def _parts(reader: _Reader, frames: Frames) -> Iterator[StreamPart]:
         if source[2] == MessageId.HEARTBEAT:
             _note_vehicle(reader, source, _matrix(frames, rows, layout), layout)
         elif source[2] == MessageId.AUTOPILOT_VERSION:
-            _note_board(reader, _matrix(frames, rows, layout), layout)
+            _note_board(reader, source, _matrix(frames, rows, layout), layout)
+        elif source[2] == MessageId.SYSTEM_TIME:
+            _note_date(reader, _matrix(frames, rows, layout), layout)
         if (name := _time_field(layout)) is not None:
             clocked[source] = reader.time.unwrapped(_read_clock(source, name, rows, frames, layout))
     reader.time.begin(list(clocked.values()), placing, utc=has_utc)
@@ -302,6 +308,8 @@ def _field_values(matrix: ByteMatrix, layout: RecordLayout, name: str) -> IntArr
 
 def _note_vehicle(reader: _Reader, source: Source, matrix: ByteMatrix, layout: RecordLayout) -> None:
     autopilots, kinds = (_field_values(matrix, layout, name) for name in ("autopilot", "type"))
+    for autopilot in np.unique(autopilots).tolist():
+        reader.encodings.note_autopilot(source[:2], autopilot)
     facts = vehicle_facts(reader.dialect, autopilots, kinds)
     if facts:
         reader.time.vehicles.add(source[0])
@@ -322,14 +330,22 @@ def vehicle_facts(
     }
 
 
-def _note_board(reader: _Reader, matrix: ByteMatrix, layout: RecordLayout) -> None:
+def _note_board(reader: _Reader, source: Source, matrix: ByteMatrix, layout: RecordLayout) -> None:
     """The board's own number, 18 bytes; major, minor and patch of flight_sw_version, highest byte first."""
     number = matrix.view(layout.dtype).reshape(len(matrix))["uid2"][-1]
     if number.any():
         reader.info["uid2"] = number.tobytes().hex()
+    reader.encodings.note_capabilities(source[:2], int(_field_values(matrix, layout, "capabilities")[-1]))
     version = int(_field_values(matrix, layout, "flight_sw_version")[-1])
     if version:
         reader.info["firmware"] = ".".join(str(version >> shift & 255) for shift in (24, 16, 8))
+
+
+def _note_date(reader: _Reader, matrix: ByteMatrix, layout: RecordLayout) -> None:
+    """Whether the vehicle's own dates lack weeks; UTC comes from the arrivals."""
+    stated_us = _field_values(matrix, layout, "time_unix_usec")
+    dates_us = stated_us[(stated_us > UNIX_NS // 1000) & (stated_us < MAX_NS // 1000)]
+    reader.weeks_lost = max(reader.weeks_lost, weeks_lost(dates_us * 1000))
 
 
 def _short(enum_name: str) -> str:
@@ -355,6 +371,9 @@ def _table(
         reader.schemas[source] = message_schema(layout.columns, metadata, received=received is not None)
     heads = times if received is None else (*times, received)
     table = layout.table(reader.schemas[source], heads, matrix)
+    if layout.name in NUMBERS | EXTENDED:
+        records = matrix.view(layout.dtype).reshape(len(matrix))
+        table = with_values(table, reader.encodings, layout.name, source[:2], records)
     return StreamPart(f"{source[0]}.{source[1]}/{layout.name}", table)
 
 
@@ -411,6 +430,11 @@ def _info(reader: _Reader) -> Mapping[str, str]:
                 f"the station's clock was set by {times[0] / SECOND_NS:+,.1f} s in boot {boot}{more}, or the "
                 "link was later by as much from then on; the UTC is that of the longest part"
             )
+    if reader.weeks_lost:
+        notes.append(
+            f"the vehicle's own dates (SYSTEM_TIME) lie {reader.weeks_lost:,} weeks low, as its GPS receiver "
+            "counts weeks in ten bits; they are kept as recorded"
+        )
     note = {"clock_note": "; ".join(notes)} if notes else {}
     about = {"dialect": reader.dialect.name, "timestamps": stamps, "clock_system": main}
     return {**about, **note, **reader.info}

@@ -24,9 +24,12 @@ from flysid.flight import BOOT, RECEIVED, TIME
 from flysid.ingest.formats.base import Limits, Parts, StreamPart, Summary
 from flysid.ingest.formats.common.columns import Field, IntArray, numbers, schema_field
 from flysid.ingest.formats.common.line_batches import whole_lines
+from flysid.ingest.formats.common.odd_cells import OddCells
 from flysid.ingest.formats.common.tally import Tally
 from flysid.ingest.formats.common.vehicle_time import Clocked, Source, VehicleTime
 from flysid.ingest.formats.mavlink.dialect import load_dialect
+from flysid.ingest.formats.mavlink.parameters import NUMBERS, REAL32, SENT, VALUE, Encodings
+from flysid.ingest.formats.messages.json_schema import as_numbers
 
 MAX_LINE_BYTES = 1 << 20
 MAX_NS = 1 << 62
@@ -73,6 +76,9 @@ class _Reader:
     schemas: dict[Source, pa.Schema] = field(default_factory=dict)
     ids: dict[str, int] = field(default_factory=dict)
     formats: dict[str, dict[str, pa.DataType]] = field(default_factory=dict)
+    encodings: Encodings = field(default_factory=Encodings)
+    rows: dict[Source, int] = field(default_factory=dict)
+    odd: OddCells = field(default_factory=OddCells)
     lost_to: int = -1
 
 
@@ -93,6 +99,7 @@ def read(view: memoryview, name: str, limits: Limits) -> Parts:
             byte=0,
             hint="write it with: mavlogdump.py --format json",
         )
+    reader.odd.tell(reader.tally, place="message")
     for source, rejected in reader.time.outliers.items():
         reader.tally.time_outliers[_stream(reader, source)] += rejected
     for source, late in reader.time.out_of_order.items():
@@ -153,6 +160,7 @@ def _parts(reader: _Reader, messages: list[_Message]) -> Iterator[StreamPart]:
         if message.kind == "FMT":
             _note_format(reader, message.data)
         groups.setdefault(_source(reader, message), []).append(row)
+        _note_encoding(reader.encodings, message)
         if message.kind == "HEARTBEAT" and message.data.get("autopilot") != 8:
             reader.time.vehicles.add(message.sender[0])
     arrival = np.array([message.stamp_ns for message in messages], dtype=np.int64)
@@ -167,6 +175,17 @@ def _parts(reader: _Reader, messages: list[_Message]) -> Iterator[StreamPart]:
         picked = np.array(rows, dtype=np.int64)
         times = reader.time.times(source, picked, clocked.get(source))
         yield _part(reader, source, [messages[row] for row in rows], times, arrival[picked])
+
+
+def _note_encoding(encodings: Encodings, message: _Message) -> None:
+    """What a message tells of how its sender packs parameters."""
+    told = message.data.get(
+        {"HEARTBEAT": "autopilot", "AUTOPILOT_VERSION": "capabilities"}.get(message.kind, "")
+    )
+    if isinstance(told, int) and message.kind == "HEARTBEAT":
+        encodings.note_autopilot(message.sender, told)
+    elif isinstance(told, int):
+        encodings.note_capabilities(message.sender, told)
 
 
 def _source(reader: _Reader, message: _Message) -> Source:
@@ -234,23 +253,34 @@ def _part(
 ) -> StreamPart:
     stream = _stream(reader, source)
     if source not in reader.schemas:
-        reader.schemas[source] = _schema(reader, source, messages[0])
+        reader.schemas[source] = _schema(reader, source, messages)
     schema = reader.schemas[source]
     own = [(item, item.name.removesuffix("_") if item.name[:-1] in HEADS else item.name) for item in schema]
     own = own[len(HEADS) :]
-    columns = [_column(reader, stream, item, [m.data.get(key) for m in messages]) for item, key in own]
+    before = reader.rows.get(source, 0)
+    reader.rows[source] = before + len(messages)
+    columns = [
+        _column(reader, f"{stream}.{item.name}", item.type, [m.data.get(key) for m in messages], before)
+        for item, key in own
+    ]
     _count_strangers(reader, stream, {key for _, key in own}, messages)
+    if messages[0].kind in NUMBERS:
+        at = next(k for k, (item, _) in enumerate(own) if item.name == VALUE)
+        columns[at] = _parameters(reader, f"{stream}.{VALUE}", messages, before)
     heads = [numbers(times[0]), numbers(times[1].astype(np.int32)), numbers(arrival)]
     return StreamPart(stream, pa.Table.from_arrays([*heads, *columns], schema=schema))
 
 
-def _schema(reader: _Reader, source: Source, first: _Message) -> pa.Schema:
+def _schema(reader: _Reader, source: Source, messages: list[_Message]) -> pa.Schema:
     """time_ns, boot, recv_ns, then the message's fields."""
     own = list(load_dialect().layout(source[2]).columns) if source[2] < FIRST_OTHER else []
+    first = messages[0]
     if not own:
-        kinds = reader.formats.get(first.kind) or {name: _guess(v) for name, v in first.data.items()}
+        kinds = reader.formats.get(first.kind) or _guesses(messages)
         own = [schema_field(Field(name), kind) for name, kind in kinds.items()]
     heads = [pa.field(TIME, pa.int64()), pa.field(BOOT, pa.int32()), pa.field(RECEIVED, pa.int64())]
+    if first.kind in NUMBERS:
+        own = [item.with_type(pa.float64()) if item.name == VALUE else item for item in own]
     fields = [item.with_name(item.name + "_") if item.name in HEADS else item for item in own]
     metadata = {"time_source": reader.time.source_of(source), "message": first.kind}
     if any(first.sender):
@@ -258,21 +288,61 @@ def _schema(reader: _Reader, source: Source, first: _Message) -> pa.Schema:
     return pa.schema(heads + fields, metadata=metadata)
 
 
-def _guess(value: object) -> pa.DataType:
-    """The type of a column of which one value is known."""
-    if isinstance(value, list):
+def _guesses(messages: list[_Message]) -> dict[str, pa.DataType]:
+    """The types of fields that no definition states: what most of the first values are."""
+    values: dict[str, list[object]] = {}
+    for message in messages:
+        for name, value in message.data.items():
+            values.setdefault(name, []).append(value)
+    return {name: _guess([v for v in told if v is not None]) for name, told in values.items()}
+
+
+def _guess(values: list[object]) -> pa.DataType:
+    lists, texts = (sum(isinstance(value, kind) for value in values) for kind in (list, str))
+    if 2 * lists > len(values):
         return pa.list_(pa.float64())
-    return pa.string() if isinstance(value, str) else pa.float64()
+    return pa.string() if 2 * texts > len(values) else pa.float64()
 
 
-def _column(reader: _Reader, stream: str, item: pa.Field, values: list[Any]) -> pa.Array:
-    """A column; null where a value does not fit its type, and counted."""
+def _column(reader: _Reader, name: str, kind: pa.DataType, values: list[Any], before: int) -> pa.Array:
+    """A column; null where a value does not fit its type, and counted, behind as many rows before."""
     try:
-        return pa.array(values, item.type)
+        return pa.array(values, kind)
     except (pa.ArrowException, OverflowError, TypeError, ValueError):
-        fits = [_fits(value, item.type) for value in values]
-    reader.tally.undecode(f"{stream}.{item.name}", fits.count(False), f"not {item.type}")
-    return pa.array([v if fit else None for v, fit in zip(values, fits, strict=True)], item.type)
+        pass
+    if pa.types.is_floating(kind):
+        array, wrong = as_numbers(values)
+        if wrong:
+            reader.odd.note(name, [before + 1 + place for place in wrong], str(values[wrong[0]]))
+        return array.cast(kind)
+    fits = [_fits(value, kind) for value in values]
+    reader.tally.undecode(name, fits.count(False), f"not {kind}")
+    return pa.array([v if fit else None for v, fit in zip(values, fits, strict=True)], kind)
+
+
+def _parameters(reader: _Reader, name: str, messages: list[_Message], before: int) -> pa.Array:
+    """The values of parameters; null, and noted, where bytes of an integer were printed as no number."""
+    with np.errstate(over="ignore"):
+        printed = np.array([_number(m.data.get(VALUE)) for m in messages], dtype=np.float64).astype(
+            np.float32
+        )
+    kinds = np.array([_number(m.data.get("param_type"), 0) for m in messages]).astype(np.int64)
+    owners = []
+    for message in messages:
+        target = [_number(message.data.get(f"target_{part}"), 0) for part in ("system", "component")]
+        system, component = message.sender if message.kind == SENT else (int(part) for part in target)
+        owners.append(system * 256 + component)
+    found = reader.encodings.decode(np.array(owners), printed, kinds)
+    lost = np.isnan(printed) & (kinds != REAL32)
+    if lost.any():
+        reader.odd.note(name, (before + 1 + np.flatnonzero(lost)).tolist(), "NaN")
+    kept = zip(found.tolist(), lost.tolist(), strict=True)
+    return pa.array([None if is_lost else value for value, is_lost in kept], pa.float64())
+
+
+def _number(value: object, instead: float = float("nan")) -> float:
+    """A printed number; `instead` where it is none."""
+    return float(value) if isinstance(value, int | float) else instead
 
 
 def _fits(value: object, kind: pa.DataType) -> bool:

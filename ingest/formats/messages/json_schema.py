@@ -2,15 +2,15 @@
 
 The fast way: all messages of a batch, one a line, through Arrow's JSON reader with the schema's types. What
 that refuses (NaN literals, numbers of another type than declared, duplicate keys) goes message by message
-through the json module, with types inferred. Objects flatten to dotted names; arrays become
-lists.
+through the json module, with types inferred: a field whose values are mostly numbers is one of numbers.
+Objects flatten to dotted names; arrays become lists.
 """
 
 from __future__ import annotations
 
 import io
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -18,7 +18,10 @@ import numpy as np
 import pyarrow as pa
 
 from flysid.flight import field_metadata
+from flysid.ingest.formats.common.arrow_arrays import strings
 from flysid.ingest.formats.common.gather import Bytes, Index
+from flysid.ingest.formats.common.odd_cells import OddCells
+from flysid.ingest.formats.common.table_numbers import PLAIN, floats
 
 MAX_DEPTH = 32
 MAX_PROPERTIES = 20_000
@@ -108,8 +111,14 @@ def _type(
     return None
 
 
-def decode_json(data: Bytes, at: Index, size: Index, layout: JsonLayout) -> tuple[pa.Table, Index]:
-    """Columns of the messages data[at : at + size] and the numbers of those that are JSON objects."""
+def decode_json(
+    data: Bytes, at: Index, size: Index, layout: JsonLayout, odd: OddCells
+) -> tuple[pa.Table, Index]:
+    """Columns of the messages data[at : at + size] and the numbers of those that are JSON objects.
+
+    Values that are no numbers, in fields that mostly are, are null and noted in `odd` with their messages,
+    1 for the first.
+    """
     table = _read_lines(data, at, size, layout)
     if table is not None:
         return _flatten(table), np.arange(len(at))
@@ -123,7 +132,8 @@ def decode_json(data: Bytes, at: Index, size: Index, layout: JsonLayout) -> tupl
         if isinstance(value, dict):
             objects.append(value)
             kept.append(number)
-    return _from_objects(objects, layout), np.array(kept, dtype=np.int64)
+    numbers = np.array(kept, dtype=np.int64)
+    return _from_objects(objects, layout, odd, numbers + 1), numbers
 
 
 def _read_lines(data: Bytes, at: Index, size: Index, layout: JsonLayout) -> pa.Table | None:
@@ -172,14 +182,20 @@ def _flatten(table: pa.Table) -> pa.Table:
     return table.combine_chunks()
 
 
-def _from_objects(objects: list[dict[str, Any]], layout: JsonLayout) -> pa.Table:
-    """Dotted columns of decoded objects; a column whose values do not agree becomes JSON text."""
+def _from_objects(
+    objects: list[dict[str, Any]], layout: JsonLayout, odd: OddCells, numbers: Index
+) -> pa.Table:
+    """Dotted columns of decoded objects, which are those messages."""
     columns: dict[str, list[Any]] = {}
     for number, item in enumerate(objects):
         for path, value in _leaves(item, "", 0):
             columns.setdefault(path, [None] * len(objects))[number] = value
     declared = {} if layout.schema is None else _dotted(layout.schema)
-    arrays = {path: _array(values, declared.get(path)) for path, values in columns.items()}
+    arrays = {}
+    for path, values in columns.items():
+        arrays[path], wrong = _array(values, declared.get(path))
+        if wrong:
+            odd.note(path, numbers[wrong].tolist(), str(values[wrong[0]]))
     missing = {path: pa.nulls(len(objects), kind) for path, kind in declared.items() if path not in arrays}
     arrays.update(missing)
     order = [*(p for p in declared if p in arrays), *(p for p in arrays if p not in declared)]
@@ -200,14 +216,44 @@ def _dotted(schema: pa.Schema) -> dict[str, pa.DataType]:
     return dict(zip(flat.schema.names, flat.schema.types, strict=True))
 
 
-def _array(values: list[Any], declared: pa.DataType | None) -> pa.Array:
-    """Values under the declared type, else under one that fits them all, else as JSON text."""
+def _array(values: list[Any], declared: pa.DataType | None) -> tuple[pa.Array, list[int]]:
+    """Values under the declared type, else under one that fits them all, else as numbers or as JSON text.
+
+    They are numbers where at least half of them are, or where those are declared; second, the places of those
+    that are none. Numbers in quotes are numbers.
+    """
     for kind in (declared, None):
         try:
-            return pa.array(values, kind) if kind is not None else _infer(values)
+            return (pa.array(values, kind) if kind is not None else _infer(values)), []
         except (pa.ArrowInvalid, pa.ArrowTypeError, OverflowError, pa.ArrowNotImplementedError):
             continue
-    return pa.array([None if v is None else json.dumps(v) for v in values], pa.string())
+    told = [value for value in values if value is not None]
+    is_declared = declared in (pa.float64(), pa.int64())
+    if is_declared or 2 * sum(isinstance(v, int | float) for v in told) >= len(told):
+        return as_numbers(values)
+    return pa.array([None if v is None else json.dumps(v) for v in values], pa.string()), []
+
+
+def as_numbers(values: Sequence[object]) -> tuple[pa.Array, list[int]]:
+    """Values of JSON as numbers, numbers in quotes among them; null, and told by their places, where not.
+
+    Examples
+    --------
+    >>> as_numbers([1, "2.5", None, "x"])[1]
+    [3]
+    """
+    is_text = [isinstance(value, str) for value in values]
+    told, wrong = floats(strings([v.strip() if isinstance(v, str) else "" for v in values]), PLAIN)
+    found = [
+        text if quoted else float(value) if isinstance(value, int | float) else None
+        for value, quoted, text in zip(values, is_text, told.to_pylist(), strict=True)
+    ]
+    lost = [
+        place
+        for place, value in enumerate(values)
+        if (wrong[place] if is_text[place] else not isinstance(value, int | float | None))
+    ]
+    return pa.array(found, pa.float64()), lost
 
 
 def _infer(values: list[Any]) -> pa.Array:

@@ -13,6 +13,7 @@ from flysid.ingest.formats.base import StreamPart
 from flysid.ingest.formats.common import arrow_arrays
 from flysid.ingest.formats.common.clock import UNIX_NS
 from flysid.ingest.formats.common.gather import Bytes, Index
+from flysid.ingest.formats.common.odd_cells import OddCells
 from flysid.ingest.formats.common.px4_units import px4_topic, px4_unit
 from flysid.ingest.formats.common.tally import Tally
 from flysid.ingest.formats.messages.cdr import (
@@ -59,13 +60,14 @@ class Messages:
 class Decoded:
     """Columns of the messages numbered `kept`, in that order, and metadata by column.
 
-    `longer` of the others go on behind what their definition says.
+    `longer` of the others go on behind what their definition says. `odd` are values that could not be kept.
     """
 
     columns: Columns
     kept: Index
     notes: Mapping[str, dict[bytes, bytes] | None]
     longer: int = 0
+    odd: OddCells | None = None
 
 
 Decoder = Callable[[Messages], Decoded]
@@ -93,9 +95,10 @@ def _json_decoder(raw: bytes) -> Decoder:
     layout = parse_json_schema(raw)
 
     def decode_batch(messages: Messages) -> Decoded:
-        table, kept = decode_json(messages.data, messages.at, messages.size, layout)
+        odd = OddCells()
+        table, kept = decode_json(messages.data, messages.at, messages.size, layout, odd)
         columns = [(n, _whole(c)) for n, c in zip(table.column_names, table.columns, strict=True)]
-        return Decoded(columns, kept, layout.notes)
+        return Decoded(columns, kept, layout.notes, odd=odd)
 
     return decode_batch
 
@@ -232,6 +235,8 @@ class Topic:
         except (UnevenError, OverflowError, DefinitionError) as error:
             tally.undecode(self.channel.topic, len(messages.at), str(error))
             return
+        if decoded.odd is not None:
+            decoded.odd.tell(tally, prefix=f"{self.channel.topic}.", before=self.rows, place="message")
         lost = len(messages.at) - len(decoded.kept)
         tally.undecode(self.channel.topic, decoded.longer, "bytes remain after the end of its definition")
         tally.undecode(self.channel.topic, lost - decoded.longer, "the message does not fit its definition")

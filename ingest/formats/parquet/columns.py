@@ -15,8 +15,15 @@ import pyarrow.compute as pc
 
 from flysid.flight import BOOT, TIME
 from flysid.ingest.formats.common.arrow_arrays import free_name
-from flysid.ingest.formats.common.table_columns import fraction_beside, named_and_measured, time_name
-from flysid.ingest.formats.common.table_times import MOSTLY, MOVING, TIME_UNITS_NS
+from flysid.ingest.formats.common.table_columns import fraction_beside, named_and_measured, time_name, unit_in
+from flysid.ingest.formats.common.table_numbers import MISSING, Style
+from flysid.ingest.formats.common.table_times import MOSTLY, MOVING, NO_TURN, Turn
+from flysid.ingest.formats.common.time_columns import Column as TextColumn
+from flysid.ingest.formats.common.time_columns import TimeColumn as TextTime
+from flysid.ingest.formats.common.time_columns import columns_of as text_columns
+from flysid.ingest.formats.common.time_columns import turn_of
+from flysid.ingest.formats.common.time_units import TIME_UNITS_NS, TimeUnit
+from flysid.ingest.formats.parquet.stretches import DAMAGE
 from flysid.stretch import FloatArray
 
 UNNAMED = "__index_level_"  # what pandas calls an index without a name
@@ -35,11 +42,13 @@ class Column:
     top : name of the file's column that holds its values.
     place : which of the columns of that name, counted from 0; then the fields of its structs by number.
     field : name, plain type and metadata in the table that is made of it.
+    style : of text that holds numbers: how they are spelled; None where the file's values are taken.
     """
 
     top: str
     place: tuple[int, ...]
     field: pa.Field
+    style: Style | None = None
 
 
 @dataclass(frozen=True)
@@ -51,6 +60,8 @@ class TimeColumn:
     unit : of its numbers; "" where nothing states it, DATES for stamps.
     ticks : (first, step) of an index that pandas stored as a rule instead of a column.
     moving : the share of its steps that must go forwards for it to be the rows' time.
+    counted : how numbers count the time, once that is known.
+    text : of times in text, maybe in several columns: how they are read.
     """
 
     name: str
@@ -58,28 +69,120 @@ class TimeColumn:
     why: str = "stated"
     ticks: tuple[int, int] | None = None
     moving: float = MOVING
+    counted: TimeUnit | None = None
+    text: TextTime | None = None
 
     @property
     def shown(self) -> str:
         """As a person calls it."""
         return "the index" if self.name.startswith(UNNAMED) else self.name
 
+    @property
+    def source(self) -> str:
+        """In words, for the stream's `time_source`."""
+        if self.text is not None:
+            return self.text.source
+        if self.counted is None:
+            return f"{self.shown}: {DATES}"
+        return f"{self.shown} in {self.counted.unit}, {self.counted.why}"
 
-def columns_of(schema: pa.Schema) -> tuple[list[Column], dict[str, str]]:
-    """The columns that can be kept, structs taken apart; and the types of those that cannot."""
+    @property
+    def turn(self) -> Turn:
+        """When its times begin anew."""
+        if self.text is not None:
+            return self.text.turn
+        return NO_TURN if self.counted is None else turn_of(self.counted)
+
+
+@dataclass(frozen=True)
+class Sample:
+    """The first rows as text: the columns that can be printed, with their kinds, and their cells.
+
+    `places` are those columns in the file: a name, and which of the columns of that name, counted from 0.
+    """
+
+    places: tuple[tuple[str, int], ...] = ()
+    columns: tuple[TextColumn, ...] = ()
+    rows: tuple[tuple[str, ...], ...] = ()
+
+    def style(self, top: str, nth: int) -> Style | None:
+        """How the numbers in a column of text are spelled; None where it holds no numbers."""
+        index = self.places.index((top, nth)) if (top, nth) in self.places else -1
+        told = index >= 0 and any(row[index] not in MISSING for row in self.rows)
+        return self.columns[index].style if told and not self.columns[index].is_text else None
+
+
+def sample_of(table: pa.Table) -> Sample:
+    """The first rows of a file as text."""
+    seen: Counter[str] = Counter()
+    places = []
+    texts = []
+    for field, column in zip(table.schema, table.columns, strict=True):
+        nth = seen[field.name]
+        seen[field.name] += 1
+        if not is_cell(field.type):
+            continue
+        try:
+            values = (as_text(column) if _is_text(field.type) else column).to_pylist()
+        except DAMAGE:  # a date that no calendar has
+            continue
+        places.append((field.name, nth))
+        texts.append([_cell(value) for value in values])
+    rows = tuple(zip(*texts, strict=True))
+    named = named_and_measured([name for name, _ in places])
+    return Sample(tuple(places), tuple(text_columns(named, rows)), rows)
+
+
+def is_cell(kind: pa.DataType) -> bool:
+    """Whether values of a type may tell a time when they are printed."""
+    types = pa.types
+    tests = (types.is_integer, types.is_floating, types.is_date, types.is_time, _is_text)
+    return any(test(kind) for test in tests)
+
+
+def _is_text(kind: pa.DataType) -> bool:
+    kind = kind.value_type if pa.types.is_dictionary(kind) else kind
+    return bool(pa.types.is_string(kind) or pa.types.is_large_string(kind))
+
+
+def _cell(value: Any) -> str:
+    return "" if value is None else str(value).strip()
+
+
+def as_text(column: pa.Array) -> pa.Array:
+    """Values as the cells of a table in text."""
+    if pa.types.is_dictionary(column.type):
+        column = column.cast(column.type.value_type)
+    column = column.cast(pa.string())
+    try:
+        return pc.fill_null(pc.utf8_trim_whitespace(column), "")
+    except pa.ArrowInvalid:  # bytes that are no UTF-8
+        values = column.cast(pa.binary()).to_pylist()
+        return pa.array([(value or b"").decode("utf-8", "replace").strip() for value in values], pa.string())
+
+
+def columns_of(schema: pa.Schema, sample: Sample) -> tuple[list[Column], dict[str, str]]:
+    """The columns that can be kept, structs taken apart; and the types of those that cannot.
+
+    Text whose first cells are mostly numbers is a column of numbers.
+    """
+    leaves = _leaves(schema)
+    labels = [".".join(path) for path, _, _ in leaves]
+    named = named_and_measured(["index" if label.startswith(UNNAMED) else label for label in labels])
     found: list[Column] = []
     refused: dict[str, str] = {}
     taken: set[str] = {TIME, BOOT}
-    for path, place, field in _leaves(schema):
-        label = ".".join(path)
+    for (path, place, field), label, (wanted, unit) in zip(leaves, labels, named, strict=True):
         kind = plain_type(field.type)
         if kind is None:
             refused[label] = str(field.type)
             continue
-        name, unit = named_and_measured("index" if label.startswith(UNNAMED) else label, len(found))
-        name = free_name(name, taken)
+        style = sample.style(path[0], place[0]) if len(path) == 1 and _is_text(field.type) else None
+        name = free_name(wanted, taken)
         taken.add(name)
-        found.append(Column(path[0], place, pa.field(name, kind, metadata=_metadata(field, unit))))
+        metadata = _metadata(field, unit or ((unit_in(style.unit) or "") if style else ""))
+        kept = pa.field(name, kind if style is None else pa.float64(), metadata=metadata)
+        found.append(Column(path[0], place, kept, style))
     return found, refused
 
 
@@ -173,12 +276,13 @@ def time_candidates(schema: pa.Schema) -> list[TimeColumn]:
     others = [name for name in schema.names if name not in index]
     found = [time for rule in told if isinstance(rule, dict) and (time := _time_by_rule(rule))]
     late: list[TimeColumn] = []
+    bares = dict(zip(schema.names, named_and_measured(schema.names), strict=True))
     for name in [*index, *others]:
         if schema.names.count(name) != 1 or fraction_beside(name, schema.names):
             continue
         field = schema.field(name)
         kind = field.type
-        bare, unit = named_and_measured(name, 0)
+        bare, unit = bares[name]
         says = time_name(bare)
         is_plain = name in index or (says is not None and says.is_plain)
         if pa.types.is_timestamp(kind) or pa.types.is_duration(kind) or pa.types.is_time64(kind):
@@ -191,12 +295,6 @@ def time_candidates(schema: pa.Schema) -> list[TimeColumn]:
             time = TimeColumn(name, own, moving=MOVING if is_plain else MOSTLY)
             (found if is_plain or says is None else late).append(time)
     return found + late
-
-
-def called_times(schema: pa.Schema) -> list[str]:
-    """The columns that are called a time, whether they can tell it or not."""
-    named = [(name, time_name(named_and_measured(name, 0)[0])) for name in schema.names]
-    return [name for name, says in named if says and says.is_plain]
 
 
 def _index_of_pandas(schema: pa.Schema) -> list[Any]:

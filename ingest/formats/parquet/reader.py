@@ -8,7 +8,7 @@ group at a time; where a group is damaged, its columns are read one by one, and 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 import pyarrow as pa
@@ -19,38 +19,26 @@ from flysid.errors import FormatError
 from flysid.flight import BOOT, ROW_NUMBER, TIME
 from flysid.ingest.formats.base import Limits, Parts, StreamPart, Summary
 from flysid.ingest.formats.common.arrow_arrays import numeric
-from flysid.ingest.formats.common.clock import SECOND_NS, BoolArray, IntArray, is_outlier
-from flysid.ingest.formats.common.table_times import (
-    TIME_UNITS_NS,
-    UNUSED,
-    TableClock,
-    rises,
-    time_unit,
-    to_ns,
-)
+from flysid.ingest.formats.common.clock import is_outlier
+from flysid.ingest.formats.common.odd_cells import OddCells
+from flysid.ingest.formats.common.table_numbers import floats
+from flysid.ingest.formats.common.table_times import NO_TURN, TableClock
 from flysid.ingest.formats.common.tally import Tally
-from flysid.ingest.formats.parquet.columns import (
-    DATES,
-    Column,
-    TimeColumn,
-    as_floats,
-    called_times,
-    columns_of,
-    plain,
-    time_candidates,
-)
+from flysid.ingest.formats.common.time_columns import unused_times
+from flysid.ingest.formats.parquet.columns import Column, Sample, TimeColumn, as_text, columns_of, plain
 from flysid.ingest.formats.parquet.stretches import (
     CELL_BYTES,
     DAMAGE,
     FREE_BYTES,
     RowGroup,
     Stretches,
+    cells,
     first_line,
     open_file,
     spelt_bytes,
     too_large,
 )
-from flysid.stretch import FloatArray
+from flysid.ingest.formats.parquet.times import columns_of_time, find_time, sample_rows, times_in
 from flysid.tabular import FORMAT as DATASET
 from flysid.tabular import META
 
@@ -71,13 +59,20 @@ class _Reader:
     columns: list[Column]
     schema: pa.Schema
     time: TimeColumn | None
+    sample: Sample
     limits: Limits
     size: int
     tally: Tally = field(default_factory=Tally)
     clock: TableClock = field(default_factory=TableClock)
+    odd: OddCells = field(default_factory=OddCells)
     rows: int = 0
     read_to: int = 0
     spelt: int = 0  # bytes of text so far
+
+    @property
+    def timing(self) -> set[str]:
+        """Names of the file's columns without which no row has a time."""
+        return set() if self.time is None else columns_of_time(self.time, self.sample)
 
 
 def read(view: memoryview, name: str, limits: Limits) -> Parts:
@@ -89,28 +84,31 @@ def read(view: memoryview, name: str, limits: Limits) -> Parts:
             "this is a dataset that flysid wrote, not a log", path=name, hint=f"flysid fit {name} -o RUN"
         )
     groups = list(_groups(file, len(view), limits))
-    columns, refused = columns_of(schema)
     large = too_large(file, [g.number for g in groups if g.is_sound and not g.fault], limits)
+    kept = pa.schema([each for each in schema if each.name not in large], schema.metadata)
+    sample = sample_rows(file, groups, kept)
+    columns, refused = columns_of(schema, sample)
     columns = [column for column in columns if column.top not in large]
-    time = _time_of(file, groups, schema, limits.time_unit, name)
-    source = ROW_NUMBER if time is None else _source(time)
+    time = find_time(file, groups, kept, sample, limits, name)
+    source = ROW_NUMBER if time is None else time.source
     made = pa.schema(
         [pa.field(TIME, pa.int64()), pa.field(BOOT, pa.int32()), *(c.field for c in columns)],
         metadata={"time_source": source, "message": STREAM},
     )
     if not columns:
         raise FormatError("a parquet file without a column of numbers or words", path=name)
-    reader = _Reader(file, columns, made, time, limits, len(view))
+    reader = _Reader(file, columns, made, time, sample, limits, len(view))
     for label, kind in refused.items():
         reader.tally.undecode(f"{STREAM}.{label}", file.metadata.num_rows, f"columns of {kind} are not read")
     for label, why in large.items():
         reader.tally.undecode(f"{STREAM}.{label}", file.metadata.num_rows, why)
     if time is None:
-        for label in called_times(schema):
-            reader.tally.undecode(f"{STREAM}.{label}", file.metadata.num_rows, UNUSED)
+        for label, why in unused_times(sample.columns, sample.rows).items():
+            reader.tally.undecode(f"{STREAM}.{label}", file.metadata.num_rows, why)
     for group in groups:
         yield from _parts(reader, group)
     missing = file.metadata.num_rows - sum(group.rows for group in groups)
+    reader.odd.tell(reader.tally)
     if missing:
         reader.tally.undecode(STREAM, abs(missing), "the footer's counts of rows disagree")
     if reader.clock.late:
@@ -181,79 +179,6 @@ def _place(file: pq.ParquetFile, number: int, size: int, limits: Limits) -> RowG
     return RowGroup(number, group.num_rows, max(0, start), min(size, start + packed), fault)
 
 
-# ------------------------------------------------------------------------------------------------ time
-
-
-def _time_of(
-    file: pq.ParquetFile, groups: list[RowGroup], schema: pa.Schema, told: str, name: str
-) -> TimeColumn | None:
-    """The column that tells the time, with its unit; None where rows are only numbered."""
-    sound = [group for group in groups if not group.fault and group.rows]
-    for time in time_candidates(schema):
-        if time.ticks is None:
-            ends = [_numbers(file, group, time) for group in (*sound[:1], *sound[-1:])]
-        else:
-            ends = [_ticks(time.ticks, file.metadata.num_rows, 0).astype(np.float64)]
-        readable = [values for values in ends if len(values)]
-        if not readable or not rises(readable[0], time.moving):
-            continue
-        if time.unit:
-            return time
-        unit, why = time_unit(time.shown, readable[0], float(readable[-1][-1]), told, name)
-        return replace(time, unit=unit, why=why)
-    return None
-
-
-def _ticks(rule: tuple[int, int], rows: int, before: int) -> IntArray:
-    """(rows,) values of an evenly spaced index behind as many rows before."""
-    return rule[0] + rule[1] * (before + np.arange(rows, dtype=np.int64))
-
-
-def _numbers(
-    file: pq.ParquetFile, group: RowGroup, time: TimeColumn, *, most_bytes: int = FREE_BYTES
-) -> FloatArray:
-    """(n,) the first times of a group and its last ones, as numbers; empty where it cannot be read."""
-    stretches = Stretches.of(file, group, [time.name], most_bytes)
-    first = last = None
-    rows = 0
-    for table in stretches.together():
-        last = table
-        first = table if first is None else first
-        rows += len(table)
-    if first is None or last is None or rows != group.rows:
-        return np.empty(0)
-    ends = [first] if last is first else [first, last]
-    columns = [table[time.name].combine_chunks() for table in ends]
-    try:
-        return np.concatenate([as_floats(c.cast(pa.int64()) if time.unit == DATES else c) for c in columns])
-    except DAMAGE:
-        return np.empty(0)
-
-
-def _source(time: TimeColumn) -> str:
-    return f"{time.shown}: {DATES}" if time.unit == DATES else f"{time.shown} in {time.unit}, {time.why}"
-
-
-def _times(reader: _Reader, table: pa.Table) -> tuple[IntArray, BoolArray]:
-    """(n,) ns of every row, and which rows have a time."""
-    if reader.time is None:
-        first = reader.rows
-        return (first + np.arange(len(table), dtype=np.int64)) * SECOND_NS, np.ones(len(table), dtype=bool)
-    if reader.time.ticks is not None:
-        ticks = _ticks(reader.time.ticks, len(table), reader.rows)
-        return to_ns(ticks.astype(np.float64), TIME_UNITS_NS[reader.time.unit])
-    column = table[reader.time.name].combine_chunks()
-    unit = column.type.unit if reader.time.unit == DATES else reader.time.unit
-    if pa.types.is_floating(column.type):
-        values = column.cast(pa.float64()).to_numpy(zero_copy_only=False)
-        return to_ns(values, TIME_UNITS_NS[unit])
-    whole = column.cast(pa.int64(), safe=False)
-    known = np.asarray(whole.is_valid().to_numpy(zero_copy_only=False), dtype=bool)
-    ticks = np.asarray(whole.fill_null(0).to_numpy(zero_copy_only=False), dtype=np.int64)
-    known &= np.abs(ticks) < (1 << 62) // TIME_UNITS_NS[unit]
-    return np.where(known, ticks, 0) * TIME_UNITS_NS[unit], known
-
-
 # ------------------------------------------------------------------------------------------------ rows
 
 
@@ -268,7 +193,7 @@ def _parts(reader: _Reader, group: RowGroup) -> Iterator[StreamPart]:
             yield from _parts_of(reader, table)
             done += len(table)
         lost = stretches.faults() if done < group.rows else {}
-        if len(lost) == len(names) or (reader.time is not None and reader.time.name in lost):
+        if len(lost) == len(names) or not reader.timing.isdisjoint(lost):
             why = "its time cannot be read"
         elif lost:
             for name, reason in lost.items():
@@ -292,14 +217,16 @@ def _parts_of(reader: _Reader, table: pa.Table) -> Iterator[StreamPart]:
         yield from _parts_of(reader, table.slice(0, half))
         yield from _parts_of(reader, table.slice(half))
         return
-    time_ns, known = _times(reader, table)
-    reader.rows += len(table)
+    time_ns, known = times_in(reader.time, reader.sample, table, reader.rows)
+    turn = NO_TURN if reader.time is None else reader.time.turn
+    time_ns[known] = reader.clock.unwrapped(time_ns[known], turn)
     fits = known.copy()
     fits[known] = ~is_outlier(time_ns[known])
     reader.tally.undecode(STREAM, int((~known).sum()), "rows without a time")
     if strays := int((known & ~fits).sum()):
         reader.tally.time_outliers[STREAM] += strays
     columns = [_kept(reader, column, table) for column in reader.columns]
+    reader.rows += len(table)
     if not fits.all():
         chosen = numeric(fits)
         columns = [column.filter(chosen) for column in columns]
@@ -317,6 +244,8 @@ def _kept(reader: _Reader, column: Column, table: pa.Table) -> pa.Array:
         why = f"its text expands to more than {reader.limits.max_ratio:g} times the file"
         reader.tally.undecode(f"{STREAM}.{column.field.name}", len(values), why)
         return pa.nulls(len(values), column.field.type)
+    if column.style is not None:
+        return _numbers_in(reader, column, values)
     try:
         return plain(values, column.field.type)
     except DAMAGE as error:
@@ -327,12 +256,22 @@ def _kept(reader: _Reader, column: Column, table: pa.Table) -> pa.Array:
 def _values(column: Column, table: pa.Table) -> pa.Array:
     """The cells of a column as the file has them."""
     first, *steps = column.place
-    values = table.column(table.schema.get_all_field_indices(column.top)[first]).combine_chunks()
-    if isinstance(values, pa.ChunkedArray):
-        values = pa.concat_arrays(values.chunks) if values.num_chunks else pa.array([], values.type)
+    values = cells(table, column.top, first)
     for step in steps:
         values = pc.struct_field(values, [step])
     return values
+
+
+def _numbers_in(reader: _Reader, column: Column, values: pa.Array) -> pa.Array:
+    """Text of numbers as numbers; cells that are none are noted with their rows."""
+    assert column.style is not None
+    text = as_text(values)
+    found, wrong = floats(text, column.style)
+    at = np.flatnonzero(wrong)
+    if len(at):
+        rows = (reader.rows + 1 + at).tolist()
+        reader.odd.note(f"{STREAM}.{column.field.name}", rows, text[int(at[0])].as_py())
+    return found
 
 
 def _skip(reader: _Reader, start: int, end: int, why: str) -> None:

@@ -161,6 +161,14 @@ class Stretches:
         yield from self.file.iter_batches(self.size, **chosen)
 
 
+def cells(table: pa.Table, top: str, nth: int = 0) -> pa.Array:
+    """The cells of the column of this name, or of the `nth` of several, as one array."""
+    values = table.column(table.schema.get_all_field_indices(top)[nth]).combine_chunks()
+    if not isinstance(values, pa.ChunkedArray):
+        return values
+    return pa.concat_arrays(values.chunks) if values.num_chunks else pa.array([], values.type)
+
+
 def first_line(error: BaseException) -> str:
     """What an error says, in a line."""
     return (str(error).splitlines() or [type(error).__name__])[0][:200]

@@ -20,6 +20,7 @@ from flysid.ingest.formats.base import StreamPart
 from flysid.ingest.formats.common import arrow_arrays
 from flysid.ingest.formats.common.clock import UNIX_NS, UtcFit
 from flysid.ingest.formats.common.gather import Bytes, Index, numbers, rows
+from flysid.ingest.formats.common.gps_weeks import WEEK_NS, weeks_lost
 from flysid.ingest.formats.common.px4_units import px4_unit
 from flysid.ingest.formats.common.tally import Tally
 from flysid.ingest.formats.ulog.layouts import NUMBERS, UlogLayout
@@ -55,6 +56,7 @@ class DataDecoder:
     tally: Tally
     subscriptions: list[Subscription] = field(default_factory=list)
     utc: UtcFit = field(default_factory=UtcFit)
+    weeks_lost: int = 0
     _previous_ns: dict[int, int] = field(default_factory=dict)
 
     def parts(self, runs: Sequence[DataRun], now_us: int) -> Iterator[StreamPart]:
@@ -129,7 +131,9 @@ class DataDecoder:
             places = np.arange(len(time_ns)) * subscription.layout.size + utc.offset
             utc_us = numbers(records, places, NUMBERS[utc.kind]).astype(np.int64)
             good = (utc_us > UNIX_NS // 1000) & (utc_us < MAX_TIME_US)
-            self.utc.add(0, time_ns[good], utc_us[good] * 1000)
+            lost = weeks_lost(utc_us[good] * 1000)
+            self.weeks_lost = max(self.weeks_lost, lost)
+            self.utc.add(0, time_ns[good], utc_us[good] * 1000 + lost * WEEK_NS)
 
 
 @lru_cache(maxsize=1024)

@@ -20,6 +20,7 @@ from flysid.flight import ClockMap
 from flysid.ingest.formats.base import Limits, Parts, StreamPart, Summary, release
 from flysid.ingest.formats.common.clock import UtcFit
 from flysid.ingest.formats.common.gather import numbers
+from flysid.ingest.formats.common.gps_weeks import note_of
 from flysid.ingest.formats.common.tally import Tally
 from flysid.ingest.formats.ulog.data import AHEAD_US, MAX_TIME_US, DataDecoder, Subscription
 from flysid.ingest.formats.ulog.layouts import (
@@ -79,6 +80,12 @@ class UlogReader:
     def utc(self) -> UtcFit:
         """Pairs of vehicle time and UTC seen so far."""
         return self._decoder.utc
+
+    @property
+    def notes(self) -> dict[str, str]:
+        """What is to be said of the clocks."""
+        weeks = self._decoder.weeks_lost
+        return {"clock_note": note_of(weeks)} if weeks else {}
 
     @property
     def _now_ns(self) -> int:
@@ -329,7 +336,8 @@ def read(view: memoryview, name: str, limits: Limits) -> Parts:
     tally = Tally()
     reader = UlogReader(view, limits, tally)
     yield from reader.parts()
-    return Summary(tally.freeze(), _from_start(reader.utc.clocks(), view), _about(reader.words))
+    about = {**_about(reader.words), **reader.notes}
+    return Summary(tally.freeze(), _from_start(reader.utc.clocks(), view), about)
 
 
 def _about(words: Words) -> dict[str, str]:

@@ -129,3 +129,19 @@ def test_text_that_many_rows_share_is_kept_where_it_is_not_beyond_all_measure(tm
     table = flysid.read(tmp_path / "modes.parquet")["table"]
     assert table["x"].to_pylist() == column.to_pylist()
     assert table["x"].type == pa.string()
+
+
+def test_text_of_times_and_numbers_is_judged_within_bounds() -> None:
+    """The rows by which a table is understood are spelt out as text."""
+    count = 2000
+    long = pa.DictionaryArray.from_arrays(pa.array([0] * count), pa.array(["1" * 1_000_000]))
+    lists = pa.array([[1.0] * 40_000] * 200 + [[]] * (count - 200))
+    times = pa.array([f"2025-04-17 10:00:{k // 50:02d}.{k % 50 * 20:03d}" for k in range(count)])
+    sink = io.BytesIO()
+    table = pa.Table.from_arrays([times, long, lists], ["Date", "x", "lists"])
+    pq.write_table(table, sink, compression="zstd")
+    outcome = Outcome("text")
+    with peak_memory(outcome):
+        for _ in reader.read(memoryview(sink.getvalue()), "t.parquet", Limits()):
+            pass
+    assert (outcome.peak_mb or 0) < MOST_MB, outcome

@@ -337,7 +337,7 @@ def test_missing_is_missing_and_nonsense_is_counted() -> None:
     assert column(flight, "u")[20:] == [None, None, 8.0]
     assert column(flight, "y")[20:] == [None, 5.0, 9.0]
     assert flight.damage.undecoded == {"table.u": 1}
-    assert flight.damage.reasons == {"table.u": "'abc' is not a number"}
+    assert flight.damage.reasons == {"table.u": "'abc' in row 22 is not a number"}
     start = len(f"time,u,y\n{rows}2.0,,nan\n2.1,abc,5\n")
     assert [(r.start, r.end) for r in flight.damage.regions] == [(start, start + len("2.2,7\n"))]
 
@@ -464,13 +464,16 @@ def test_a_table_without_a_header_keeps_its_first_row_where_a_column_holds_words
 
 
 @pytest.mark.parametrize("ahead", [b"\xff" * 3, b"\xff" * 700, b"\x01\x02"])
-def test_a_header_behind_rubbish_is_counted_and_no_row_becomes_one(ahead: bytes) -> None:
+def test_rubbish_ahead_of_a_header_is_counted_and_the_header_is_read(ahead: bytes) -> None:
+    """The header was lost with it, and the times became row numbers."""
     from tests.samplelogs import csv as sample
 
     blob = sample.build()
     flight = collect(memoryview(ahead + blob), "a.csv", all_formats()["csv"], Limits())
-    assert flight.damage.bytes_skipped == len(ahead) + blob.index(b"\n") + 1
+    assert flight.damage.bytes_skipped == len(ahead)
     assert flight.rows == 150
+    assert seconds(flight)[:2] == pytest.approx([100.0, 100.02])
+    assert flight["table"].column_names[2:4] == ["time_s", "pitch_cmd"]
 
 
 def test_a_first_row_of_ones_holds_no_units(tmp_path: Path) -> None:

@@ -43,6 +43,15 @@ def frame_of(count: int = 200) -> pd.DataFrame:
     return pd.DataFrame({"u": np.sin(np.arange(count) / 9), "vx_m_s": np.arange(count) / 7})
 
 
+def damaged(blob: bytes, group: int, name: str) -> bytes:
+    facts = pq.ParquetFile(io.BytesIO(blob)).metadata.row_group(group)
+    chunks = [facts.column(k) for k in range(facts.num_columns)]
+    chunk = next(c for c in chunks if c.path_in_schema == name)
+    start = chunk.dictionary_page_offset or chunk.data_page_offset
+    middle = start + chunk.total_compressed_size // 2
+    return blob[:middle] + bytes(8) + blob[middle + 8 :]
+
+
 def seconds(flight: Flight) -> list[float]:
     return [ns / 1e9 for ns in flight["table"]["time_ns"].to_pylist()]
 
@@ -135,14 +144,8 @@ def test_types_become_plain_and_the_rest_is_named() -> None:
 def test_a_damaged_column_costs_itself_and_a_damaged_time_its_row_group() -> None:
     blob = sample.build()
     whole = read(blob)["table"].to_pandas()
-    group = pq.ParquetFile(io.BytesIO(blob)).metadata.row_group(1)
     for name, rows in (("v_x", 400), ("t_s", 300)):
-        chunk = next(
-            group.column(k) for k in range(group.num_columns) if group.column(k).path_in_schema == name
-        )
-        start = chunk.dictionary_page_offset or chunk.data_page_offset
-        middle = start + chunk.total_compressed_size // 2
-        flight = read(blob[:middle] + bytes(8) + blob[middle + 8 :])
+        flight = read(damaged(blob, 1, name))
         assert flight.rows == rows
         assert flight.damage.lossy
         if name == "v_x":
@@ -227,7 +230,7 @@ def test_times_of_day_and_minutes_are_times() -> None:
 
 
 @pytest.mark.parametrize(
-    "times", [list(range(200, 0, -1)), [f"12:{k // 60:02}:{k % 60:02}" for k in range(200)]]
+    "times", [list(range(200, 0, -1)), [f"at {k // 60:02} past {k % 60:02}" for k in range(200)]]
 )
 def test_a_time_that_cannot_be_used_is_said(times: list[object]) -> None:
     """Before, rows of a log at 100 Hz counted as 1 s each without a word."""
@@ -240,3 +243,44 @@ def test_rows_that_are_late_are_counted() -> None:
     seconds_of = [i / 10 if i != 10 else 0.3 for i in range(40)]
     blob = written(pa.table({"time_s": seconds_of, "x": range(40)}), row_group_size=10)
     assert read(blob).damage.out_of_order == {"table": 1}
+
+
+def text_times(count: int) -> list[str]:
+    return [f"10:00:{k // 50:02d}.{k % 50 * 20:03d}" for k in range(count)]
+
+
+def test_text_of_numbers_in_columns_of_one_name_is_read_as_numbers() -> None:
+    cells = [pa.array([f"{k},5" for k in range(100)]), pa.array([f"{2 * k},5" for k in range(100)])]
+    table = pa.Table.from_arrays([pa.array(text_times(100)), *cells], ["Time", "x", "x"])
+    got = read(written(table))["table"]
+    assert got["x"].to_pylist() == [k + 0.5 for k in range(100)]
+    assert got["x_"].to_pylist() == [2 * k + 0.5 for k in range(100)]
+
+
+def test_a_damaged_column_in_the_first_rows_leaves_the_time_and_numbers_beside_it() -> None:
+    table = pa.table(
+        {
+            "Date": ["2025-04-17"] * 200,
+            "Time": text_times(200),
+            "x": [f"{k},5" for k in range(200)],
+            "y": [f"word {k * k}" for k in range(200)],
+        }
+    )
+    options = {"row_group_size": 100, "write_page_checksum": True}
+    blob = written(table, **options)
+    intact = read(blob)["table"].to_pandas()
+    flight = read(damaged(blob, 0, "y"))
+    assert flight.damage.undecoded == {"table.y": 100}
+    pd.testing.assert_frame_equal(flight["table"].to_pandas().drop(columns="y"), intact.drop(columns="y"))
+    for name in ("Date", "Time"):
+        late = read(damaged(blob, 1, name))
+        assert late.damage.undecoded == {"table": 100}
+        assert late.damage.reasons == {"table": "row group 1: its time cannot be read"}
+
+
+def test_text_that_is_no_utf8_is_a_cell_that_is_no_number() -> None:
+    cells = [b"\xff\xfe" if k == 700 else b"%d,5" % k for k in range(1000)]
+    text = pa.array(cells, pa.binary()).view(pa.string())
+    flight = read(written(pa.table({"time_s": np.arange(1000) / 50, "x": text})))
+    assert flight.damage.undecoded == {"table.x": 1}
+    assert flight["table"]["x"].to_pylist() == [None if k == 700 else k + 0.5 for k in range(1000)]

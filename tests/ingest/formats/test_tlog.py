@@ -171,6 +171,8 @@ def test_every_message_comes_back(dialect: str, form: str) -> None:
     for message in sent:
         row = flight.tables[f"3.4/{message.msgname}"].to_pylist()[0]
         for name in message.fieldnames:
+            if name == "param_value":  # read as what it means; test_parameters.py
+                continue
             ours = row[name]
             theirs = getattr(message, name)
             theirs = theirs.decode() if isinstance(theirs, bytes) else theirs

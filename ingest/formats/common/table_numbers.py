@@ -1,0 +1,206 @@
+"""Numbers in text: decimal points and commas, signs between thousands, units behind, words for missing ones.
+
+1.5   1,5   1,234.5   1.234,5   1'234.5   1 234,5   +2e-3   12.5 V   45 %   NaN   #N/A
+"""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from flysid.ingest.formats.common.table_columns import unit_in
+
+BoolArray = npt.NDArray[np.bool_]
+NUMBER = r"^[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?$"
+INFINITE = frozenset({"inf", "-inf", "Inf", "-Inf", "INF", "-INF", "infinity", "-infinity"}) | frozenset(
+    {"Infinity", "-Infinity", "1.#INF", "-1.#INF"}
+)
+MISSING = frozenset(
+    {"", "nan", "NaN", "NAN", "-nan", "-NaN", "NA", "N/A", "n/a", "#N/A", "#N/A N/A", "#NA", "<NA>"}
+    | {"null", "NULL", "None", "1.#QNAN", "-1.#QNAN", "1.#IND", "-1.#IND"}
+)
+"""What programs write where there is no number: pandas, Excel, databases and old C libraries."""
+HALF = 0.5
+MOSTLY = 0.9
+"""Of the cells that shall tell how a column is to be read."""
+_NUMBER = re.compile(NUMBER)
+_WITH_POINT = re.compile(r"^[+-]?\d*\.\d+([eE][+-]?\d+)?$")
+_WITH_COMMA = re.compile(r"^[+-]?\d*,\d+([eE][+-]?\d+)?$")
+_SPACES = " \u00a0\u202f'\u2019"  # between thousands: no-break spaces and apostrophes among them
+_GROUPED = {sign: re.compile(rf"^[+-]?[1-9]\d{{0,2}}([{sign}]\d{{3}})+$") for sign in (",", ".", _SPACES)}
+_BOTH = {  # sign between thousands, then the decimal one
+    sign: re.compile(rf"^[+-]?[1-9]\d{{0,2}}([{sign}]\d{{3}})+[{other}]\d+$")
+    for sign, other in ((",", "."), (".", ","), (_SPACES, ".,"))
+}
+_CERTAIN = {  # between thousands: before the decimal sign, or twice
+    sign: re.compile(rf"^[+-]?[1-9]\d{{0,2}}([{sign}]\d{{3}})+([{sign}]\d{{3}}|[{other}]\d+)$")
+    for sign, other in ((",", "."), (".", ","))
+}
+_MEASURED = re.compile(r"^([+-]?[\d.,' \u00a0]*\d(?:[eE][+-]?\d+)?)\s*([^\s\d.,+-][^\s\d]*)$")
+
+
+@dataclass(frozen=True)
+class Style:
+    """How a column spells its numbers.
+
+    Attributes
+    ----------
+    decimal : "." or ",".
+    thousands : the signs that may stand between thousands; "" for none.
+    unit : that stands behind every number, as it is written; "" for none.
+    """
+
+    decimal: str = "."
+    thousands: str = ""
+    unit: str = ""
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether nothing stands in a number but digits and its decimal sign."""
+        return not self.thousands and not self.unit
+
+
+PLAIN = Style()
+
+
+@dataclass(frozen=True)
+class Signs:
+    """What the numbers of a whole table leave no doubt of: that it has decimal points, that it has commas."""
+
+    points: bool
+    commas: bool
+
+
+PLAIN_SIGNS = Signs(points=True, commas=False)
+
+
+def signs_of(cells: Sequence[str]) -> Signs:
+    """What decimal signs some cells have for certain: those that cannot stand between thousands."""
+    bare = [match[1].rstrip() if (match := _MEASURED.match(c)) and unit_in(match[2]) else c for c in cells]
+    with_comma = [cell for cell in bare if "," in cell]
+    with_point = [cell for cell in bare if "." in cell]
+    points = any(_WITH_POINT.match(c) and not _GROUPED["."].match(c) for c in with_point)
+    commas = any(_WITH_COMMA.match(c) and not _GROUPED[","].match(c) for c in with_comma)
+    thousands = {
+        sign: any(map(_CERTAIN[sign].match, cells)) for sign, cells in ((",", with_comma), (".", with_point))
+    }
+    return Signs(points or thousands[","], commas or thousands["."])
+
+
+def style_of(cells: Sequence[str], table: Signs) -> Style:
+    """How the numbers among a column's cells are spelled.
+
+    Parameters
+    ----------
+    cells : without those that are missing.
+    table : what the columns beside it tell of decimal signs, where its own cells leave two readings.
+
+    Examples
+    --------
+    >>> style_of(["998", "999", "1,000"], Signs(points=False, commas=False)).thousands
+    ','
+    """
+    unit = _unit_behind_all(cells)
+    bare = [_without(cell, unit) for cell in cells] if unit else cells
+    own = signs_of(bare)
+    spaced = any(_GROUPED[_SPACES].match(c) or _BOTH[_SPACES].match(c) for c in bare)
+    decimal = _decimal_in_doubt(bare, table)
+    if own.points != own.commas:
+        decimal = "." if own.points else ","
+    other = "," if decimal == "." else "."
+    grouped = any(_GROUPED[other].match(c) or _BOTH[other].match(c) for c in bare)
+    return Style(decimal, (other if grouped else "") + (_SPACES if spaced else ""), unit)
+
+
+def _decimal_in_doubt(cells: Sequence[str], table: Signs) -> str:
+    """The decimal sign of numbers that have three digits behind every sign, or none.
+
+    Where hundreds stand beside them without any digit behind, those three are thousands.
+    """
+    commas = any(_GROUPED[","].match(c) for c in cells)
+    points = any(_GROUPED["."].match(c) for c in cells)
+    if commas == points:
+        return "," if table.commas and not table.points else "."
+    mine, other = (table.commas, table.points) if commas else (table.points, table.commas)
+    hundreds = any(len(bare) == 3 and bare.isdecimal() for bare in (cell.lstrip("+-") for cell in cells))
+    is_group = hundreds or (other and not mine)
+    return "," if commas != is_group else "."
+
+
+def _unit_behind_all(cells: Sequence[str]) -> str:
+    """The unit that stands behind most cells; "" where none that is known does."""
+    found = Counter(match[2] for cell in cells if (match := _MEASURED.match(cell)))
+    unit, count = found.most_common(1)[0] if found else ("", 0)
+    bare = sum(bool(_NUMBER.match(cell) or _WITH_COMMA.match(cell)) for cell in cells) if found else 0
+    is_usual = count >= MOSTLY * (bare + found.total()) and count >= HALF * len(cells)
+    return unit if is_usual and unit_in(unit) else ""
+
+
+def _without(cell: str, unit: str) -> str:
+    return cell.removesuffix(unit).rstrip()
+
+
+def may_group(cells: Sequence[str]) -> bool:
+    """Whether the points in numbers may all stand between thousands: 1.234 beside 567."""
+    short = (not cell.partition(".")[1] or _GROUPED["."].match(cell) for cell in cells)
+    return all(short) and any("." in cell for cell in cells)
+
+
+def is_number(cell: str) -> bool:
+    """Whether a cell is a number in any style."""
+    if _NUMBER.match(cell) or _WITH_COMMA.match(cell) or cell in INFINITE:
+        return True
+    match = _MEASURED.match(cell)
+    bare = match[1].rstrip() if match and unit_in(match[2]) else cell
+    shapes = (_NUMBER, _WITH_COMMA, *_GROUPED.values(), *_BOTH.values())
+    return any(shape.match(bare) for shape in shapes)
+
+
+def numbers_in(cells: Sequence[str], style: Style = PLAIN) -> list[float]:
+    """The values of those cells that are finite numbers."""
+    values = floats(pa.array(cells, pa.string()), style)[0].drop_null()
+    return [value for value in values.to_pylist() if np.isfinite(value)]
+
+
+def floats(text: pa.Array, style: Style) -> tuple[pa.Array, BoolArray]:
+    """(n,) numbers, null where missing; and where a cell is neither a number nor missing.
+
+    Parameters
+    ----------
+    text : (n,) strings without blanks around them.
+    """
+    bare = _bare(text, style)
+    is_infinite = pc.is_in(text, pa.array(sorted(INFINITE)))
+    is_plain = pc.match_substring_regex(bare, NUMBER)
+    nothing = pa.scalar(None, pa.float64())
+    values = pc.if_else(is_plain, bare, pa.scalar(None, pa.string())).cast(pa.float64())
+    is_finite = pc.and_(is_plain, pc.fill_null(pc.is_finite(values), False))  # 1e400 fits no float
+    values = pc.if_else(is_finite, values, nothing)
+    if pc.any(is_infinite).as_py():
+        sign = pc.if_else(pc.starts_with(text, "-"), pa.scalar(-np.inf), pa.scalar(np.inf))
+        values = pc.if_else(is_infinite, sign, values)
+    told = pc.or_(pc.or_(is_finite, is_infinite), pc.is_in(text, pa.array(sorted(MISSING))))
+    wrong = np.asarray(pc.invert(pc.fill_null(told, True)).to_numpy(zero_copy_only=False), dtype=bool)
+    return values, wrong
+
+
+def _bare(text: pa.Array, style: Style) -> pa.Array:
+    """Numbers of a style as the plain ones that Arrow reads."""
+    if style.unit:
+        ending = re.escape(style.unit)
+        text = pc.replace_substring_regex(text, rf"^(.*\d)\s*{ending}$", r"\1")
+    if style.thousands:
+        sign = re.escape(style.thousands)
+        grouped = pc.match_substring_regex(text, rf"^[+-]?\d{{1,3}}([{sign}]\d{{3}})+([.,]\d+)?$")
+        text = pc.if_else(grouped, pc.replace_substring_regex(text, rf"[{sign}]", ""), text)
+    if style.decimal == ",":
+        has_point = pc.match_substring(text, ".")
+        text = pc.if_else(has_point, text, pc.replace_substring(text, ",", "."))
+    return pc.utf8_ltrim(text, characters="+")
