@@ -66,11 +66,11 @@ def command(
         raise UsageError("fields, --pair and --recipe each say what to draw", hint="give one of them")
     target = out or Path(f"{source.name or 'flights'}.html".replace("/", "_"))
     if not term:
+        check_target(target, force, makes_folders=is_page(target))
         if not is_page(target):
             from flysid.validate.pictures import check_picture
 
             check_picture(target)
-        check_target(target, force, makes_folders=is_page(target))
     if recipe:
         load_recipe(recipe)
     with Display().shown(), opened_flights(source, told, selection=selection) as lake:
