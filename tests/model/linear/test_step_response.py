@@ -73,7 +73,7 @@ def test_a_fast_stick_and_a_slow_one() -> None:
     assert slow.step[-20:].mean() == pytest.approx(1.0, abs=0.15)
     assert fast.step[-20:].mean() == pytest.approx(0.5, abs=0.1)
     assert (slow.words, fast.words) == ("stick below 20", "stick above 20")
-    with pytest.raises(DataError, match="of the class asked for are too short"):
+    with pytest.raises(DataError, match="never exceeds 1000: at most 198"):
         step_response(data, above=1000.0)
 
 
