@@ -48,7 +48,8 @@ def why_unread(error: OSError | ValueError) -> str:
     """Why a text file could not be read, without its path, which an error names beside it."""
     if isinstance(error, UnicodeDecodeError):
         return "not a text file in UTF-8"
-    return getattr(error, "strerror", None) or str(error)
+    number = getattr(error, "errno", None)
+    return os.strerror(number) if number else str(error)  # Arrow's own words repeat path and number
 
 
 def remedy_unread(error: OSError | ValueError) -> str:

@@ -107,7 +107,7 @@ def over_states(settings: TS, train: Dataset, validation: Dataset | None) -> Fit
 
 
 def gated(settings: TS, search: Search, train: Dataset, validation: Dataset | None) -> FittedTS:
-    """What a search finds; one rule where more follow the training data less closely than ARX does.
+    """What a search finds; one rule, split if asked for, where more miss what ARX follows in training.
 
     Rules of clusters and least squares (`refine=False`) are what the literature has, and pass as they are.
 
@@ -120,9 +120,11 @@ def gated(settings: TS, search: Search, train: Dataset, validation: Dataset | No
         if not settings.refine:
             return model
         linear = _linear(settings, train, validation)
-        many = settings.rules == "auto" and len(model.parameters.theta) > 1
-        if many and shortfall(model, linear, train, margin=0.0):
+        many = len(model.parameters.theta) > 1
+        if many and settings.rules == "auto" and shortfall(model, linear, train, margin=0.0):
             model = search(replace(settings, rules=1), train, validation)
+        elif many and not settings.states and shortfall(model, linear, train):
+            model = learning.split_from_one(settings, train, validation, linear_choice).model
         return refuse(model, linear, train)
 
 

@@ -77,7 +77,7 @@ def fitted(estimator: FitsTo[S], train: S, beside: Mapping[str, Fitted]) -> Fitt
     """A model that passes the last gates (`flysid.model.last_gates`).
 
     With a memory it may not err more on its training data than the linear models `beside`, by their labels:
-    a linear one by `MARGIN`, any other by `LEVEL`.
+    a linear one by `MARGIN`, any other by `LEVEL`. Equations of a vehicle, whose form the user knows, may.
 
     Raises
     ------
@@ -86,6 +86,8 @@ def fitted(estimator: FitsTo[S], train: S, beside: Mapping[str, Fitted]) -> Fitt
     model = estimator.fit(train)
     if kind_of(model.structure) == "reference" or not isinstance(train, Dataset):
         return model
+    if kind_of(model.structure) == "physics" or model.structure == "structured":
+        return refuse(model, {}, train)
     margin = MARGIN if kind_of(model.structure) == "linear" else LEVEL
     named = {label.upper(): other for label, other in beside.items()}
     return refuse(model, named, train, margin)

@@ -114,6 +114,10 @@ class FittedLinear(FreeRuns):
         tail = saturate(self.system.run(du[first:], state)[n - first :] + self.y_origin, self.output_limits)
         return np.concatenate([y0[:n], tail])
 
+    def meanings(self) -> list[str]:
+        """What every nonlinear term does, as of the polynomial that `PolyNARX` looked for: there is none."""
+        return []
+
     def unlimited(self) -> FittedLinear:
         """The model without its output limits, for the search of a start."""
         return replace(self, output_limits=far(self.output_limits))

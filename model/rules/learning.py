@@ -170,6 +170,19 @@ def over_lags(
     return found
 
 
+def split_from_one(
+    settings: RuleSettings, train: Dataset, validation: Dataset | None, linear_side: LinearSide | None = None
+) -> Search:
+    """As many rules over lags as are asked for, all of which say what one says; raises as `over_lags`."""
+    rules = int(settings.rules)
+    found = over_lags(replace(settings, rules=1), train, validation, linear_side)
+    stage = split(found.stage, found.context.antecedents(found.stage.layout), rules)
+    if stage is None:
+        raise _too_many(rules, found.stage)
+    note = f"{rules} rules refined separately followed the training data less closely: one rule split."
+    return replace(found, stage=ordered(stage), linear=None).said(note)
+
+
 def over_states(settings: RuleSettings, train: Dataset, validation: Dataset | None) -> Search:
     """Rules over hidden states: choose states and coordinates, then rules; raises as `over_lags`."""
     found = state_starts(settings, train, validation)

@@ -19,9 +19,7 @@ from tests.model.test_structured import SHORT_PERIOD, flights
 def test_a_run_holds_the_model_of_a_file_and_judges_it(tmp_path: Path) -> None:
     file = tmp_path / "Short Period.toml"
     file.write_text(SHORT_PERIOD)
-    data = flights(2)
-    short = data.with_segments([s.slice(0, 1000, data.dt_s) for s in data.segments])
-    write_dataset(tmp_path / "data.parquet", short)
+    write_dataset(tmp_path / "data.parquet", flights(2))
     words = ["fit", str(tmp_path / "data.parquet"), "-m", f"line, Structured:{file}", "-o"]
     done = CliRunner().invoke(root, [*words, str(tmp_path / "run")], catch_exceptions=False)
     assert done.exit_code == 0, done.output

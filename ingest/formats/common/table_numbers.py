@@ -15,6 +15,7 @@ import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.compute as pc
 
+from flysid.ingest.formats.common.arrow_arrays import numeric, strings, whole_numbers
 from flysid.ingest.formats.common.table_columns import unit_in
 
 BoolArray = npt.NDArray[np.bool_]
@@ -165,7 +166,7 @@ def is_number(cell: str) -> bool:
 
 def numbers_in(cells: Sequence[str], style: Style = PLAIN) -> list[float]:
     """The values of those cells that are finite numbers."""
-    values = floats(pa.array(cells, pa.string()), style)[0].drop_null()
+    values = floats(strings(cells), style)[0].drop_null()
     return [value for value in values.to_pylist() if np.isfinite(value)]
 
 
@@ -176,19 +177,19 @@ def floats(text: pa.Array, style: Style) -> tuple[pa.Array, BoolArray]:
     ----------
     text : (n,) strings without blanks around them.
     """
-    bare = _bare(text, style)
-    is_infinite = pc.is_in(text, pa.array(sorted(INFINITE)))
+    bare = _bare(text, style)  # no scalar is made of Python's numbers: the first one would import pandas
+    is_infinite = pc.is_in(text, strings(sorted(INFINITE)))
     is_plain = pc.match_substring_regex(bare, NUMBER)
-    nothing = pa.scalar(None, pa.float64())
-    values = pc.if_else(is_plain, bare, pa.scalar(None, pa.string())).cast(pa.float64())
-    is_finite = pc.and_(is_plain, pc.fill_null(pc.is_finite(values), False))  # 1e400 fits no float
-    values = pc.if_else(is_finite, values, nothing)
+    values = pc.if_else(is_plain, bare, pa.nulls(1, pa.string())[0]).cast(pa.float64())
+    is_finite = pc.and_kleene(is_plain, pc.is_finite(values))  # 1e400 fits no float
+    values = pc.if_else(is_finite, values, pa.nulls(1, pa.float64())[0])
     if pc.any(is_infinite).as_py():
-        sign = pc.if_else(pc.starts_with(text, "-"), pa.scalar(-np.inf), pa.scalar(np.inf))
+        ends = numeric(np.array([-np.inf, np.inf]))
+        sign = pc.if_else(pc.starts_with(text, "-"), ends[0], ends[1])
         values = pc.if_else(is_infinite, sign, values)
-    told = pc.or_(pc.or_(is_finite, is_infinite), pc.is_in(text, pa.array(sorted(MISSING))))
-    wrong = np.asarray(pc.invert(pc.fill_null(told, True)).to_numpy(zero_copy_only=False), dtype=bool)
-    return values, wrong
+    told = pc.or_(pc.or_(is_finite, is_infinite), pc.is_in(text, strings(sorted(MISSING))))
+    wrong = pc.and_kleene(pc.is_valid(told), pc.invert(told)).cast(pa.uint8())
+    return values, whole_numbers(wrong).astype(bool)
 
 
 def _bare(text: pa.Array, style: Style) -> pa.Array:
