@@ -74,12 +74,12 @@ def shortfall(
     own = float(np.sqrt(errors[""].mean()))
     if own >= LOST / len(errors[""]):
         return "free run over its training data is not finite"
-    worst = min(others, key=lambda name: float(errors[name].mean()))
-    best = float(np.sqrt(errors[worst].mean()))
+    nearest = min(others, key=lambda name: float(errors[name].mean()))
+    best = float(np.sqrt(errors[nearest].mean()))
     if own <= max((1.0 + margin) * best, np.sqrt(VANISHING)):
         return ""
     return (
-        f"free run over its training data errs {significant(own / best)} times as much as {worst}: "
+        f"free run over its training data errs {significant(own / best)} times as much as {nearest}: "
         f"{significant(own)} against {significant(best)} standard deviations of the output"
     )
 
