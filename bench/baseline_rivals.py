@@ -18,8 +18,8 @@ from scipy.signal import lfilter
 from bench import accuracy_data
 from flysid.dataset import Dataset
 from flysid.model.base import Estimator
-from flysid.model.linear_choice import best_linear, linear_estimators
-from flysid.model.one_rule import linear_rivals
+from flysid.model.linear_choice import best_linear
+from flysid.model.one_rule import OneRule, linear_rivals
 from flysid.model.selection import free_run_errors
 from flysid.model.shared import sharing
 
@@ -72,7 +72,8 @@ def main() -> None:
     ratios = []
     seconds = np.zeros(2)
     for name, train, test in cases(plants, seed):
-        before = judged(linear_estimators(), train, test)
+        structures = {label: m for label, m in linear_rivals().items() if not isinstance(m, OneRule)}
+        before = judged(structures, train, test)
         after = judged(linear_rivals(), train, test)
         ratios.append(after[1] / before[1])
         seconds += before[2], after[2]

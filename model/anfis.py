@@ -111,6 +111,18 @@ class ANFIS:
         return Layout(train.outputs, train.inputs, orders, antecedents, *scaling(train))
 
 
+def of_run(*, rules: int | str, antecedents: Sequence[str] | str, nk_hint: Sequence[int]) -> ANFIS:
+    """ANFIS as a run has it, whose settings are those of a search for rules: "auto" is its own choice.
+
+    One delay serves all inputs, so that the longest of `nk_hint` counts.
+    """
+    return ANFIS(
+        rules=rules if isinstance(rules, int) else ANFIS.rules,
+        nk=max([ANFIS.nk, *nk_hint]),
+        antecedents=() if isinstance(antecedents, str) else antecedents,
+    )
+
+
 @dataclass(frozen=True, eq=False)
 class _Learner:
     """Regressors E (N, n_x), antecedents z (N, n_z) and outputs Y (N, n_y), normalised, and a start."""

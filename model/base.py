@@ -15,34 +15,29 @@ Laws that every fitted model keeps (tests/model/test_model_contract.py tries the
 5. `from_dict(to_dict())` predicts and simulates bit for bit the same.
 6. Scaling: fitting a u, b y instead of u, y scales the predictions with b (to rounding).
 
-`STRUCTURES` is the table of structures. A third party adds one with an entry point of the group
-"flysid.structures": its name is the structure's name in model files, its value "module:function" rebuilds a
-fitted model from `to_dict()`.
+The table of structures is `flysid.model.structures`.
 """
 
 from __future__ import annotations
 
-import importlib
 import json
 import math
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cache
-from importlib.metadata import entry_points
 from pathlib import Path
-from typing import Any, Literal, Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
 from flysid.dataset import Dataset, FloatArray, Signal
-from flysid.errors import StoreError, UsageError
+from flysid.errors import StoreError
 from flysid.files import remedy_unread, why_unread
+from flysid.model.structures import all_structures
 from flysid.version import check_version
 
 MODEL_FORMAT = "flysid-model"
 MODEL_VERSION = 1
-ENTRY_POINTS = "flysid.structures"
 MAX_FILE_BYTES = 256 << 20
 MAX_INIT = 1_000_000
 MAX_SIGNALS = 1000
@@ -169,77 +164,6 @@ class Estimator(Protocol):
     def fit(self, train: Dataset, validation: Dataset | None = None) -> Fitted: ...
 
 
-Kind = Literal["reference", "linear", "rules", "physics", "other"]
-
-
-@dataclass(frozen=True)
-class Structure:
-    """A model structure.
-
-    Attributes
-    ----------
-    name : what model files call it.
-    source : "module:function" that rebuilds a fitted model from `to_dict()`; imported when first needed.
-    kind : "reference", a line to stay below (the mean); "linear", what rules have to beat; "rules";
-        "physics", equations of the vehicle; "other".
-    """
-
-    name: str
-    source: str
-    kind: Kind = "other"
-
-    def from_dict(self, document: Mapping[str, Any]) -> Fitted:
-        """The fitted model that a document of `to_dict()` holds."""
-        module, _, function = self.source.partition(":")
-        model: Fitted = getattr(importlib.import_module(module), function)(document)
-        return model
-
-
-_LINEAR = "flysid.model.linear.difference_equation:from_dict"
-STRUCTURES: Mapping[str, Structure] = {
-    row.name: row
-    for row in (
-        *(Structure(name, _LINEAR, "reference") for name in ("mean", "persistence")),
-        *(Structure(name, _LINEAR, "linear") for name in ("line", "arx", "fir", "iv", "oe", "armax", "bj")),
-        Structure("statespace", "flysid.model.subspace.fitted_model:from_dict", "linear"),
-        Structure("structured", "flysid.model.structured.fitted_structured:from_dict", "linear"),
-        Structure("tf", "flysid.model.transfer_function:from_dict", "linear"),
-        Structure("static-ts", "flysid.model.static_ts:from_dict", "rules"),
-        Structure("ts", "flysid.model.rules.fitted:from_dict", "rules"),
-        Structure("ts_ss", "flysid.model.rules.fitted:from_dict", "rules"),
-        Structure("multirotor", "flysid.model.multirotor:from_dict", "physics"),
-        Structure("polynarx", "flysid.model.narx.fitted_polynomial:from_dict"),
-        Structure("ensemble", "flysid.model.ensemble:from_dict"),
-    )
-}
-"""flysid's own structures."""
-
-
-@cache
-def all_structures() -> Mapping[str, Structure]:
-    """Every structure by its name in files: flysid's own, then those of installed packages.
-
-    Raises
-    ------
-    UsageError : an installed package offers a structure under a name that is taken.
-    """
-    found = dict(STRUCTURES)
-    for entry in entry_points(group=ENTRY_POINTS):
-        if entry.name in found:
-            raise UsageError(
-                f"the entry point {entry.name!r} of {ENTRY_POINTS} is not a new structure",
-                hint=f"its name must not be one of {', '.join(found)}",
-            )
-        found[entry.name] = Structure(entry.name, entry.value)
-    return found
-
-
-def kind_of(structure: str) -> Kind:
-    """What a structure is to a comparison; "other" where nothing is known of it."""
-    known = all_structures().get(structure)
-    return known.kind if known else "other"
-
-
 def write_document(document: Mapping[str, Any], path: str | Path) -> None:
     """Write a model's JSON so that it appears whole: temporary file, fsync, rename.
 
@@ -288,7 +212,7 @@ def load(path: str | Path) -> Fitted:
             hint="upgrade flysid, or install the package that adds this structure",
         )
     try:
-        model = structure.from_dict(document)
+        model: Fitted = structure.from_dict(document)
         try_out(model)
     except StoreError as error:
         raise StoreError(error.message, hint=error.hint or "fit again", path=path) from error

@@ -33,6 +33,15 @@ class FrequencyResponse:
     phase_error: FloatArray
 
 
+@runtime_checkable
+class HasCheck(Protocol):
+    """Settings of a model that can say before any data are there that they cannot be."""
+
+    def check_settings(self) -> None:
+        """Raise UsageError for a setting, or a file, that cannot be, whatever the data."""
+        ...
+
+
 @dataclass(frozen=True)
 class Coefficient:
     """One estimated number of one equation.

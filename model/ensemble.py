@@ -24,13 +24,13 @@ from flysid.model.base import (
     Fitted,
     OperatingPoint,
     Rule,
-    all_structures,
     write_document,
 )
 from flysid.model.last_gates import no_worse_than_held
 from flysid.model.rules.explanation import Explanation, refuse_row
 from flysid.model.rules.phrases import in_words
 from flysid.model.start import FreeRuns
+from flysid.model.structures import all_structures
 from flysid.model.threads import on_one_thread
 from flysid.model.ts import TS
 
@@ -88,6 +88,11 @@ class Ensemble:
         if reasons:
             notes.append(f"{len(reasons)} more could not be fitted: {reasons[0]}")
         return FittedEnsemble(tuple(fitted), tuple(notes))
+
+
+def of_rules(**asked: Any) -> Ensemble:
+    """An ensemble of rules over lags; settings as `TS`."""
+    return Ensemble(of=TS(**asked))
 
 
 def without_block(data: Dataset, block: int, blocks: int, *, least_rows: int = 30) -> Dataset:

@@ -1,8 +1,9 @@
 """One-step predictions of a record that comes in pieces, equal to `predict(u, y, 1)` along the whole of it.
 
 A watch is fed a few samples many times a second. What `predict` computes from the record's beginning on (a
-free run, filtered errors) is carried on here instead. A structure that is not known here is predicted from
-its latest seconds again and again.
+free run, filtered errors) is carried on here instead, by the function that the structure's row names
+(`flysid.model.structures.Structure.pieces`). Any other structure is predicted from its latest seconds again
+and again.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from flysid.model.rules.kernel import free_run
 from flysid.model.rules.likely_start import LikelyStart
 from flysid.model.rules.rule_model import RuleModel
 from flysid.model.start import estimate_start
-from flysid.model.static_ts import FittedStaticTS
+from flysid.model.structures import found, row_of
 from flysid.model.subspace.fitted_model import FittedStateSpace
 from flysid.model.subspace.kalman import filtered_states, free_states, output_of
 
@@ -42,26 +43,48 @@ FreeRun = Callable[[FloatArray], FloatArray]
 def in_pieces(model: Fitted, *, remembered_s: float = 10.0) -> InPieces:
     """What predicts a record that comes in pieces.
 
-    `remembered_s`: of a structure that is not known here.
+    `remembered_s`: of a structure whose row names no function for it.
 
     Examples
     --------
     >>> ahead = in_pieces(model)  # doctest: +SKIP
     >>> ahead.feed(u[:10], y[:10]); ahead.feed(u[10:], y[10:])  # doctest: +SKIP
     """
-    if isinstance(model, FittedEnsemble):
-        return _Averaged(model)
-    if isinstance(model, RuleModel) and (model.noise is not None or model.layout.hidden):
-        measured = model.start.settled(model.dt_s)
-        return _OutputError(model, measured, model.noise, None, lambda u, y: _rules(model, u, y, measured))
-    if isinstance(model, FittedStateSpace) and model.noise is not None:
-        return _OutputError(model, model.n_init, model.noise, None, lambda u, y: _states(model, u, y))
-    if isinstance(model, FittedLinear) and model.noise is not None:
+    row = row_of(model.structure)
+    own: InPieces | None = found(row.pieces)(model) if row.pieces else None
+    return own or _Again(model, round(remembered_s / model.dt_s))
+
+
+def members_in_pieces(model: FittedEnsemble) -> InPieces:
+    """The mean of the members' predictions."""
+    return _Averaged(model)
+
+
+def rules_in_pieces(model: RuleModel) -> InPieces:
+    """Rules, over lags or over hidden states, with or without a noise model."""
+    if model.noise is None and not model.layout.hidden:
+        return from_the_newest(model)
+    measured = model.start.settled(model.dt_s)
+    return _OutputError(model, measured, model.noise, None, lambda u, y: _rules(model, u, y, measured))
+
+
+def states_in_pieces(model: FittedStateSpace) -> InPieces | None:
+    """A state space with a noise model; without one its filter remembers all that it has seen."""
+    if model.noise is None:
+        return None
+    return _OutputError(model, model.n_init, model.noise, None, lambda u, y: _states(model, u, y))
+
+
+def equation_in_pieces(model: FittedLinear) -> InPieces | None:
+    """A difference equation, with or without a noise model."""
+    if model.noise is not None:
         return _OutputError(model, model.n_init, model.noise, model.ma, lambda u, y: _difference(model, u, y))
-    has_short_memory = isinstance(model, FittedStaticTS | RuleModel) or (
-        isinstance(model, FittedLinear) and model.ma is None
-    )
-    return _Again(model, model.n_init if has_short_memory else round(remembered_s / model.dt_s))
+    return from_the_newest(model) if model.ma is None else None
+
+
+def from_the_newest(model: Fitted) -> InPieces:
+    """A model that predicts from its newest `n_init` samples alone."""
+    return _Again(model, model.n_init)
 
 
 class _Again:
@@ -148,11 +171,11 @@ class _Foreseen:
 
     def feed(self, errors: FloatArray) -> FloatArray:
         """(n, n_y) foreseen, of the next errors (n, n_y)."""
-        found: FloatArray = _foresee(
+        foreseen: FloatArray = _foresee(
             errors, self._noise, self._ma, self._errors, self._innovations, self._blank
         )
         self._blank = max(0, self._blank - len(errors))
-        return found
+        return foreseen
 
 
 @njit(cache=True)
@@ -274,7 +297,7 @@ def _rules(model: RuleModel, u: FloatArray, y: FloatArray, measured: int) -> tup
         W = np.concatenate([tail, layout.stack(more, np.empty((0, layout.n_y)))])
         free_run(W, depth, layout.lags, model.free)
         tail = W[len(W) - depth :]
-        found: FloatArray = model.outputs_of(W[depth:])
-        return found
+        simulated: FloatArray = model.outputs_of(W[depth:])
+        return simulated
 
     return model.outputs_of(run), go_on

@@ -40,21 +40,6 @@ class BaselineChoice:
     words: str = ""
 
 
-def linear_estimators(nk_hint: tuple[int, ...] = ()) -> dict[str, Estimator]:
-    """The linear structures that compete for the baseline, by label, with their defaults.
-
-    `nk_hint`: delays per input that they try besides their own.
-    """
-    from flysid.model.armax import ARMAX
-    from flysid.model.arx import ARX
-    from flysid.model.bj import BJ
-    from flysid.model.oe import OE
-    from flysid.model.statespace import StateSpace
-
-    kinds = {"arx": ARX, "oe": OE, "armax": ARMAX, "bj": BJ, "statespace": StateSpace}
-    return {label: kind(nk_hint=nk_hint) for label, kind in kinds.items()}
-
-
 def best_linear(
     train: Dataset, validation: Dataset | None, candidates: Mapping[str, Estimator]
 ) -> tuple[BaselineChoice, Fitted]:

@@ -7,6 +7,7 @@ one rule stands among the candidates for the baseline, and more rules never look
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,12 +16,13 @@ from flysid.errors import FlysidError
 from flysid.model.arx import ARX
 from flysid.model.base import Estimator, Fitted
 from flysid.model.linear.difference_equation import FittedLinear
-from flysid.model.linear_choice import best_linear, linear_estimators
+from flysid.model.linear_choice import best_linear
 from flysid.model.oe import OE
 from flysid.model.rules import learning, linear_starts
 from flysid.model.rules.fitted import FittedTS
 from flysid.model.rules.search_settings import NORMAL, RuleSettings, SearchSettings
 from flysid.model.shared import fit_key, once
+from flysid.model.structures import OWN
 from flysid.model.subspace.fitted_model import FittedStateSpace
 from flysid.model.threads import on_one_thread
 
@@ -52,6 +54,16 @@ class OneRule(RuleSettings):
         return learn(self, train, validation).model
 
 
+def over_lags(*, nk_hint: Sequence[int], nk_least: Sequence[int], search: SearchSettings) -> OneRule:
+    """One rule over lags."""
+    return OneRule(nk_hint=nk_hint, nk_least=nk_least, search=search)
+
+
+def over_states(*, nk_hint: Sequence[int], search: SearchSettings) -> OneRule | None:
+    """One rule over states; None where the search leaves hidden states out."""
+    return OneRule(nk_hint=nk_hint, states="auto", search=search) if search.hidden_states else None
+
+
 def linear_rivals(
     nk_hint: tuple[int, ...] = (), nk_least: tuple[int, ...] = (), search: SearchSettings = NORMAL
 ) -> dict[str, Estimator]:
@@ -63,10 +75,9 @@ def linear_rivals(
     nk_least : below which one rule does not go.
     search : how long one rule is looked for; without hidden states there is none over states.
     """
-    alone: dict[str, Estimator] = {"linear_lags": OneRule(nk_hint=nk_hint, nk_least=nk_least, search=search)}
-    if search.hidden_states:
-        alone["linear_ss"] = OneRule(nk_hint=nk_hint, states="auto", search=search)
-    return linear_estimators(nk_hint) | alone
+    given = {"nk_hint": nk_hint, "nk_least": nk_least, "search": search}
+    rivals = {name: row.settings(given) for name, row in OWN.items() if row.competes}
+    return {name: estimator for name, estimator in rivals.items() if estimator is not None}
 
 
 def same_orders(model: Fitted, search: SearchSettings) -> Estimator | None:

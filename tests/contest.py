@@ -13,10 +13,11 @@ import pytest
 
 from flysid.model import one_rule, ts_best
 from flysid.model.base import Estimator
-from flysid.model.linear_choice import linear_estimators
 from flysid.validate import fitting
 from flysid.validate.fitdisk import DiskJob
 from flysid.validate.run import ChannelRun
+
+RIVALS = one_rule.linear_rivals
 
 
 @contextmanager
@@ -24,7 +25,7 @@ def linear_side(*labels: str) -> Iterator[None]:
     """Within the block only these compete for the baseline and for the rules' linear side."""
 
     def only(nk_hint: tuple[int, ...] = (), *_: object) -> dict[str, Estimator]:
-        return {label: model for label, model in linear_estimators(nk_hint).items() if label in labels}
+        return {label: model for label, model in RIVALS(nk_hint).items() if label in labels}
 
     with pytest.MonkeyPatch.context() as patch:
         for module in (one_rule, ts_best, fitting):

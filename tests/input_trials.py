@@ -288,8 +288,8 @@ def wild_models(count: int, goes_on: GoesOn = always, seed: int = 0) -> Outcome:
 
 def _try_wild(document: dict[str, Any], rng: np.random.Generator) -> tuple[str, bool]:
     """(what went wrong or "", whether divergence was announced)."""
-    from flysid.model.base import all_structures
     from flysid.model.mean import Mean
+    from flysid.model.structures import all_structures
 
     _scale_dynamics(document, float(rng.choice([1.0, 1.2, 2.0, 10.0])))
     model = all_structures()[document["structure"]].from_dict(document)

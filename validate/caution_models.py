@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from flysid.model.structures import least, references, row_of
 from flysid.validate.beyond import beyond
 from flysid.validate.caution import Caution, Comparisons, Diagnoses, heads, join
 from flysid.validate.comparison import Comparison, Entry
@@ -22,7 +23,7 @@ CHEAP_PCT = 2.0
 def useless(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterator[Caution]:
     """Models of the headline that a reference or a static line beats in free run: the simplest that does."""
     del diagnoses
-    said: dict[str, list[str]] = {"mean": [], "persistence": [], "line": []}
+    said: dict[str, list[str]] = {row.file_name: [] for row in least()}
     for channel, c in comparisons.items():
         if FREE_RUN not in c.horizons:
             continue
@@ -42,31 +43,31 @@ def _beaten_by(kind: str, entry: Entry, c: Comparison) -> str:
     line = next((n for n, info in c.models.items() if info.structure == kind), None)
     if line is None:
         return ""
-    least = entry.models[line].scores.rmse
-    lost = [n for n in heads(c) if n != line and entry.models[n].scores.rmse >= least]
-    if not lost or least < entry.resolution:
+    bound = entry.models[line].scores.rmse
+    lost = [n for n in heads(c) if n != line and entry.models[n].scores.rmse >= bound]
+    if not lost or bound < entry.resolution:
         return ""
     unit = one_line(entry.output.unit)
     said = [f"{one_line(n).upper()} {number(entry.models[n].scores.rmse)}" for n in reversed(lost)]
-    return f"{', '.join(said)} against {number(least)} {unit}".rstrip()
+    return f"{', '.join(said)} against {number(bound)} {unit}".rstrip()
 
 
 def _nothing_learnt(kind: str, where: str) -> Caution:
-    called = {"mean": "the training mean", "persistence": "the held starting value", "line": "a static line"}
-    if kind == "line":
+    row = row_of(kind)
+    if row.kind != "reference":
         return Caution(
             "warning",
-            f"In free run the model is no better than {called[kind]} on {where}: the data show no dynamics.",
+            f"In free run the model is no better than {row.least} on {where}: the data show no dynamics.",
             "use the line, or fly manoeuvres that excite the dynamics.",
             3.6,
         )
     return Caution(
         "danger",
-        f"In free run the model is no better than {called[kind]} on {where}: what was learnt does not hold "
+        f"In free run the model is no better than {row.least} on {where}: what was learnt does not hold "
         "on these flights.",
         "do not use this model; check the recipe's signals and units, the excitation, and what else moves "
         "the output.",
-        9.0 if kind == "mean" else 8.0,
+        9.0 - references().index(row.name),
     )
 
 

@@ -16,8 +16,9 @@ import numpy as np
 
 from flysid.dataset import Dataset, FloatArray, Segment
 from flysid.errors import DataError, UsageError
-from flysid.model.base import Fitted, kind_of
+from flysid.model.base import Fitted
 from flysid.model.linear_choice import FIRST, best_fitted
+from flysid.model.structures import OWN, kind_of, leaders, row_of
 from flysid.validate.comparison import Comparison, Entry, ModelInfo, ModelScore, Pair, SegmentScore
 from flysid.validate.intervals import Interval, change, distance, holm
 from flysid.validate.metrics import pool, resolution_of, scores
@@ -39,8 +40,6 @@ __all__ = [
 
 HORIZONS: tuple[str | int, ...] = (FREE_RUN, 10, 1)
 C = TypeVar("C", bound=Comparison)
-CONTENDERS = ("ts", "ts_lags", "ts_ss")
-"""Labels that the headline speaks of, the first that is there."""
 
 
 def compare(
@@ -68,7 +67,8 @@ def compare(
     baseline : the model the others are compared with. When None, the linear one whose free run follows
         `train` best (ARX unless another is clearly better); without `train` ARX, else the first model.
         `flysid validate` names the one that the run's fit chose.
-    contender : the model the headline speaks of; when None, the first of CONTENDERS, else the first model
+    contender : the model the headline speaks of; when None, the first of
+        `structures.leaders()`, else the first model
         that is no reference, a line last.
     train : training data; with it the mean and persistence stand beside the models, as lines to stay below.
     seen : flights that the models were trained on, besides those of `train`.
@@ -163,7 +163,7 @@ def _with_pairs(entry: Entry, corrected: Mapping[int, Pair]) -> Entry:
 
 def headline(labels: Collection[str], baseline: str) -> str:
     """The model that a run is about: its fuzzy one, or where there is none its baseline."""
-    return next((label for label in CONTENDERS if label in labels), baseline)
+    return next((label for label in leaders() if label in labels), baseline)
 
 
 def sides_of(
@@ -194,7 +194,7 @@ def sides_of(
 def _one_rule(models: Mapping[str, Fitted]) -> frozenset[str]:
     """Fuzzy models that are linear ones: of one rule, or what the search for rules took instead of them."""
     alone = {n: m for n, m in models.items() if len(m.rules()) == 1}
-    return frozenset(n for n, m in alone.items() if kind_of(m.structure) == "rules" or n in CONTENDERS)
+    return frozenset(n for n, m in alone.items() if kind_of(m.structure) == "rules" or n in leaders())
 
 
 def _linear(models: Mapping[str, Fitted]) -> frozenset[str]:
@@ -203,12 +203,9 @@ def _linear(models: Mapping[str, Fitted]) -> frozenset[str]:
 
 def with_references(models: Mapping[str, Fitted], train: Dataset) -> dict[str, Fitted]:
     """The same models, and the references that are not among them, fitted to `train`."""
-    from flysid.model.mean import Mean
-    from flysid.model.persistence import Persistence
-
     there = {m.structure for m in models.values()}
-    found = {"mean": Mean().fit(train), "persistence": Persistence().fit(train)}
-    return {**models, **{name: m for name, m in found.items() if name not in there}}
+    missing = [row for row in OWN.values() if row.kind == "reference" and row.file_name not in there]
+    return {**models, **{row.name: row.settings({}).fit(train) for row in missing}}
 
 
 def _in_both(train: Dataset, test: Dataset) -> set[str]:
@@ -250,7 +247,7 @@ def _baseline(models: Mapping[str, Fitted], wanted: str | None) -> str:
 
 def _best_linear(models: Mapping[str, Fitted], contender: str | None, train: Dataset | None) -> str | None:
     """The linear model that follows `train` best; None where there is none to tell by."""
-    linear = _linear(models) - {contender, *CONTENDERS}
+    linear = _linear(models) - {contender, *leaders()}
     if train is None or not linear:
         return None
     with suppress(DataError):
@@ -260,9 +257,11 @@ def _best_linear(models: Mapping[str, Fitted], contender: str | None, train: Dat
 
 def _contender(models: Mapping[str, Fitted], base: str) -> str | None:
     others = [n for n, m in models.items() if n != base and kind_of(m.structure) != "reference"]
-    dynamic = [n for n in others if models[n].structure != "line"]  # whose loss would tell nobody anything
+    dynamic = [
+        n for n in others if not row_of(models[n].structure).least
+    ]  # whose loss would tell nobody anything
     first = next(iter([*dynamic, *others]), None)
-    return next((label for label in CONTENDERS if label in others), first)
+    return next((label for label in leaders() if label in others), first)
 
 
 def _info(name: str, model: Fitted) -> ModelInfo:
@@ -299,7 +298,7 @@ class Turn:
     both: Dataset
 
 
-OWN = "turn:"
+OF_TURN = "turn:"
 """Before the labels of a turn's models, where the compared ones stand beside them."""
 Judged = tuple[Sequence[StructureTrial], Dataset]
 """Free runs or predictions, and the data that they are of."""
@@ -307,7 +306,7 @@ Judged = tuple[Sequence[StructureTrial], Dataset]
 
 @dataclass(frozen=True)
 class _Turned:
-    """A turn's models on what they have not seen; on what both have, they (OWN) and the compared ones."""
+    """A turn's models on what they have not seen; on what both have, they (OF_TURN) and the compared ones."""
 
     unseen: Judged
     both: Judged
@@ -331,7 +330,7 @@ def _in_turn(turns: Sequence[Turn], models: Mapping[str, Fitted], horizon: str) 
     for turn in turns:
         with suppress(DataError):
             unseen = run_trials(turn.models, turn.test, horizon), turn.test
-            every = {**models, **{OWN + name: model for name, model in turn.models.items()}}
+            every = {**models, **{OF_TURN + name: model for name, model in turn.models.items()}}
             found.append(_Turned(unseen, (run_trials(every, turn.both, horizon), turn.both)))
     return found
 
@@ -367,7 +366,7 @@ class _Rotation:
         """How far the models that judge a flight are from those compared (`intervals.distance`)."""
         found = {}
         for left_out, both in self.turns:
-            own, compared = ((both.of[who + base], both.of[who + name]) for who in (OWN, ""))
+            own, compared = ((both.of[who + base], both.of[who + name]) for who in (OF_TURN, ""))
             found.update(dict.fromkeys(left_out, distance(own, compared, both.flights)))
         return found
 

@@ -7,7 +7,8 @@ from dataclasses import dataclass, field
 
 from flysid.dataset import Dataset, Signal
 from flysid.errors import UsageError
-from flysid.model.base import Fitted, kind_of
+from flysid.model.base import Fitted
+from flysid.model.structures import kind_of
 from flysid.validate.intervals import ErrorChange, Scope
 from flysid.validate.metrics import Scores
 from flysid.validate.segmentnames import segment_names

@@ -21,11 +21,11 @@ from flysid.ingest.align.doubts import Doubt, vehicles_of
 from flysid.ingest.lake.chosen_flights import Selection, require_one_vehicle
 from flysid.ingest.lake.lake import Lake
 from flysid.ingest.lake.lake import open as open_lake
-from flysid.model.base import Fitted, kind_of
+from flysid.model.base import Fitted
+from flysid.model.structures import kind_of, leaders
 from flysid.progress import tell
 from flysid.split import Piece, Split, refuse_copies
 from flysid.validate.compare_models import (
-    CONTENDERS,
     Comparison,
     across_channels,
     compare,
@@ -222,7 +222,7 @@ def _heads(
 ) -> tuple[str, str]:
     """What the headline compares: like with like, or rules of one run with what the other is about."""
     own = headline(a, baselines[0]), headline(b, baselines[1])
-    if label is None and own[0] != own[1] and not {*own}.isdisjoint(CONTENDERS):
+    if label is None and own[0] != own[1] and not {*own}.isdisjoint(leaders()):
         return own
     shared = [name for name, m in b.items() if name in a and not _is_reference(m)]
     if label is not None and label not in shared:

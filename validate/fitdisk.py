@@ -6,42 +6,18 @@ them. Structures that search on the simulation error need their data in memory a
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 from flysid.datasetfile import DatasetFile
-from flysid.ingest.excitation.dead_time import dead_times, delays_to_try
+from flysid.ingest.excitation.dead_time import dead_times
 from flysid.model.linear_choice import best_fitted
+from flysid.model.structures import kind_of
 from flysid.progress import tell
 from flysid.validate.channeljob import ChannelJob, Fits
 from flysid.validate.diskparts import LOOK_ROWS, FilePart, plan_held_on_disk, plan_on_disk
 from flysid.validate.fitplan import FitPlan
 from flysid.validate.run import ChannelRun
-
-STREAMED = ("arx", "fir", "iv", "statespace")
-"""Labels of the models that read their data block by block."""
-
-
-def streaming_estimators(labels: Sequence[str], nk_hint: tuple[int, ...] = ()) -> dict[str, Any]:
-    """Those of the models that can be fitted from disk, by label; ARX always."""
-    from flysid.model.arx import ARX
-    from flysid.model.fir import FIR
-    from flysid.model.iv import IV
-    from flysid.model.mean import Mean
-    from flysid.model.persistence import Persistence
-    from flysid.model.statespace import StateSpace
-
-    known = {
-        "mean": Mean(),
-        "persistence": Persistence(),
-        "arx": ARX(nk_hint=nk_hint),
-        "fir": FIR(),
-        "iv": IV(nk_hint=nk_hint),
-        "statespace": StateSpace(nk_hint=nk_hint),
-    }
-    wanted = {"mean", "persistence", "arx", *(labels or STREAMED)}
-    return {label: estimator for label, estimator in known.items() if label in wanted}
+from flysid.validate.wanted_models import delays_of, streaming_estimators
 
 
 class DiskJob(ChannelJob[DatasetFile]):
@@ -57,15 +33,14 @@ class DiskJob(ChannelJob[DatasetFile]):
         train = FilePart(self.data, split.train)
         look = train.head(LOOK_ROWS)
         late = dead_times(look)
-        hint = delays_to_try(late, len(look.inputs))
-        wanted = streaming_estimators(settings.labels, hint)
+        wanted = streaming_estimators(settings, delays_of(late, look))
         plan = FitPlan(tuple(wanted))
-        fits = Fits(failed={n: self._cannot() for n in settings.labels if n not in STREAMED})
+        fits = Fits(failed={n: self._cannot() for n in settings.labels if n not in wanted})
         told: ChannelRun | None = None
         for label, estimator in wanted.items():
             with plan.model(label):
                 self.fit_into(fits, label, estimator, train, ())
-                linear = {label: model for label, model in fits.models.items() if label in STREAMED}
+                linear = {n: m for n, m in fits.models.items() if kind_of(m.structure) == "linear"}
                 if linear:  # all were fitted to many more samples than these: none knows them by heart
                     told = replace(
                         self.told(fits, best_fitted(linear, look), split, look, late), on_disk=True

@@ -13,12 +13,13 @@ from flysid.errors import DataError, FitError
 from flysid.extras import Extra, extra
 from flysid.files import write_atomically
 from flysid.ingest.align.recipe import QUICK
-from flysid.model.base import Fitted, kind_of
+from flysid.model.base import Fitted
 from flysid.model.capabilities import HasOperatingPoints, LinearModel
 from flysid.model.last_gates import refuse
 from flysid.model.rules import phrases as words
 from flysid.model.rules.operating_words import sentences
 from flysid.model.selection import LEVEL, MARGIN
+from flysid.model.structures import row_of
 from flysid.validate.beyond import caution
 from flysid.validate.responses import answers
 
@@ -77,18 +78,20 @@ def fitted(estimator: FitsTo[S], train: S, beside: Mapping[str, Fitted]) -> Fitt
     """A model that passes the last gates (`flysid.model.last_gates`).
 
     With a memory it may not err more on its training data than the linear models `beside`, by their labels:
-    a linear one by `MARGIN`, any other by `LEVEL`. Equations of a vehicle, whose form the user knows, may.
+    a linear one by `MARGIN`, any other by `LEVEL`. Equations of a vehicle, whose form the user knows, may
+    (`flysid.model.structures.Structure.gate`).
 
     Raises
     ------
     FitError : it does, or nothing could be fitted. DataError, MemoryError : nothing could be fitted.
     """
     model = estimator.fit(train)
-    if kind_of(model.structure) == "reference" or not isinstance(train, Dataset):
+    row = row_of(model.structure)
+    if row.gate == "nothing" or not isinstance(train, Dataset):
         return model
-    if kind_of(model.structure) == "physics" or model.structure == "structured":
+    if row.gate == "held value":
         return refuse(model, {}, train)
-    margin = MARGIN if kind_of(model.structure) == "linear" else LEVEL
+    margin = MARGIN if row.kind == "linear" else LEVEL
     named = {label.upper(): other for label, other in beside.items()}
     return refuse(model, named, train, margin)
 

@@ -9,12 +9,11 @@ from __future__ import annotations
 import os
 import tempfile
 import time
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 from flysid.dataset import Dataset
 from flysid.datasetfile import open_dataset
@@ -23,7 +22,7 @@ from flysid.extras import Extra, Missing, extra
 from flysid.files import replacing_folder, slug, write_atomically
 from flysid.ingest.align.doubts import doubts
 from flysid.ingest.align.recipe import Recipe, load_recipe, recipe_text
-from flysid.ingest.excitation.dead_time import DeadTime, dead_times, delays_to_try, least_delays
+from flysid.ingest.excitation.dead_time import dead_times
 from flysid.ingest.kinematics.telling import Instruments
 from flysid.ingest.lake.chosen_flights import whole_ids
 from flysid.ingest.lake.lake import Lake
@@ -34,126 +33,26 @@ from flysid.model.linear_choice import FIRST, choose_baseline, confirm
 from flysid.model.one_rule import linear_rivals
 from flysid.model.rules.search_settings import SearchSettings
 from flysid.model.shared import sharing
-from flysid.model.structured.plan_file import Plan
+from flysid.model.structures import OWN
 from flysid.progress import Step, tell, through
-from flysid.showing import one_of
 from flysid.split import plan_held, plan_split
 from flysid.validate import folds
-from flysid.validate.baseline import REFERENCES
 from flysid.validate.channeljob import ChannelJob, Fits
 from flysid.validate.diskparts import LOOK_ROWS
 from flysid.validate.fit_checks import refused_antecedents
 from flysid.validate.fitdisk import DiskJob
 from flysid.validate.fitone import nothing_done, reason
 from flysid.validate.fitplan import CHOICE, FitPlan
-from flysid.validate.run import (
-    RECIPE_FILE,
-    RUN_FILE,
-    STRUCTURE_FILE,
-    ChannelRun,
-    FitSettings,
-    Run,
-    run_document,
-    versions,
-)
+from flysid.validate.run import RECIPE_FILE, RUN_FILE, ChannelRun, FitSettings, Run, run_document, versions
+from flysid.validate.wanted_models import check_settings, delays_of, estimators, files_of
 
-BESIDE = ("arx", "oe")
-"""Linear models that every run holds, whichever is the baseline."""
-USUAL = ("line", "polynarx", "static_ts", "ts")
 FROM_DISK = " from disk: it has more samples than may be in memory (--memory)"
 
 
-def estimators(
-    settings: FitSettings,
-    baseline: str = "arx",
-    nk_hint: tuple[int, ...] = (),
-    nk_least: tuple[int, ...] = (),
-) -> dict[str, Estimator]:
-    """The models of a run, by label: references, linear ones, polynomial NARX, static TS, dynamic TS.
-
-    `nk_hint`: delays per input that the training data speak for, tried besides the models' own choices;
-    `nk_least`: delays that rules do not go below, as the training data show no answer before.
-
-    Raises
-    ------
-    UsageError : `settings.models` names one that is not there.
-    """
-    from flysid.model.anfis import ANFIS
-    from flysid.model.ensemble import Ensemble
-    from flysid.model.fir import FIR
-    from flysid.model.iv import IV
-    from flysid.model.line import Line
-    from flysid.model.mean import Mean
-    from flysid.model.multirotor import Multirotor
-    from flysid.model.persistence import Persistence
-    from flysid.model.polynarx import PolyNARX
-    from flysid.model.static_ts import StaticTS
-    from flysid.model.structured.structured_state_space import StructuredStateSpace
-    from flysid.model.transfer_function import TF
-    from flysid.model.ts import TS
-    from flysid.model.ts_best import BestTS
-    from flysid.model.ts_state_space import TSStateSpace
-
-    antecedents: Any = settings.antecedents or "auto"
-    rules: Any = settings.rules
-    search = SearchSettings.of(settings.effort)
-    asked: Any = {"rules": rules, "antecedents": antecedents, "nk_hint": nk_hint, "search": search}
-    late: Any = {**asked, "nk_least": nk_least}
-    known: dict[str, Estimator] = {
-        "mean": Mean(),
-        "persistence": Persistence(),
-        "line": Line(),
-        **linear_rivals(nk_hint, nk_least, search),
-        "fir": FIR(),
-        "iv": IV(nk_hint=nk_hint),
-        "tf": TF(nk_hint=nk_hint),
-        "multirotor": Multirotor(),
-        "structured": StructuredStateSpace(_structure_file(settings)),
-        "polynarx": PolyNARX(nk_hint=nk_hint),
-        "static_ts": StaticTS(seed=settings.seed),
-        "ts": BestTS(**late),
-        "ts_lags": TS(**late),
-        "ts_ss": TSStateSpace(**asked),
-        "anfis": ANFIS(
-            rules=ANFIS.rules if rules == "auto" else rules,
-            nk=max([ANFIS.nk, *nk_hint]),
-            antecedents=settings.antecedents or (),
-        ),
-        "ensemble": Ensemble(of=TS(**late)),
-    }
-    _check_models(settings, known)
-    wanted = {*REFERENCES, *BESIDE, baseline, *(settings.labels or USUAL)}
-    return {label: estimator for label, estimator in known.items() if label in wanted}
-
-
-def check_settings(settings: FitSettings) -> None:
-    """Raise UsageError where settings cannot be, whatever the data: a model, a structure file."""
-    estimators(settings)
-    if file := _structure_file(settings):
-        Plan.read(file)
-
-
-def _check_models(settings: FitSettings, known: Collection[str]) -> None:
-    for label, given in zip(settings.labels, settings.models, strict=True):
-        if label not in known:
-            raise UsageError(f"no model {label!r}", hint=one_of(list(known), label))
-        if label != given and label != "structured":
-            raise UsageError(f"{label} takes no file", hint="structured:FILE does")
-    if settings.labels.count("structured") > 1:
-        raise UsageError("a run takes one structured model", hint="fit the other into a run of its own")
-
-
-def _structure_file(settings: FitSettings) -> str | None:
-    """The file behind "structured:"; None where every derivative is free."""
-    files = [file for label, _, file in (m.partition(":") for m in settings.models) if label == "structured"]
-    return files[0] or None if files else None
-
-
-def _keep_structure(folder: Path, settings: FitSettings) -> None:
-    """The file of the structured model beside the recipe: what a run holds is enough to make it again."""
-    file = _structure_file(settings)
-    if file is not None:
-        write_atomically(folder / STRUCTURE_FILE, Path(file).read_bytes())
+def _keep_files(folder: Path, settings: FitSettings) -> None:
+    """The files of models beside the recipe: what a run holds is enough to make it again."""
+    for label, file in files_of(settings).items():
+        write_atomically(folder / f"{label}{file.suffix}", file.read_bytes())
 
 
 class MemoryJob(ChannelJob[Dataset]):
@@ -176,13 +75,13 @@ class MemoryJob(ChannelJob[Dataset]):
         with plan.choice():
             tell("looking for dead times", share=0.0)
             late = dead_times(train)
-            delays = _delays(late, train)
+            delays = delays_of(late, train)
             started = time.perf_counter()
             choice = choose_baseline(train, linear_rivals(*delays, SearchSettings.of(settings.effort)))
             fits = Fits(seconds={CHOICE: time.perf_counter() - started})
-        wanted = estimators(settings, choice.label, *delays)
+        wanted = estimators(settings, choice.label, delays)
         plan = FitPlan(tuple(wanted), turns)
-        beside = [label for label in wanted if label in (*BESIDE, choice.label)]
+        beside = [label for label in wanted if label == choice.label or label in _linear_of_every_run()]
         first = list(wanted)[: 1 + list(wanted).index(beside[-1])]
         for label in first:
             with plan.model(label):
@@ -218,24 +117,23 @@ class MemoryJob(ChannelJob[Dataset]):
         return replace(told, folds=found, fit_seconds=fits.seconds | spent)
 
 
+def _linear_of_every_run() -> list[str]:
+    """Models that every run holds, whichever is the baseline."""
+    return [row.name for row in OWN.values() if row.fitted == "always" and row.kind == "linear"]
+
+
 def _so_far(channel: ChannelRun, labels: Iterable[str]) -> ChannelRun:
     """What is left of a channel if the work ends here."""
     missing = {label: "the fit was interrupted" for label in labels if label not in channel.models}
     return replace(channel, failed=missing | dict(channel.failed))
 
 
-def _delays(late: Sequence[DeadTime], train: Dataset) -> tuple[tuple[int, ...], tuple[int, ...]]:
-    """Delays in samples per input to try besides the models' own, and those that rules do not go below."""
-    count = len(train.inputs)
-    return delays_to_try(late, count), least_delays(late, count)
-
-
 def _of_a_fold(settings: FitSettings, fits: Fits, train: Dataset) -> dict[str, Estimator]:
     """The run's models again, with the delays that this fold's training part speaks for."""
-    delays = _delays(dead_times(train), train)
+    delays = delays_of(dead_times(train), train)
     every = {
         **linear_rivals(*delays, SearchSettings.of(settings.effort)),
-        **estimators(settings, BESIDE[0], *delays),
+        **estimators(settings, delays=delays),
     }
     return {label: estimator for label, estimator in every.items() if label in fits.models}
 
@@ -312,8 +210,8 @@ def fit_run(
             versions=versions(),
             interrupted=interrupted,
         )
+        _keep_files(folder, settings)
         write_atomically(folder / RECIPE_FILE, recipe_text(recipe_name)[0].encode())
-        _keep_structure(folder, settings)
         write_atomically(folder / RUN_FILE, run_document(run))
     return run
 
@@ -346,7 +244,7 @@ def fit_file(path: Path, out: Path, settings: FitSettings) -> Run:
             _drop_unfinished(folder, [channel])
         flights = tuple(dict.fromkeys(e.flight for e in file.entries))
         run = Run(out, os.path.abspath(path), "", flights, settings, (channel,), {}, versions(), interrupted)
-        _keep_structure(folder, settings)
+        _keep_files(folder, settings)
         write_atomically(folder / RUN_FILE, run_document(run))
     return run
 

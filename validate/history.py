@@ -19,7 +19,7 @@ from typing import Any
 from flysid.errors import StoreError, UsageError
 from flysid.files import remedy_unread, why_unread
 from flysid.manifest import DATA_FILE
-from flysid.validate.compare_models import CONTENDERS
+from flysid.model.structures import leaders
 from flysid.validate.judge import DOCUMENT, REPORT
 from flysid.validate.run import RUN_FILE, Run, open_run, run_file
 from flysid.validate.trials import FREE_RUN
@@ -59,7 +59,7 @@ class RunChannel:
     @property
     def fuzzy(self) -> str | None:
         """Label of the fuzzy model that the verdict is about."""
-        return next((label for label in CONTENDERS if label in self.rmse), None)
+        return next((label for label in leaders() if label in self.rmse), None)
 
     @property
     def best(self) -> float:

@@ -34,17 +34,17 @@ from flysid.ingest.lake.stretches import Stretches
 from flysid.manifest import DATA_FILE
 from flysid.manifest import RUN_FILE as RUN_FILE
 from flysid.model.base import Fitted, load
+from flysid.model.structures import leaders, row_of
 from flysid.place import is_address
 from flysid.showing import one_of
 from flysid.split import By, Split
-from flysid.validate.compare_models import CONTENDERS, Turn
+from flysid.validate.compare_models import Turn
 from flysid.validate.diskparts import LOOK_ROWS, parts_of
 from flysid.version import __version__, check_version
 
 RUN_FORMAT = "flysid-run"
 RUN_VERSION = 1
 RECIPE_FILE = "recipe.toml"
-STRUCTURE_FILE = "structured.toml"
 SENTENCES = ("aligned", "dead_times", "loops", "nonlinear")
 LIBRARIES = ("numpy", "scipy", "numba", "pyarrow", "pymavlink", "mcap")
 
@@ -387,10 +387,10 @@ def asked_for(labels: Sequence[str], models: Mapping[str, Fitted], baseline: str
     """Label of the model that the headline speaks of, where no fuzzy one was fitted: the first dynamic one
     that the user asked for and that is not the baseline. None leaves the choice to `compare`.
     """
-    if any(label in models for label in CONTENDERS):
+    if any(label in models for label in leaders()):
         return None
     asked = (label for label in labels if label in models and label != baseline)
-    return next((label for label in asked if models[label].structure != "line"), None)
+    return next((label for label in asked if not row_of(models[label].structure).least), None)
 
 
 def _load(folder: Path, file: str) -> Fitted:

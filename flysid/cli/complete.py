@@ -6,13 +6,6 @@ from pathlib import Path
 
 import click
 
-MODELS = (
-    "anfis", "armax", "arx", "bj", "ensemble", "fir", "iv", "line", "linear_lags", "linear_ss", "mean",
-    "multirotor", "oe", "persistence", "polynarx", "statespace", "static_ts", "structured", "tf", "ts",
-    "ts_lags", "ts_ss",
-)  # fmt: skip
-"""Labels that `flysid fit --models` knows."""
-
 
 def recipes(_ctx: click.Context, _param: click.Parameter, incomplete: str) -> list[str]:
     """Shipped recipes."""
@@ -47,5 +40,13 @@ def flights(ctx: click.Context, _param: click.Parameter, incomplete: str) -> lis
 
 def models(_ctx: click.Context, _param: click.Parameter, incomplete: str) -> list[str]:
     """Labels, the last of a list of them."""
+    from flysid.errors import FlysidError
+    from flysid.model.structures import OWN, table
+
+    try:
+        rows = table()
+    except FlysidError:
+        rows = OWN
     before, comma, begun = incomplete.rpartition(",")
-    return [f"{before}{comma}{name}" for name in MODELS if name.startswith(begun)]
+    names = sorted(row.name for row in rows.values() if row.can_be_fitted)
+    return [f"{before}{comma}{name}" for name in names if name.startswith(begun)]

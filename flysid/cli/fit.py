@@ -27,6 +27,7 @@ from flysid.cli.source import (
 from flysid.cli.trust import Own, ProjectFile, Setting
 from flysid.errors import UsageError
 from flysid.extras import Extra, extra
+from flysid.model.structures import OWN
 from flysid.progress import part
 
 if TYPE_CHECKING:
@@ -64,6 +65,15 @@ def _held(_ctx: click.Context, _param: click.Parameter, words: tuple[str, ...]) 
     return Held(shares[0] if shares else SHARE, () if shares else words)
 
 
+def _names(*fitted: str) -> str:
+    """flysid's own structures that a run fits so, for the help."""
+    rows = (row for row in OWN.values() if row.fitted in fitted)
+    return ",".join(sorted(row.name + "[:FILE]" * row.takes_file for row in rows))
+
+
+_STREAMED = ", ".join(sorted(row.name for row in OWN.values() if row.streams and row.has_memory))
+
+
 @click.command("fit")
 @click.argument("data", type=SOURCE)
 @words_options
@@ -85,9 +95,8 @@ def _held(_ctx: click.Context, _param: click.Parameter, words: tuple[str, ...]) 
     default="",
     metavar="A,B",
     shell_complete=complete.models,
-    help="Models besides the references, ARX, OE and the baseline: anfis, armax, bj, ensemble, fir, iv, "
-    "line, polynarx, statespace, static_ts, structured[:FILE], tf, ts (docs/models.md).  "
-    "[default: line,polynarx,static_ts,ts]",
+    help=f"Models besides the references, ARX, OE and the baseline: {_names('on request', 'usually')}, and "
+    f"those of installed packages (docs/models.md).  [default: {_names('usually')}]",
 )
 @click.option(
     "--rules",
@@ -142,7 +151,7 @@ def _held(_ctx: click.Context, _param: click.Parameter, words: tuple[str, ...]) 
     show_default=True,
     metavar="MB",
     type=click.FloatRange(0.0),
-    help="Samples of a channel above this are fitted from disk, by arx, fir, iv, statespace.",
+    help=f"Samples of a channel above this are fitted from disk, by {_STREAMED}.",
 )
 @click.option(
     "--jobs",

@@ -13,13 +13,13 @@ from flysid.loops.blackbox_loops import LARGEST_SHARE
 from flysid.model.base import Fitted
 from flysid.model.capabilities import LinearModel
 from flysid.model.frequency.response import measure_response
+from flysid.model.structures import row_of
 from flysid.showing import counted
 from flysid.validate.compare_models import compare
 from flysid.validate.run import HeldOut
 from flysid.validate.trials import FREE_RUN
 from flysid.validate.verdict import Verdict
 
-REFERENCES = ("mean", "persistence", "line", "static_ts")
 SPEED = "m/s"
 
 
@@ -130,7 +130,7 @@ def _check_limits(train: Dataset, limit: float | None) -> None:
 
 
 def _good(item: HeldOut, *, not_worse_than: float = 1.5) -> dict[str, Fitted]:
-    usable = {k: m for k, m in item.models.items() if k not in REFERENCES}
+    usable = {k: m for k, m in item.models.items() if row_of(m.structure).has_memory}
     if "mean" not in item.models or item.channel.baseline not in usable:
         raise DataError(
             "the run holds no linear model beside the mean", hint="fit again with the usual models"

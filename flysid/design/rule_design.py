@@ -14,7 +14,7 @@ from flysid.design.law import LoopParts
 from flysid.design.rule_gains import law_figures, search_rule_gains
 from flysid.design.rule_plants import RuleLaw, rule_plant
 from flysid.errors import DataError, UsageError
-from flysid.model.base import kind_of
+from flysid.model.structures import kind_of
 from flysid.progress import tell
 from flysid.showing import counted
 from flysid.validate.run import Run, held_out

@@ -21,6 +21,7 @@ from flysid.export.program import BOUND, Program
 from flysid.model.freerun import Difference
 from flysid.model.linear.difference_equation import FittedLinear
 from flysid.model.rules.kernel import Lags
+from flysid.model.structures import row_of
 from flysid.model.subspace.fitted_model import FittedStateSpace
 from flysid.model.subspace.kalman import resting_state
 
@@ -213,7 +214,7 @@ def _linear(
     inner = n - n_y
     rest[n:] = -model.u_origin[:, None]
     return Program(
-        title=f"{_KINDS.get(model.structure, model.structure)}, {inner} state{'s' if inner != 1 else ''}",
+        title=f"{row_of(model.structure).title}, {inner} state{'s' if inner != 1 else ''}",
         dt_s=model.dt_s,
         inputs=model.inputs,
         outputs=model.outputs,
@@ -227,19 +228,3 @@ def _linear(
         output_limits=model.output_limits,
         rest=rest,
     )
-
-
-_KINDS = {
-    "arx": "ARX model",
-    "oe": "Output-error model",
-    "armax": "ARMAX model (its free run)",
-    "bj": "Box-Jenkins model (its free run)",
-    "iv": "Instrumental-variable model",
-    "fir": "Finite impulse response",
-    "tf": "Transfer function, sampled",
-    "statespace": "State-space model",
-    "structured": "Structured state space",
-    "line": "Straight line",
-    "mean": "Mean",
-    "persistence": "Last value",
-}

@@ -20,10 +20,10 @@ from flysid.model.base import Fitted
 from flysid.model.linear.difference_equation import FittedLinear
 from flysid.model.rules.fitted import FittedTS
 from flysid.model.start import run_from_window, start_window
+from flysid.model.structures import leaders
 from flysid.studio.flights import RUN, SIGNAL, boot_offsets_s
 from flysid.studio.folders import NotThere, Workspace, is_name, short_id
 from flysid.studio.forms import Explained
-from flysid.validate.compare_models import CONTENDERS
 from flysid.validate.run import RECIPE_FILE, RUN_FILE, HeldOut, held_out, open_run
 from flysid.validate.trials import MIN_SCORED, free_run, start_of
 
@@ -130,7 +130,7 @@ def _held(folder: Path, _stamp: int) -> dict[str, HeldOut]:
 
 def _shown(found: HeldOut) -> list[str]:
     """The linear baseline and the model with rules that the verdict is about."""
-    rules = next((label for label in CONTENDERS if label in found.models), None)
+    rules = next((label for label in leaders() if label in found.models), None)
     return list(dict.fromkeys([found.channel.baseline, *([rules] if rules else [])]))
 
 

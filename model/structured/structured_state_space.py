@@ -89,9 +89,9 @@ class StructuredStateSpace:
         DataError : no response with coherence, too many free terms, or terms that cannot be told apart.
         FitError : the starts lead nowhere.
         """
-        self._check()
+        self.check_settings()
         train = detrend(train, self.trend)
-        plan = self.file if isinstance(self.file, Plan) else self.file and Plan.read(self.file)
+        plan = self._plan()
         reference = tuple(self.reference) or (plan.reference if plan else ())
         plant, references = split_references(train, reference)
         layout = (plan or Plan.full(plant.inputs, plant.outputs)).layout(plant.inputs, plant.outputs)
@@ -113,7 +113,12 @@ class StructuredStateSpace:
         model = _sample(self, Parts.of(train, None), _Sampling(problem, fit, self.hold, tuple(own)))
         return replace(model, derivatives=_derivatives(layout, fit, dropped), notes=(*notes, *model.notes))
 
-    def _check(self) -> None:
+    def _plan(self) -> Plan | None:
+        return Plan.read(self.file) if isinstance(self.file, str | Path) else self.file
+
+    def check_settings(self) -> None:
+        """Raise UsageError for settings or a file that cannot be, whatever the data."""
+        self._plan()
         check_trend(self.trend, ("none", "remove"))
         if self.hold not in ("zero", "first", "none"):
             raise UsageError(f"hold is {self.hold!r}", hint="'zero', 'first' or 'none'")

@@ -13,7 +13,8 @@ from flysid import manifest, tabular
 from flysid.datasetfile import open_dataset
 from flysid.errors import StoreError
 from flysid.ingest.lake.lake import open as open_lake
-from flysid.model.base import MODEL_VERSION, all_structures, load
+from flysid.model.base import MODEL_VERSION, load
+from flysid.model.structures import all_structures
 from flysid.validate.judge import judge_run
 from flysid.validate.run import RUN_VERSION, open_run
 from flysid.version import check_version

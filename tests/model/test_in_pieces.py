@@ -30,7 +30,7 @@ def test_pieces_are_predicted_as_the_whole(name: str) -> None:
 
 
 def test_a_structure_from_elsewhere_is_predicted_from_its_latest_seconds() -> None:
-    model = FirstOrder()
+    model = FirstOrder(structure="theirs")
     rng = np.random.default_rng(1)
     u = rng.standard_normal((600, 1))
     y = rng.standard_normal((600, 1))

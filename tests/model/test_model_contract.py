@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 
 from flysid.dataset import FloatArray, Segment
 from flysid.errors import UsageError
-from flysid.model.base import Fitted, all_structures, load
+from flysid.model.base import Fitted, load
+from flysid.model.structures import all_structures
 from tests.model_examples import EXAMPLES, SCALING_TOLERANCE, fitted, scaled
 
 ROWS = 80

@@ -10,7 +10,7 @@ from typing import Any
 import jsonschema
 import pytest
 
-from flysid.model.base import all_structures
+from flysid.model.structures import all_structures
 from tests.model_examples import EXAMPLES, fitted
 
 SCHEMA = Path("docs/reference/model.schema.json")

@@ -7,7 +7,9 @@ import subprocess
 import sys
 from pathlib import Path
 
-from flysid.model.base import STRUCTURES
+from flysid.model.rules.search_settings import SearchSettings
+from flysid.model.structures import OWN, found, table
+from tests.model_examples import EXAMPLES, fitted
 
 PACKAGE = """
 from dataclasses import replace
@@ -19,7 +21,7 @@ def rebuild(document):
 READ = """
 import sys
 from flysid import Dataset
-from flysid.model.base import all_structures, load
+from flysid.model.base import load
 from flysid.model.line import Line
 import json
 import numpy as np
@@ -62,8 +64,23 @@ def test_a_name_that_is_taken_is_refused(tmp_path: Path) -> None:
     assert "entry point 'arx' of flysid.structures is not a new structure" in done.stderr
 
 
-def test_every_structure_of_the_table_can_be_rebuilt() -> None:
-    for structure in STRUCTURES.values():
-        module, _, function = structure.source.partition(":")
-        __import__(module)
-        assert callable(getattr(sys.modules[module], function))
+def test_what_rows_point_at_is_there() -> None:
+    for row in OWN.values():
+        for path in (row.rebuild, row.estimator, row.build, row.program, row.pieces):
+            assert not path or callable(found(path)), (row.name, path)
+
+
+def test_rows_take_what_their_settings_have() -> None:
+    given = {"antecedents": "auto", "file": None, "nk_hint": (2,), "nk_least": (1,), "rules": 2, "seed": 5}
+    for row in OWN.values():
+        settings = row.settings({**given, "search": SearchSettings()})
+        assert callable(settings.fit), row.name
+        assert all(getattr(settings, name, given.get(name)) == given.get(name) for name in ("seed",)), (
+            row.name
+        )
+
+
+def test_models_of_a_row_are_stored_under_its_name() -> None:
+    by_file = {row.file_name: row for row in table().values() if row.rebuild}
+    assert len(by_file) == sum(bool(row.rebuild) for row in table().values())
+    assert {fitted(name).structure for name in EXAMPLES} == set(by_file)

@@ -11,7 +11,7 @@ from flysid.cli import root
 from flysid.datasetfile import write_dataset
 from flysid.errors import UsageError
 from flysid.validate.fitting import estimators
-from flysid.validate.run import STRUCTURE_FILE, FitSettings, open_run
+from flysid.validate.run import FitSettings, open_run
 from tests.model.test_structured import SHORT_PERIOD, flights
 
 
@@ -25,7 +25,7 @@ def test_a_run_holds_the_model_of_a_file_and_judges_it(tmp_path: Path) -> None:
     assert done.exit_code == 0, done.output
     (channel,) = open_run(tmp_path / "run").channels
     assert channel.models["structured"]
-    assert (tmp_path / "run" / STRUCTURE_FILE).read_text() == SHORT_PERIOD
+    assert (tmp_path / "run" / "structured.toml").read_text() == SHORT_PERIOD
     judged = CliRunner().invoke(root, ["validate", str(tmp_path / "run")], catch_exceptions=False)
     assert judged.exit_code == 0, judged.output
     assert "structured" in judged.output

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from flysid.model.structures import row_of
 from flysid.showing import counted, significant
 from flysid.validate.comparison import Comparison, Pair
 from flysid.validate.intervals import Scope
@@ -22,26 +23,6 @@ from flysid.validate.words import (
     verdict_words,
 )
 
-NAMES = {
-    "ts": "fuzzy model",
-    "ts_lags": "fuzzy model over lags",
-    "ts_ss": "fuzzy state-space model",
-    "linear_lags": "linear model over lags",
-    "linear_ss": "linear state-space model",
-    "anfis": "ANFIS model",
-    "ensemble": "ensemble of fuzzy models",
-    "static-ts": "static fuzzy model",
-    "static_ts": "static fuzzy model",
-    "arx": "linear model",
-    "oe": "output-error model",
-    "armax": "ARMAX model",
-    "bj": "Box-Jenkins model",
-    "statespace": "state-space model",
-    "line": "straight line",
-    "multirotor": "physical model",
-    "structured": "structured model",
-    "polynarx": "polynomial NARX model",
-}
 SYMBOLS = {Verdict.BETTER: "▲", Verdict.WORSE: "▼", Verdict.SAME: "=", Verdict.NOT_ENOUGH: "?"}
 CSS = {
     Verdict.BETTER: "better",
@@ -50,7 +31,6 @@ CSS = {
     Verdict.NOT_ENOUGH: "unsure",
 }
 
-CONSTANTS = {"mean": "mean of the training data", "persistence": "starting value, held"}
 CONTESTED = ("△", "unsure")
 """Symbol and CSS class of "better than the baseline, not shown against another linear model"."""
 
@@ -109,7 +89,7 @@ def worse_than_constant(comparisons: Mapping[str, Comparison]) -> list[str]:
             if not rmse[pair.model] < best < rmse[pair.baseline]:
                 continue
             less = percent(100.0 * (rmse[pair.model] / best - 1.0))
-            constant = CONSTANTS[c.models[constants[best]].structure]
+            constant = row_of(c.models[constants[best]].structure).words
             said.append(
                 f"On {_label(channel, output, c)} the {base_words([('', pair)])} is worse than the "
                 f"{constant}: against that, the RMSE of the {name_model(pair.model)} changes by {less}, "
@@ -121,15 +101,15 @@ def worse_than_constant(comparisons: Mapping[str, Comparison]) -> list[str]:
 def name_model(model: str) -> str:
     """ "fuzzy model" for "ts", "fuzzy model of run A" for "a:ts"; an unknown name stays as it is."""
     run, _, label = model.rpartition(":")
-    if run in ("a", "b") and label in NAMES:
-        return f"{NAMES[label]} of run {run.upper()}"
-    return NAMES.get(model, one_line(model))
+    if run in ("a", "b") and (words := row_of(label).words):
+        return f"{words} of run {run.upper()}"
+    return row_of(model).words or one_line(model)
 
 
 def base_words(pairs: Heads) -> str:
     """What the baselines are called: "linear model" beside a fuzzy one, whatever structure each has."""
     pair = pairs[0][1]
-    return "linear model" if "fuzzy" in NAMES.get(pair.model, "") else name_model(pair.baseline)
+    return "linear model" if "fuzzy" in row_of(pair.model).words else name_model(pair.baseline)
 
 
 def contender_words(pairs: Heads) -> str:
