@@ -23,9 +23,10 @@ from flysid.model.rules.kernel import free_run
 from flysid.model.rules.likely_start import LikelyStart
 from flysid.model.rules.rule_model import RuleModel
 from flysid.model.start import estimate_start
-from flysid.model.structures import found, row_of
+from flysid.model.structures import row_of
 from flysid.model.subspace.fitted_model import FittedStateSpace
 from flysid.model.subspace.kalman import filtered_states, free_states, output_of
+from flysid.offers import import_name
 
 
 class InPieces(Protocol):
@@ -51,7 +52,7 @@ def in_pieces(model: Fitted, *, remembered_s: float = 10.0) -> InPieces:
     >>> ahead.feed(u[:10], y[:10]); ahead.feed(u[10:], y[10:])  # doctest: +SKIP
     """
     row = row_of(model.structure)
-    own: InPieces | None = found(row.pieces)(model) if row.pieces else None
+    own: InPieces | None = import_name(row.pieces)(model) if row.pieces else None
     return own or _Again(model, round(remembered_s / model.dt_s))
 
 

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
+
+from flysid.offers import import_name
 
 Kind = Literal["reference", "linear", "rules", "physics", "other"]
 Fitting = Literal["always", "usually", "on request"]
@@ -98,17 +99,8 @@ class Structure:
 
     def settings(self, given: Mapping[str, Any]) -> Any:
         """The estimator for a run, given a value of each of `SETTINGS`; None where these leave it out."""
-        return found(self.build or self.estimator)(**{name: given[name] for name in self.takes})
+        return import_name(self.build or self.estimator)(**{name: given[name] for name in self.takes})
 
     def from_dict(self, document: Mapping[str, Any]) -> Any:
         """The fitted model that a document of `to_dict()` holds."""
-        return found(self.rebuild)(document)
-
-
-def found(path: str) -> Any:
-    """What stands at "module:name", where a name may have dots."""
-    module, _, name = path.partition(":")
-    value: Any = importlib.import_module(module)
-    for part in name.split("."):
-        value = getattr(value, part)
-    return value
+        return import_name(self.rebuild)(document)

@@ -17,16 +17,13 @@ import re
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import cache
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from flysid.errors import UsageError
-from flysid.model.structure import SETTINGS, Kind, Structure, found
-
-if TYPE_CHECKING:
-    from importlib.metadata import EntryPoint
+from flysid.model.structure import SETTINGS, Kind, Structure
+from flysid.offers import Offer, offers
 
 __all__ = [
-    "ENTRY_POINTS", "OWN", "SETTINGS", "Structure", "all_structures", "found", "kind_of", "leaders", "least",
+    "ENTRY_POINTS", "OWN", "SETTINGS", "Structure", "all_structures", "kind_of", "leaders", "least",
     "public_names", "references", "row_of", "table",
 ]  # fmt: skip
 
@@ -275,37 +272,28 @@ def table() -> Mapping[str, Structure]:
     ------
     UsageError : an installed package offers what is no row, or a name that is taken.
     """
-    from importlib.metadata import entry_points
-
     rows = dict(OWN)
     taken = {name for row in OWN.values() for name in (row.name, row.file_name)}
-    for entry in sorted(entry_points(group=ENTRY_POINTS), key=lambda e: e.name):
-        row = _offered(entry)
+    for offer in offers(ENTRY_POINTS):
+        row = _offered(offer)
         for name in {row.name, row.file_name}:
             if name in taken:
-                raise _refusal(entry, f"the name {name!r} is taken")
+                raise offer.refusal(f"the name {name!r} is taken")
             taken.add(name)
         rows[row.name] = row
     return rows
 
 
-def _offered(entry: EntryPoint) -> Structure:
+def _offered(offer: Offer) -> Structure:
     """The row that an entry point names; of a function, a row of models that are read and not fitted."""
-    try:
-        offered = entry.load()
-    except Exception as error:
-        raise _refusal(entry, f"it cannot be imported ({type(error).__name__}: {error})") from error
+    offered = offer.load()
     if callable(offered):
-        return Structure(entry.name, entry.value, package=_package(entry))
+        return Structure(offer.name, offer.value, package=offer.package)
     if not isinstance(offered, Structure):
-        raise _refusal(entry, "it is neither a flysid.model.structures.Structure nor a function")
+        raise offer.refusal("it is neither a flysid.model.structures.Structure nor a function")
     if why := _fault(offered):
-        raise _refusal(entry, why)
-    return replace(offered, package=_package(entry))
-
-
-def _package(entry: EntryPoint) -> str:
-    return entry.dist.name if entry.dist else entry.module
+        raise offer.refusal(why)
+    return replace(offered, package=offer.package)
 
 
 def _fault(row: Structure) -> str:
@@ -318,14 +306,6 @@ def _fault(row: Structure) -> str:
         return "a run must not depend on what is installed: fitted='on request' and competes=False"
     unknown = [name for name in row.takes if name not in SETTINGS]
     return f"takes={unknown[0]!r} is not one of {', '.join(SETTINGS)}" if unknown else ""
-
-
-def _refusal(entry: EntryPoint, why: str) -> UsageError:
-    package = _package(entry)
-    return UsageError(
-        f"the entry point {entry.name!r} of {ENTRY_POINTS} is not a new structure: {why}",
-        hint=f"it comes with the package {package}: upgrade that, or pip uninstall {package}",
-    )
 
 
 @cache

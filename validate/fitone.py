@@ -19,7 +19,7 @@ from flysid.model.last_gates import refuse
 from flysid.model.rules import phrases as words
 from flysid.model.rules.operating_words import sentences
 from flysid.model.selection import LEVEL, MARGIN
-from flysid.model.structures import row_of
+from flysid.model.structures import all_structures, row_of
 from flysid.validate.beyond import caution
 from flysid.validate.responses import answers
 
@@ -39,10 +39,15 @@ def reason(error: Exception) -> str:
     return f"{said}. Try: fewer --jobs at a time, or a smaller --memory, which fits from disk"
 
 
-def fault(error: Exception) -> str:
-    """What broke inside flysid, and where, for a report."""
+def fault(error: Exception, package: str = "") -> str:
+    """What broke inside flysid, or in the package of a structure, and where, for a report."""
     at = traceback.extract_tb(error.__traceback__)[-1]
     place = f"{Path(at.filename).parent.name}/{Path(at.filename).name}, line {at.lineno}"
+    if package:
+        return (
+            f"the package {package} failed: {type(error).__name__}: {error} ({place}). Try: upgrade it, or "
+            "report this to whoever maintains it"
+        )
     return (
         f"flysid itself failed: {type(error).__name__}: {error} ({place}). Try: report this as a bug, with "
         "the data if you may"
@@ -86,6 +91,8 @@ def fitted(estimator: FitsTo[S], train: S, beside: Mapping[str, Fitted]) -> Fitt
     FitError : it does, or nothing could be fitted. DataError, MemoryError : nothing could be fitted.
     """
     model = estimator.fit(train)
+    if model.structure not in all_structures():
+        raise FitError(f"its models call themselves {model.structure!r}, and no installed structure does")
     row = row_of(model.structure)
     if row.gate == "nothing" or not isinstance(train, Dataset):
         return model
@@ -103,7 +110,7 @@ def fit_one(estimator: FitsTo[S], train: S, path: Path, beside: Mapping[str, Fit
     except UNFIT as error:
         return reason(error)
     except Exception as error:  # noqa: BLE001 - one structure takes no other model of the run down
-        return fault(error)
+        return fault(error, row_of(path.stem).package)
     of = f"{path.stem} on {path.parent.name}"
     if isinstance(train, Dataset):
         model = extra(Extra.BEYOND, partial(caution, model, train), model, of)

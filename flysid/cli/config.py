@@ -56,17 +56,22 @@ def take_settings(ctx: click.Context) -> None:
     command = group.get_command(ctx, verb)
     if command is None or isinstance(command, click.Group):
         return
-    asked = _Asked((*_words(ctx), verb), command, _verbs(ctx))
+    asked = _Asked((*_words(ctx), verb), command, ctx)
     ctx.default_map = {verb: settings_of(asked, Path(FILE), own_file(os.environ), os.environ)}
 
 
 @dataclass(frozen=True)
 class _Asked:
-    """The verb that is about to run: its words, its command, and the verbs that each word is one of."""
+    """The verb that is about to run: its words, its command, and the context of the group that it is in."""
 
     words: tuple[str, ...]
     command: click.Command
-    verbs: tuple[tuple[str, ...], ...]
+    group: click.Context
+
+    @property
+    def verbs(self) -> tuple[tuple[str, ...], ...]:
+        """The verbs that each word is one of."""
+        return _verbs(self.group)
 
     @property
     def name(self) -> str:

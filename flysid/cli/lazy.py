@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import difflib
-import importlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping
+from functools import cached_property
 from typing import Any
 
 import click
 
-from flysid.cli.examples import epilog
+from flysid.cli.verbs import Verb
+from flysid.errors import UsageError
+from flysid.offers import import_name, rows
 
 
 class LazyVerbs(click.Group):
@@ -17,50 +19,71 @@ class LazyVerbs(click.Group):
 
     Parameters
     ----------
-    verbs : name -> what the verb does, in one line.
-    modules : where the command of a verb is, e.g. "flysid.cli.{}".
-    steps : heading -> verbs, as the help lists them; one list without.
-    parent : the verb that these are verbs of.
+    verbs : rows of flysid's own, by name.
+    modules : where the command of one of these is, e.g. "flysid.cli.{}:command".
+    group : of the entry points by which other packages add verbs; "" where they cannot.
     """
 
     def __init__(
-        self,
-        *args: Any,
-        verbs: Mapping[str, str],
-        modules: str,
-        steps: Mapping[str, Sequence[str]] | None = None,
-        parent: str = "",
-        **settings: Any,
+        self, *args: Any, verbs: Mapping[str, Verb], modules: str, group: str = "", **settings: Any
     ) -> None:
         super().__init__(*args, **{"subcommand_metavar": "VERB [ARGS]..."} | settings)
-        self.verbs = verbs
+        self._own = verbs
         self._modules = modules
-        self._steps = steps or {"Commands": tuple(verbs)}
-        self._parent = parent
+        self._group = group
+
+    @cached_property
+    def verbs(self) -> Mapping[str, Verb]:
+        """Every row by name: flysid's own, then those of installed packages.
+
+        Raises
+        ------
+        UsageError : an installed package offers what is no verb, or a name that is taken.
+        """
+        every = dict(self._own)
+        for offer, row in rows(self._group, Verb) if self._group else ():
+            if row.name in every:
+                raise offer.refusal(f"the name {row.name!r} is taken")
+            if not row.command:
+                raise offer.refusal("it does not say where its command is")
+            every[row.name] = row
+        return every
 
     def list_commands(self, ctx: click.Context) -> list[str]:  # noqa: ARG002
         return sorted(self.verbs)
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:  # noqa: ARG002
-        if cmd_name not in self.verbs:
+        row = self._own.get(cmd_name) or self.verbs.get(cmd_name)
+        if row is None:
             return None
-        command: click.Command = importlib.import_module(self._modules.format(cmd_name)).command
-        command.epilog = command.epilog or epilog(f"{self._parent} {cmd_name}".strip())
+        command: click.Command = import_name(row.command or self._modules.format(cmd_name))
+        command.epilog = command.epilog or row.epilog
         return command
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:  # noqa: ARG002
-        width = max(map(len, self.verbs))
-        listed = {verb for verbs in self._steps.values() for verb in verbs}
-        more = tuple(verb for verb in self.verbs if verb not in listed)
-        for step, verbs in (dict(self._steps) | ({"More": more} if more else {})).items():
+        try:
+            verbs = self.verbs
+        except UsageError as error:
+            verbs = self._own
+            formatter.write_paragraph()
+            formatter.write_text(str(error))
+        width = max(map(len, verbs))
+        for step, listed in _by_step(verbs.values()).items():
             with formatter.section(step):
-                formatter.write_dl([(verb.ljust(width), self.verbs[verb]) for verb in verbs])
+                formatter.write_dl([(row.name.ljust(width), row.summary) for row in listed])
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
-        if args and args[0] not in self.verbs and not args[0].startswith("-"):
+        if args and not args[0].startswith("-") and args[0] not in self._own and args[0] not in self.verbs:
             near = difflib.get_close_matches(args[0], self.verbs, n=1)
             hint = f" Did you mean {near[0]!r}?" if near else ""
             raise click.UsageError(f"no verb {args[0]!r}.{hint}", ctx)
         return super().resolve_command(ctx, args)
+
+
+def _by_step(verbs: Iterable[Verb]) -> dict[str, list[Verb]]:
+    listed: dict[str, list[Verb]] = {}
+    for verb in verbs:
+        listed.setdefault(verb.step, []).append(verb)
+    return listed

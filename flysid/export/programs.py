@@ -6,7 +6,8 @@ from flysid.errors import UsageError
 from flysid.export.other_rate import resample
 from flysid.export.program import Program
 from flysid.model.base import Fitted
-from flysid.model.structures import found, row_of
+from flysid.model.structures import row_of
+from flysid.offers import import_name
 
 
 def program_of(model: Fitted, rate_hz: float | None = None) -> Program:
@@ -31,5 +32,5 @@ def program_of(model: Fitted, rate_hz: float | None = None) -> Program:
         )
     if rate_hz is not None:
         model = resample(model, rate_hz)
-    program: Program = found(row.program)(model)
+    program: Program = import_name(row.program)(model)
     return program

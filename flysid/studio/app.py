@@ -138,6 +138,12 @@ class Studio:
         query_of(request, forms.Nothing)
         return answer({"recipes": await run_in_threadpool(self.recipes.listing)})
 
+    async def list_models(self, request: Request) -> Response:
+        query_of(request, forms.Nothing)
+        from flysid.studio.channels import listed_models
+
+        return answer({"models": listed_models()})
+
     async def recipe(self, request: Request) -> Response:
         query_of(request, forms.Nothing)
         name = request.path_params["name"]
@@ -322,6 +328,7 @@ class Studio:
             ("GET", "flights/{flight}/suggestions", "flights", self.suggest),
             ("GET", "series", "flights", self.series),
             ("GET", "align", "channels", self.align),
+            ("GET", "models", "channels", self.list_models),
             ("GET", "recipes", "channels", self.list_recipes),
             ("POST", "recipes", "channels", self.judge_recipe),
             ("GET", "recipes/{name}", "channels", self.recipe),

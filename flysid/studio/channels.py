@@ -18,6 +18,7 @@ from flysid.foreign import inner_path
 from flysid.ingest.align.recipe import load_recipe, parse_recipe, recipe_text, shipped_recipes
 from flysid.ingest.lake.stretches import Stretches, beginnings, parse_part
 from flysid.manifest import FLIGHTS, read_manifest
+from flysid.model.structures import table
 from flysid.studio.flights import boot_offsets_s, lake_of
 from flysid.studio.folders import NotThere, Workspace
 from flysid.studio.forms import Aligned, Draft
@@ -25,6 +26,12 @@ from flysid.validate.report.decimate import decimate, round_for_json
 
 INFINITE = ("inf", "-inf")
 POINTS = 1500  # of a signal: more than a page is wide
+
+
+def listed_models() -> list[dict[str, Any]]:
+    """Name of every structure that a fit may be given, and whether it is fitted where none is named."""
+    rows = (row for row in table().values() if row.can_be_fitted and row.fitted != "always")
+    return [{"name": row.name, "usual": row.fitted == "usually"} for row in rows]
 
 
 class Recipes:
@@ -41,7 +48,9 @@ class Recipes:
             try:
                 recipe = load_recipe(place)
             except RecipeError as error:
-                listed.append({"name": Path(place).stem, "error": error.advice, "own": True, "channels": []})
+                listed.append(
+                    {"name": Path(place).stem, "error": error.advice, "own": place in own, "channels": []}
+                )
                 continue
             channels = [
                 {"name": name, "inputs": c.inputs, "outputs": c.outputs}

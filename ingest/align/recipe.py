@@ -39,11 +39,15 @@ from flysid.errors import RecipeError
 from flysid.files import remedy_unread, why_unread
 from flysid.ingest.align.transforms import TRANSFORMS
 from flysid.ingest.formats.common.units import is_known
+from flysid.offers import Offer, offers
 from flysid.showing import one_of
 
 QUICK = "quick"
 """The name of a recipe that is made of fields, which nobody has named."""
 SUFFIX = ".toml"
+OWN = "flysid.ingest.align"
+FOLDER = "recipes"
+ENTRY_POINTS = "flysid.recipes"
 
 
 @dataclass(frozen=True)
@@ -268,9 +272,29 @@ class Recipe:
 
 
 def shipped_recipes() -> tuple[str, ...]:
-    """Names of the recipes that come with flysid."""
-    folder = resources.files("flysid.ingest.align") / "recipes"
-    return tuple(sorted(p.name[: -len(SUFFIX)] for p in folder.iterdir() if p.name.endswith(SUFFIX)))
+    """Names of the recipes that come with flysid, and with installed packages.
+
+    Raises
+    ------
+    UsageError : an installed package offers a recipe under a name that is taken.
+    """
+    return tuple(sorted((*_own_recipes(), *_offered_recipes())))
+
+
+def _own_recipes() -> tuple[str, ...]:
+    folder = resources.files(OWN) / FOLDER
+    return tuple(p.name[: -len(SUFFIX)] for p in folder.iterdir() if p.name.endswith(SUFFIX))
+
+
+def _offered_recipes() -> dict[str, Offer]:
+    """By name the entry points of installed packages, each the module beside which NAME.toml lies."""
+    own = _own_recipes()
+    found: dict[str, Offer] = {}
+    for offer in offers(ENTRY_POINTS):
+        if offer.name in own or offer.name in found:
+            raise offer.refusal(f"the name {offer.name!r} is taken")
+        found[offer.name] = offer
+    return found
 
 
 def load_recipe(name: str | Path) -> Recipe:
@@ -288,6 +312,14 @@ def load_recipe(name: str | Path) -> Recipe:
     return parse_recipe(document, where)
 
 
+def _offered_text(offer: Offer) -> str:
+    """The recipe of an installed package."""
+    try:
+        return (resources.files(offer.load()) / f"{offer.name}{SUFFIX}").read_text("utf-8")
+    except (OSError, UnicodeDecodeError, TypeError) as error:
+        raise offer.refusal(f"{offer.name}{SUFFIX} is not beside {offer.value}, or not a text") from error
+
+
 def parse_recipe(document: Mapping[str, Any], where: str = "") -> Recipe:
     """A recipe from a TOML document; `where` names it in errors."""
     _check_keys(document, Recipe, "", where)
@@ -301,9 +333,10 @@ def parse_recipe(document: Mapping[str, Any], where: str = "") -> Recipe:
 
 def recipe_text(name: str) -> tuple[str, str]:
     """The text of a shipped recipe or of a file, and what to call it in errors; raises RecipeError."""
-    if name in shipped_recipes():
-        entry = resources.files("flysid.ingest.align") / "recipes" / f"{name}{SUFFIX}"
-        return entry.read_text("utf-8"), name
+    if name in _own_recipes():
+        return (resources.files(OWN) / FOLDER / f"{name}{SUFFIX}").read_text("utf-8"), name
+    if name in (offered := _offered_recipes()):
+        return _offered_text(offered[name]), f"{name} of the package {offered[name].package}"
     path = Path(name)
     if path.suffix != SUFFIX and path.name == name:
         raise RecipeError(

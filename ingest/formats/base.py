@@ -1,8 +1,8 @@
 """What a log format provides, and how flysid reads a log of any format.
 
-A format is a folder here and a row of `registry.FORMATS`; third parties add theirs with an entry point of the
-group "flysid.formats". A reader is a generator: it yields tables (parts of streams, in any interleaving) and
-returns a Summary, so that a log of any size is read in bounded memory.
+A format is a folder here whose package holds its row; other packages add theirs with an entry point of the
+group "flysid.formats" (`flysid.ingest.formats.registry`). A reader is a generator: it yields tables (parts of
+streams, in any interleaving) and returns a Summary, so that a log of any size is read in bounded memory.
 """
 
 from __future__ import annotations

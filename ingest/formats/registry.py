@@ -1,14 +1,16 @@
 """Every log format that flysid reads, and how a log's format is found.
 
-Third parties add a format with an entry point of the group "flysid.formats" that names a `Format`.
+A folder beside this module is a format where its package holds rows: `FORMATS`, a tuple of `Format`. Another
+package adds one with an entry point of the group "flysid.formats" that names a `Format`.
 """
 
 from __future__ import annotations
 
+import importlib
+import pkgutil
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import cache
-from importlib.metadata import entry_points
 from pathlib import Path
 
 from flysid.errors import FormatError, UsageError
@@ -19,6 +21,7 @@ from flysid.ingest.formats.opening import OpenLog, members_of, open_log, own_nam
 from flysid.ingest.formats.recognised import stranger
 from flysid.ingest.formats.rosbag2.side_files import READ
 from flysid.mirror import log_at
+from flysid.offers import rows
 from flysid.place import Place, is_address
 from flysid.showing import one_of
 
@@ -27,55 +30,16 @@ CERTAIN = 0.95
 PLAUSIBLE = 0.3
 
 
-def _row(name: str, title: str, suffixes: str, reader: str, scrubber: str | None, zeros: int = 0) -> Format:
-    home = "flysid.ingest.formats"
-    scrub = f"{home}.{scrubber}" if scrubber else None
-    return Format(name, title, tuple(suffixes.split()), f"{home}.{reader}", scrub, zeros)
+def _own_formats() -> dict[str, Format]:
+    """The rows `FORMATS` of the folders beside this module, by name."""
+    beside = pkgutil.iter_modules([str(Path(__file__).parent)])
+    packages = [importlib.import_module(f"{__package__}.{info.name}") for info in beside if info.ispkg]
+    rows = [row for package in packages for row in getattr(package, "FORMATS", ())]
+    return {row.name: row for row in sorted(rows, key=lambda row: row.name)}
 
 
-FORMATS: Mapping[str, Format] = {
-    row.name: row
-    for row in (
-        _row(
-            "blackbox",
-            "Betaflight and INAV blackbox (.bbl, .bfl, .txt)",
-            ".bbl .bfl .txt",
-            "blackbox.reader",
-            "blackbox.scrub",
-        ),
-        _row("crazyflie", "Crazyflie uSD-card log", ".usd", "crazyflie.reader", None),
-        _row("csv", "table in text (.csv, .tsv)", ".csv .tsv", "csv.reader", None),
-        _row("dataflash", "ArduPilot DataFlash (.bin)", ".bin", "dataflash.reader", "dataflash.scrub"),
-        _row(
-            "dataflash_text",
-            "ArduPilot DataFlash as text (.log)",
-            ".log",
-            "dataflash.text_reader",
-            "dataflash.scrub_text",
-        ),
-        _row("mavlogdump", "JSON lines of pymavlink's mavlogdump", "", "mavlogdump.reader", None),
-        _row("mcap", "MCAP (ROS 1, ROS 2, protobuf, JSON)", ".mcap", "mcap.reader", "mcap.scrub"),
-        _row(
-            "navdata",
-            "AR.Drone navdata (packets or pcap)",
-            ".navdata .pcap .pcapng .cap",
-            "ardrone.reader",
-            "ardrone.scrub",
-        ),
-        _row("parquet", "table in parquet (.parquet)", ".parquet .pq", "parquet.reader", None),
-        _row("rosbag", "ROS 1 bag", ".bag", "rosbag1.reader", "rosbag1.scrub"),
-        _row("rosbag2", "ROS 2 bag (SQLite)", ".db3 .db3.zstd", "rosbag2.reader", "rosbag2.scrub"),
-        _row(
-            "tlog",
-            "MAVLink telemetry (.tlog, raw, pcap)",
-            ".tlog .rlog .mavlink .raw .pcap .pcapng .cap",
-            "mavlink.reader",
-            "mavlink.scrub",
-            zeros=8,
-        ),
-        _row("ulog", "PX4 ULog", ".ulg", "ulog.reader", "ulog.scrub"),
-    )
-}
+FORMATS: Mapping[str, Format] = _own_formats()
+"""flysid's own formats, by name."""
 
 
 @cache
@@ -87,14 +51,10 @@ def all_formats() -> Mapping[str, Format]:
     UsageError : an installed package offers something that is no format, or a name that is taken.
     """
     found = dict(FORMATS)
-    for entry in entry_points(group=ENTRY_POINTS):
-        offered = entry.load()
-        if not isinstance(offered, Format) or offered.name in found:
-            raise UsageError(
-                f"the entry point {entry.name!r} of {ENTRY_POINTS} is not a new format",
-                hint=f"it must name a Format whose name is not one of {', '.join(found)}",
-            )
-        found[offered.name] = offered
+    for offer, row in rows(ENTRY_POINTS, Format):
+        if row.name in found:
+            raise offer.refusal(f"the name {row.name!r} is taken")
+        found[row.name] = row
     return found
 
 

@@ -11,11 +11,15 @@ import pytest
 from click.testing import CliRunner
 
 from flysid.cli import VERBS, complete, root
-from flysid.cli.examples import EXAMPLES
+from flysid.cli.verbs import FLEET_VERBS
 from flysid.errors import FlysidError, RecipeError, UsageError
 from flysid.validate.fitting import estimators
 from flysid.validate.run import FitSettings
 from tests.command import call
+
+EXAMPLES = {verb: row.examples for verb, row in VERBS.items()} | {
+    f"fleet {verb}": row.examples for verb, row in FLEET_VERBS.items() if row.examples
+}
 
 
 def context_of(*words: str) -> click.Context:

@@ -8,7 +8,8 @@ import sys
 from pathlib import Path
 
 from flysid.model.rules.search_settings import SearchSettings
-from flysid.model.structures import OWN, found, table
+from flysid.model.structures import OWN, table
+from flysid.offers import import_name
 from tests.model_examples import EXAMPLES, fitted
 
 PACKAGE = """
@@ -67,7 +68,7 @@ def test_a_name_that_is_taken_is_refused(tmp_path: Path) -> None:
 def test_what_rows_point_at_is_there() -> None:
     for row in OWN.values():
         for path in (row.rebuild, row.estimator, row.build, row.program, row.pieces):
-            assert not path or callable(found(path)), (row.name, path)
+            assert not path or callable(import_name(path)), (row.name, path)
 
 
 def test_rows_take_what_their_settings_have() -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 
 import numpy as np
 from markupsafe import Markup
@@ -14,6 +14,7 @@ from flysid.extras import Extra, extra
 from flysid.filters import power_density
 from flysid.model.base import Rule
 from flysid.model.frequency.response import GOOD_COHERENCE
+from flysid.offers import rows
 from flysid.validate.bands import curves
 from flysid.validate.comparison import Comparison
 from flysid.validate.report import figures, modelfigures
@@ -47,6 +48,59 @@ class Panel:
     told: tuple[Told, ...] = ()
 
 
+Draw = Callable[[Source, int, int], list[Panel]]
+"""(channel, number of the output, number of its main input) -> panels; none where nothing is to show."""
+ENTRY_POINTS = "flysid.figures"
+PLACES = ("residuals", "dynamics", "data")
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A figure of the page that another package adds; of every channel and output.
+
+    Attributes
+    ----------
+    name : what a sentence calls it where it breaks: "gain over speed".
+    place : heading that it stands under, last: "residuals", "dynamics" or "data".
+    draw : see `Draw`; `flysid.validate.report.svg` draws pictures.
+
+    Examples
+    --------
+    >>> from flysid.validate.report.modelpanels import Figure
+    >>> Figure("gain over speed", "dynamics", lambda source, output, signal: []).place
+    'dynamics'
+    """
+
+    name: str
+    place: str
+    draw: Draw
+
+
+def panels_of(
+    place: str, own: Mapping[str, Callable[[], list[Panel]]], source: Source, j: int, signal: int
+) -> tuple[Panel, ...]:
+    """The panels under a heading: flysid's own by name, then those of installed packages."""
+    offered = extra(Extra.PANEL, _offered, (), "of an installed package")
+    more = {row.name: partial(row.draw, source, j, signal) for row in offered if row.place == place}
+    return drawn_panels(source, {**own, **more})
+
+
+@cache
+def _offered() -> tuple[Figure, ...]:
+    """The figures of installed packages.
+
+    Raises
+    ------
+    UsageError : one of them is no figure, or has no place on the page.
+    """
+    found = []
+    for offer, row in rows(ENTRY_POINTS, Figure):
+        if row.place not in PLACES:
+            raise offer.refusal(f"its place {row.place!r} is not one of {', '.join(PLACES)}")
+        found.append(row)
+    return tuple(found)
+
+
 def with_unit(name: str, unit: str) -> str:
     """ "v_x, m/s"."""
     return one_line(f"{name}, {unit}" if unit else name)
@@ -57,17 +111,20 @@ def gain_unit(c: Comparison, j: int, signal: int) -> str:
     return one_line(f"{c.test.outputs[j].unit or '1'} per {c.test.inputs[signal].unit or '1'}")
 
 
-def residual_panels(source: Source, j: int) -> tuple[Panel, ...]:
+def residual_panels(source: Source, j: int, signal: int) -> tuple[Panel, ...]:
     """Correlation, histogram and spectrum of one-step residuals; free-run errors against inputs."""
     inputs = enumerate(source.comparison.test.inputs)
-    return drawn_panels(
-        source,
+    return panels_of(
+        "residuals",
         {
             "autocorrelation": partial(_autocorrelation, source, j),
             **{f"cross-correlation with {s.name}": partial(_cross, source, j, i) for i, s in inputs},
             "histogram of the residual": partial(_histogram, source, j),
             "spectrum of the residual": partial(_spectrum, source, j),
         },
+        source,
+        j,
+        signal,
     )
 
 
@@ -176,8 +233,8 @@ def _told(words: Mapping[Role, str]) -> tuple[Told, ...]:
 
 def dynamics_panels(source: Source, j: int, signal: int) -> tuple[Panel, ...]:
     """Frequency response, step, poles and zeros, static map, number of rules."""
-    return drawn_panels(
-        source,
+    return panels_of(
+        "dynamics",
         {
             "frequency response": lambda: [_bode(source, j, signal)],
             "step response": lambda: [_step(source, j, signal)],
@@ -185,6 +242,9 @@ def dynamics_panels(source: Source, j: int, signal: int) -> tuple[Panel, ...]:
             "static map": lambda: [_static(source, j, signal)],
             "rule count": lambda: _sweep(source, j),
         },
+        source,
+        j,
+        signal,
     )
 
 

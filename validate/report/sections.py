@@ -27,6 +27,7 @@ from flysid.validate.report.modelpanels import (
     drawn_panels,
     dynamics_panels,
     gain_unit,
+    panels_of,
     residual_panels,
     rules_of,
     with_unit,
@@ -115,7 +116,7 @@ def _section(source: Source, j: int, anchor: str) -> Section:
         still=extra(Extra.STRIPS, partial(_still, shown, titles), Markup(""), of),
         buttons=overlay.buttons(c, pieces, j),
         left_out=overlay.left_out(len(source.diagnosis.free_runs), len(pieces)),
-        residuals=residual_panels(source, j),
+        residuals=residual_panels(source, j, signal),
         dynamics=dynamics_panels(source, j, signal),
         rules=extra(Extra.RULE_TABLE, partial(_rules, source, j, signal), (), of),
         sets=_sets(source, j, signal),
@@ -263,13 +264,16 @@ def _typeset(words: str) -> str:
 def _sets(source: Source, j: int, signal: int) -> tuple[Panel, ...]:
     """Membership functions and data coverage."""
     c = source.comparison
-    return drawn_panels(
-        source,
+    return panels_of(
+        "data",
         {
             "membership functions": partial(_memberships, source),
             "input coverage": partial(_coverage, source, "u", signal, c.test.inputs[signal]),
             "output coverage": partial(_coverage, source, "y", j, c.test.outputs[j]),
         },
+        source,
+        j,
+        signal,
     )
 
 

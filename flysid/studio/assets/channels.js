@@ -11,20 +11,20 @@ const LOOKED_AT = 6; // flights whose suggestions are asked for without a click
 const MOST_STRIPS = 12;
 
 export async function showChannels(main, query, stay) {
-  const [{ flights, count }, { recipes }] = await Promise.all([get("flights", { most: 100 }), get("recipes")]);
-  const page = new Channels(main, query, flights, count, recipes, stay);
+  const [{ flights, count }, { recipes }, { models }] = await Promise.all([get("flights", { most: 100 }), get("recipes"), get("models")]);
+  const page = new Channels(main, query, flights, count, recipes, models, stay);
   await page.begin(query);
 }
 
 class Channels {
-  constructor(main, query, flights, count, recipes, stay) {
+  constructor(main, query, flights, count, recipes, models, stay) {
     Object.assign(this, { flights, count, stay, open: null });
     this.ticked = new Set(); // "flight|recipe|channel"
     this.found = new Map(); // flight -> what was found
     this.aligned = new Map(); // what was asked -> the promise of an aligned channel
     this.parts = new Parts(query.getAll("x"), query.getAll("h"), () => this.partsChanged());
     this.fit = new FitPanel({
-      recipes, query, parts: this.parts, stay,
+      recipes, models, query, parts: this.parts, stay,
       chosen: () => [...this.ticked].sort().map((id) => id.split("|")), // the same ticks, the same command, whichever flight was looked at first
       all: (ids) => ids.length === flights.length && count <= flights.length,
       picked: (recipe) => { this.untick(recipe); this.draw(); },

@@ -5,18 +5,16 @@ import { watch } from "./jobs.js";
 import { recipeEditor } from "./recipe.js";
 import { takesField } from "./fields.js";
 
-const MODELS = ["line", "polynarx", "static_ts", "ts", "ts_ss", "statespace", "tf", "fir", "armax"];
-const USUAL = "line,polynarx,static_ts,ts";
-
 // The panel. `chosen()` gives [flight, recipe, channel] of every tick; `all` says whether these flights are every one there is;
 // `picked` is told a recipe that was chosen, `changed` that a recipe has been kept.
 export class FitPanel {
-  constructor({ recipes, query, parts, chosen, all, picked, changed, stay }) {
+  constructor({ recipes, models, query, parts, chosen, all, picked, changed, stay }) {
     Object.assign(this, { recipes, parts, chosen, all, changed, stay, asked: 0 });
     this.flight = query.get("f") || "";
     this.fields = this.makeFields(query);
-    this.models = el("fieldset", { class: "models" }, el("legend", {}, "Models besides ARX, OE and the references"), MODELS.map((name) =>
-      el("label", { class: "tick" }, el("input", { type: "checkbox", value: name, checked: USUAL.split(",").includes(name) }), name)));
+    this.models = el("fieldset", { class: "models" }, el("legend", {}, "Models besides ARX, OE and the references"), models.map(({ name, usual }) =>
+      el("label", { class: "tick" }, el("input", { type: "checkbox", value: name, checked: usual }), name)));
+    this.usual = models.filter((one) => one.usual).map((one) => one.name).join(",");
     this.editor = recipeEditor((name) => this.recipes.some((one) => one.name === name && one.own), (name) => this.kept(name));
     this.command = el("div", {});
     this.running = el("div", {});
@@ -94,7 +92,7 @@ export class FitPanel {
       channels: [...new Set(this.chosen().filter(([, name]) => name === recipe).map(([, , channel]) => channel))],
       flights: this.flights(), exclude: this.parts.out, holdout: this.parts.held.length ? this.parts.held : Number(share) === 0.3 ? [] : [share],
       modes_flown: fields.modes.value.split(",").map((name) => name.trim()).filter(Boolean),
-      models: labels === USUAL ? "" : labels, effort: fields.effort.value === "normal" ? "" : fields.effort.value,
+      models: labels === this.usual ? "" : labels, effort: fields.effort.value === "normal" ? "" : fields.effort.value,
       by: fields.by.value === "auto" ? "" : fields.by.value, seed: Number(fields.seed.value) === 7 ? null : Number(fields.seed.value),
       name: fields.name.value, preview,
     };

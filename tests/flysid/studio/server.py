@@ -95,15 +95,15 @@ class Server:
 
 
 @contextmanager
-def studio(data: Path, *more: str, module: str = "flysid") -> Iterator[Server]:
-    """Start `flysid studio` on a free port; end it as Ctrl-C does."""
+def studio(data: Path, *more: str, module: str = "flysid", site: Path = ROOT) -> Iterator[Server]:
+    """Start `flysid studio` on a free port, beside the packages in `site`; end it as Ctrl-C does."""
     state = data.absolute().parent.with_suffix(".state")
     process = subprocess.Popen(
         [sys.executable, "-m", module, "studio", str(data), "--no-open", *more],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
-        env=os.environ | {"PYTHONPATH": str(ROOT), "XDG_STATE_HOME": str(state)},
+        env=os.environ | {"PYTHONPATH": f"{site}{os.pathsep}{ROOT}", "XDG_STATE_HOME": str(state)},
     )
     try:
         assert process.stdout is not None

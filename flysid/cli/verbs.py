@@ -1,0 +1,312 @@
+"""The verbs of the command line: one row each, read by --help without importing the verb.
+
+A verb is its module `flysid/cli/NAME.py` with a click command called `command`, and its row here. Another
+package adds one with an entry point of the group "flysid.verbs" that names a `Verb`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+ENTRY_POINTS = "flysid.verbs"
+OTHERS = "More"
+"""The heading of verbs of other packages."""
+
+
+class Verb(NamedTuple):
+    """A verb.
+
+    Attributes
+    ----------
+    name : what a user types.
+    summary : what it does, in one line.
+    examples : command lines, for the end of its help.
+    step : heading that the help lists it under.
+    command : "module:name" of its click command; "" for flysid's own, in `flysid.cli.NAME`.
+
+    Examples
+    --------
+    >>> from flysid.cli.verbs import Verb
+    >>> Verb("weigh", "Weigh a vehicle.", command="mypackage.weigh:command").step
+    'More'
+    """
+
+    name: str
+    summary: str
+    examples: Sequence[str] = ()
+    step: str = OTHERS
+    command: str = ""
+
+    @property
+    def epilog(self) -> str:
+        """The examples as click prints them, one a line."""
+        lines = ["\b", "Examples:", *(f"  {line}" for line in self.examples)]
+        return "\n".join(lines) if self.examples else ""
+
+
+VERBS: Mapping[str, Verb] = {
+    row.name: row
+    for row in (
+        Verb(
+            "doctor",
+            "Check logs: contents, losses, and what to log next time.",
+            (
+                "flysid doctor logs/ --json",
+                "flysid doctor flight.ulg --kinematics",
+            ),
+            step="Look",
+        ),
+        Verb(
+            "show",
+            "Show a flight or one of its streams: fields, units, rates, losses.",
+            (
+                "flysid show flight.bin ATT",
+                "flysid show data 0042 --params",
+            ),
+            step="Look",
+        ),
+        Verb(
+            "plot",
+            "Plot fields of a log over time, with modes and messages.",
+            (
+                "flysid plot data --flight 0042 --pair attitude --between 2:00..3:30 --mode LOITER",
+                "flysid plot flight.bin ATT.DesRoll,ATT.Roll 'RCOU.C*' -o roll.png",
+            ),
+            step="Look",
+        ),
+        Verb(
+            "ls",
+            "List flights, and what they can identify.",
+            (
+                "flysid ls data",
+                "flysid ls flight.bin --suggest",
+            ),
+            step="Look",
+        ),
+        Verb(
+            "recipes",
+            "List the recipes, or explain one; which ones fit a log.",
+            (
+                "flysid recipes --for flight.bin",
+                "flysid recipes px4-rates --toml",
+            ),
+            step="Look",
+        ),
+        Verb(
+            "studio",
+            "Browse logs, fit, judge and compare in the browser.",
+            (
+                "flysid studio data",
+                "flysid studio --live udp:0.0.0.0:14550 --watch run",
+            ),
+            step="Look",
+        ),
+        Verb(
+            "ingest",
+            "Read flight logs into a folder of typed Parquet tables.",
+            (
+                "flysid ingest logs/ -o data",
+                "flysid ingest flight.bin 'more/*.ulg' -o data",
+            ),
+            step="Prepare",
+        ),
+        Verb(
+            "record",
+            "Record MAVLink links to a tlog, with losses counted.",
+            (
+                "flysid record udp:0.0.0.0:14550 -o flight.tlog",
+                "flysid record serial:/dev/ttyUSB0:57600 -o flight.tlog --rotate boot",
+            ),
+            step="Prepare",
+        ),
+        Verb(
+            "synth",
+            "Simulate flights and write the logs that the vehicle would have written.",
+            (
+                "flysid synth -o logs",
+                "flysid synth -o logs --plan steps --duration 30 --format tlog",
+            ),
+            step="Prepare",
+        ),
+        Verb(
+            "scrub",
+            "Write a copy of a log without positions, serial numbers and names.",
+            (
+                "flysid scrub flight.tlog -o shared.tlog",
+                "flysid scrub flight.bin -o shared.bin --force",
+            ),
+            step="Prepare",
+        ),
+        Verb(
+            "plan",
+            "Plan the next flight, and predict the accuracy of its results.",
+            (
+                "flysid plan --axis roll=0.1 --axis pitch=0.1 --band 0.3 12 -o plan",
+                "flysid plan run --more 3 --aim 4",
+            ),
+            step="Prepare",
+        ),
+        Verb(
+            "fit",
+            "Fit linear and Takagi-Sugeno models to flights.",
+            (
+                "flysid fit data --recipe ardupilot-attitude -o run",
+                "flysid fit flight.bin -r ardupilot-attitude --between 2:00..6:30 --mode LOITER -o run",
+            ),
+            step="Fit",
+        ),
+        Verb(
+            "tf",
+            "Identify transfer functions with intervals, and measure the frequency response.",
+            (
+                "flysid tf data -r ardupilot-attitude --plot bode.png",
+                "flysid tf flight.csv --from pitch_cmd --to v_x --poles 2",
+            ),
+            step="Fit",
+        ),
+        Verb(
+            "step",
+            "Estimate step responses from ordinary flight; compare two logs.",
+            (
+                "flysid step flight.bfl -r betaflight-rate -c roll_rate --plot step.png",
+                "flysid step before.bfl -r betaflight-rate -c roll_rate --against after.bfl",
+            ),
+            step="Fit",
+        ),
+        Verb(
+            "validate",
+            "Compare fitted models on held-out segments; write the report.",
+            (
+                "flysid validate run -o paper --markdown --figures pdf",
+                "flysid validate run --with sim=sys.mat --with mine=sim:simulate",
+            ),
+            step="Judge",
+        ),
+        Verb(
+            "compare",
+            "Compare the models of two runs on flights that neither has trained on.",
+            (
+                "flysid compare run-4.5 run-4.6 -o both",
+                "flysid compare old new --fail-if 'free_run.change_pct > 5'",
+            ),
+            step="Judge",
+        ),
+        Verb(
+            "runs",
+            "List run folders and rank them by free-run error.",
+            (
+                "flysid runs",
+                "flysid runs experiments/ --json",
+            ),
+            step="Judge",
+        ),
+        Verb(
+            "gains",
+            "Crossover, margins, bandwidth and noise of the gains in a log.",
+            (
+                "flysid gains flight.bfl",
+                "flysid gains data --axis roll --plot loop.png",
+            ),
+            step="Judge",
+        ),
+        Verb(
+            "design",
+            "Robust controller gains over all good models of a run, beside the present ones.",
+            (
+                "flysid design run -c longitudinal --limit 12 -o design",
+                "flysid design run --for px4 --old vehicle.params --gain 0.85..1.15 "
+                "--delay 0..0.04 -o design",
+            ),
+            step="Judge",
+        ),
+        Verb(
+            "fly",
+            "Test a design's gains on many simulated vehicles, beside the present ones.",
+            (
+                "flysid fly design --vehicles 100 --wind 4 -o trials.html",
+                "flysid fly design --mass 1..1.4 --json",
+            ),
+            step="Judge",
+        ),
+        Verb(
+            "watch",
+            "Raise an alarm when a vehicle no longer behaves as a run's models predict.",
+            (
+                "flysid watch run crash.bin",
+                "flysid watch run udp:0.0.0.0:14550 --fail",
+            ),
+            step="Judge",
+        ),
+        Verb(
+            "reproduce",
+            "Reproduce a paper's results and compare them.",
+            (
+                "flysid reproduce ardrone-ts",
+                "flysid reproduce ardrone-ts --figures figures",
+            ),
+            step="Judge",
+        ),
+        Verb(
+            "export",
+            "Export a flight or a model (C99, FMU, MATLAB) to other programs.",
+            (
+                "flysid export flight.bin ATT RATE --to mat",
+                "flysid export run --channel longitudinal --c longitudinal-c --float32",
+            ),
+            step="Share",
+        ),
+        Verb(
+            "import",
+            "Import a linear model from MATLAB or python-control.",
+            (
+                "flysid import sys.mat --run run -c longitudinal -o sim.json",
+                "flysid import plant.npz --run run -o plant.json",
+            ),
+            step="Share",
+        ),
+        Verb(
+            "fleet",
+            "Work with many logs of many vehicles: catalogue, upkeep, models.",
+            (
+                "flysid fleet ls s3://lake --vehicle v017",
+                "flysid fleet changed s3://lake -r px4-effort",
+            ),
+            step="Many",
+        ),
+        Verb(
+            "demo",
+            "Simulate flights, ingest, fit and validate them; open the report.",
+            (
+                "flysid demo",
+                "flysid demo --plant ardrone-linear -o linear",
+            ),
+            step="Try",
+        ),
+    )
+}
+"""flysid's own, by name; the help lists steps and verbs in this order: what a user does first comes first."""
+
+FLEET_VERBS: Mapping[str, Verb] = {
+    row.name: row
+    for row in (
+        Verb(
+            "changed",
+            "List vehicles that have changed, or differ from the rest of the fleet.",
+            (),
+            step="Commands",
+        ),
+        Verb("check", "Compare a lake's manifests with its tables and its catalogue.", (), step="Commands"),
+        Verb(
+            "compact",
+            "Put many small tables into few large ones, a message and a month each.",
+            (),
+            step="Commands",
+        ),
+        Verb("files", "Print the addresses of the parquet files that hold a message.", (), step="Commands"),
+        Verb("fit", "Linear models of any group of flights; runs of every vehicle.", (), step="Commands"),
+        Verb("forget", "Remove everything of a vehicle from a lake.", (), step="Commands"),
+        Verb("ls", "List a fleet's flights from its catalogue.", (), step="Commands"),
+    )
+}
+"""Verbs of `flysid fleet`, in `flysid/cli/fleet_NAME.py`."""
