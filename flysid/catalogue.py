@@ -16,6 +16,7 @@ import msgspec
 
 from flysid.errors import StoreError
 from flysid.files import write_atomically
+from flysid.flight import message_of
 from flysid.foreign import inner_path
 from flysid.manifest import FLIGHTS, Manifest, Stamp, check_data_folder, read_manifest, stamps
 
@@ -94,7 +95,7 @@ def facts_of(manifest: Manifest, stamp: Stamp) -> FlightFacts:
     """What the catalogue holds of a flight."""
     starts = [c.utc_offset_ns + c.slope * c.first_ns for c in manifest.clocks if c.utc_offset_ns is not None]
     filled = [s for s in manifest.streams if s.rows]
-    filled.sort(key=lambda s: (s.stream.rpartition("/")[2], -s.rows, s.stream))
+    filled.sort(key=lambda s: (message_of(s.stream), -s.rows, s.stream))
     layout = [(s.stream, [c.name for c in s.columns]) for s in filled]
     return FlightFacts(
         id=manifest.id,

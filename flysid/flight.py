@@ -2,22 +2,26 @@
 
 A stream key says where a message came from and what it is: `1.1/ATTITUDE` (MAVLink system 1,
 component 1), `/ardrone/navdata` (MCAP topic), `vehicle_attitude#1` (ULog instance 1), `ATT` (DataFlash).
+Where rows of one message belong to several things, each has a stream of its own: `IMU[0]`,
+`1.1/NAMED_VALUE_FLOAT[alt_err]`.
 
 Every table begins with `time_ns` (int64, vehicle clock, nanoseconds) and `boot` (int32, 0 for the first
 boot in the file). Where arrival at the ground was recorded too, `recv_ns` (int64, UTC) follows. The
 remaining columns are the message's fields with their raw values. Field metadata (`field_metadata`)
-carries unit, scale and enumeration; schema metadata carries `time_source`, system and component.
+carries unit, scale and enumeration; schema metadata carries `time_source`, system and component, and `key`:
+the field that tells to which of several things a row belongs (several fields: joined by commas). Where no
+definition declares such a field and its name suggests one, as `header.frame_id` does, it is `key_if_several`.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 from flysid.errors import UsageError
-from flysid.showing import Shown, Table, counted
+from flysid.showing import Shown, Table, counted, first_of
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -25,6 +29,10 @@ if TYPE_CHECKING:
 TIME = "time_ns"
 BOOT = "boot"
 RECEIVED = "recv_ns"
+KEY = "key"
+KEY_IF_SEVERAL = "key_if_several"
+REST = "..."
+"""The thing of rows that stay together, as a log has more things than are kept apart."""
 ROW_NUMBER = "row number"
 """The `time_source` of a table without a time: rows stand a second apart until a recipe says how far."""
 
@@ -193,11 +201,48 @@ class Flight(Shown):
         return self.tables[resolve_stream(stream, self.tables, self.source.name)]
 
 
+def stem_of(stream: str) -> str:
+    """A stream's key without the thing that its rows belong to: `1.1/ESC_INFO` of `1.1/ESC_INFO[0]`."""
+    return stream.partition("[")[0] or stream if stream.endswith("]") else stream
+
+
+def thing_of(stream: str) -> str:
+    """To which of several things a stream's rows belong: `0` of `IMU[0]`; "" where its message has no key."""
+    return stream[len(stem_of(stream)) + 1 : -1]
+
+
+def message_of(stream: str) -> str:
+    """A stream's key without its sender: `BATTERY_STATUS[0]` of `1.1/BATTERY_STATUS[0]`."""
+    stem = stem_of(stream)
+    return stem.rpartition("/")[2] + stream[len(stem) :]
+
+
 def matching_streams(name: str, streams: Mapping[str, Any]) -> list[str]:
-    """Keys that `name` may mean: the key itself, else all keys whose part after the last '/' is `name`."""
+    """Keys that `name` may mean: the key itself, else all whose message is `name`, else all things of it.
+
+    `topic[1]` also means the ULog instance `topic#1`, and `topic[0]` the `topic` that stands beside it.
+    """
     if name in streams:
         return [name]
-    return [key for key in streams if key.rpartition("/")[2] == name]
+    found = [key for key in streams if message_of(key) == name]
+    found = found or [key for key in streams if thing_of(key) != REST and name in _stems(key)]
+    if found or not thing_of(name):
+        return found
+    return [key for key in streams if as_instance(key, streams) == name]
+
+
+def _stems(key: str) -> tuple[str, str]:
+    """What a stream is called without its thing, with its sender and without."""
+    stem = stem_of(key)
+    return stem, message_of(stem)
+
+
+def as_instance(stream: str, streams: Collection[str]) -> str:
+    """The address of a ULog instance: `topic[1]` of `topic#1`, `topic[0]` of the `topic` beside it."""
+    topic, mark, number = stream.partition("#")
+    if mark:
+        return f"{topic}[{number}]"
+    return f"{stream}[0]" if any(other.startswith(f"{stream}#") for other in streams) else stream
 
 
 def resolve_stream(name: str, streams: Mapping[str, Any], where: str) -> str:
@@ -206,14 +251,20 @@ def resolve_stream(name: str, streams: Mapping[str, Any], where: str) -> str:
     if len(found) == 1:
         return found[0]
     if found:
-        raise UsageError(
-            f"{name!r} names {len(found)} streams", path=where, hint=f"one of {', '.join(sorted(found))}"
-        )
+        words, hint = why_several(name, found)
+        raise UsageError(words, path=where, hint=hint)
     import difflib
 
-    near = difflib.get_close_matches(name, {*streams, *(k.rpartition("/")[2] for k in streams)}, n=3)
+    near = difflib.get_close_matches(name, {*streams, *map(message_of, streams)}, n=3)
     hint = f"{', '.join(near)}" if near else f"one of {', '.join(sorted(streams)[:8])}"
     raise UsageError(f"no stream {name!r} in the log", path=where, hint=hint)
+
+
+def why_several(name: str, found: Sequence[str], *, most: int = 12) -> tuple[str, str]:
+    """That a name means several streams, and what to name instead, `most` of them."""
+    is_keyed = len({name.partition("[")[0] for name in found}) == 1
+    words = "several things, each a stream of its own" if is_keyed else f"{len(found)} streams"
+    return f"{name!r} names {words}", f"one of {first_of(sorted(found), most)}"
 
 
 def field_metadata(

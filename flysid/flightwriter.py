@@ -10,10 +10,12 @@ bounded whatever the log's size.
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
 from itertools import accumulate, pairwise
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 import numpy.typing as npt
@@ -84,14 +86,15 @@ class FlightWriter:
         while self._waiting > BUFFER_BYTES:
             self._flush(self._fullest())
 
-    def finish(self) -> tuple[StreamEntry, ...]:
-        """Write all that waits, sort what needs it; entries by stream key."""
+    def finish(self, renamed: Mapping[str, str] = MappingProxyType({})) -> tuple[StreamEntry, ...]:
+        """Write all that waits, sort what needs it; entries by stream key, of those `renamed` the new one."""
         for stream in self._streams.values():
+            stream.key = renamed.get(stream.key, stream.key)
             self._flush(stream)
             self._close(stream)
             if not stream.is_sorted:
                 _merge(stream)
-        return tuple(_entry(self._streams[key]) for key in sorted(self._streams))
+        return tuple(_entry(stream) for stream in sorted(self._streams.values(), key=lambda s: s.key))
 
     def close(self) -> None:
         for stream in self._streams.values():

@@ -97,6 +97,8 @@ class Outcome(Protocol):
     def clocks(self) -> tuple[ClockMap, ...]: ...
     @property
     def info(self) -> Mapping[str, str]: ...
+    @property
+    def renamed(self) -> Mapping[str, str]: ...
 
 
 def flight_id(source: Source, digits: int = 8) -> str:
@@ -268,7 +270,7 @@ def _write_streams(
     writer = FlightWriter(folder)
     try:
         outcome = exhaust(parts, _Told(writer).add)
-        entries = writer.finish()
+        entries = writer.finish(outcome.renamed)
     finally:
         writer.close()
     return Manifest(

@@ -22,6 +22,7 @@ import pyarrow.parquet as pq
 from flysid.catalogue import FlightFacts
 from flysid.errors import StoreError
 from flysid.files import slug
+from flysid.flight import message_of, stem_of
 from flysid.ingest.align.vehicle import vehicle_of
 from flysid.ingest.lake.flighttable import Commit, facts_in, last_commit, rows_of, select
 from flysid.manifest import MANIFEST_FILE, Manifest, parse_manifest
@@ -130,7 +131,8 @@ def _groups(flights: Sequence[FlightFacts]) -> dict[tuple[str, str], list[Flight
 
 
 def _message(stream: str) -> str:
-    return stream.rpartition("/")[2]
+    """A message without its sender and its thing: all of them lie in one part, whose column says which."""
+    return stem_of(message_of(stream))
 
 
 def _has(streams: Sequence[str], rows: Sequence[int], message: str) -> bool:

@@ -15,8 +15,12 @@ import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 
+from flysid.flight import KEY, REST, matching_streams
+from flysid.ingest.formats.base import Limits
+from flysid.ingest.formats.common.arrow_arrays import fixed_text
 from flysid.ingest.formats.common.columns import RecordLayout, message_schema
 from flysid.ingest.formats.common.vehicle_time import AGREES_NS, AUTOPILOT_COMPONENT
+from flysid.ingest.formats.keyed import thing_text
 from flysid.ingest.formats.mavlink.dialect import Dialect, load_dialect
 from flysid.ingest.formats.mavlink.frames import SIGNED, STAMP_BYTES, V2, MessageId
 from flysid.ingest.formats.mavlink.reader import BOOT_FIELDS, TIME_FIELDS, vehicle_facts
@@ -67,12 +71,15 @@ class _Clock:
 
 
 class _MessageStream:
-    """One message of one sender."""
+    """One message of one sender; of one `thing` where its rows belong to several."""
 
-    def __init__(self, key: tuple[int, int, int], dialect: Dialect) -> None:
-        self.system, component, message = key
+    def __init__(self, key: tuple[int, int, int], dialect: Dialect, thing: str | None = None) -> None:
+        self.system, component, message = self.source = key
         self.name = f"{self.system}.{component}/{dialect.message_name(message)}"
+        self.name += "" if thing is None else f"[{thing}]"
         self.layout: RecordLayout = dialect.layout(message)
+        self.key_field = dialect.key(message)
+        self.things: dict[bytes, _MessageStream] = {}
         self.rows = 0
         self.is_asked = False
         self.is_heartbeat = message == MessageId.HEARTBEAT
@@ -84,7 +91,8 @@ class _MessageStream:
 
     def schema(self) -> pa.Schema:
         """The columns that a log's table has."""
-        return message_schema(self.layout.columns, {}, received=True)
+        key = {KEY: self.key_field} if self.key_field else {}
+        return message_schema(self.layout.columns, key, received=True)
 
 
 @dataclass
@@ -154,11 +162,14 @@ class Decoder:
                 start = head + 6
                 end = start + size + 2
             stream = self._streams[key] if key in self._streams else self._met(key)
+            if stream is not None and (stream.key_field or stream.is_asked):
+                width = stream.layout.size
+                payload = content[start : start + min(size, width)].ljust(width, b"\0")
+                stream = self._thing(stream, payload) if stream.key_field else stream
             if stream is not None:
                 stream.rows += 1
                 if stream.is_asked:
-                    width = stream.layout.size
-                    stream.payloads.append(content[start : start + min(size, width)].ljust(width, b"\0"))
+                    stream.payloads.append(payload)
                     stream.stamps_ns.append(int.from_bytes(content[at:head], "big") * 1000)
                     touched[stream.name] = stream
             at = end
@@ -173,9 +184,32 @@ class Decoder:
         stream = None
         if message < len(extra) and extra[message] >= 0:
             stream = _MessageStream(key, self._dialect)
-            stream.is_asked = stream.is_heartbeat or bool({stream.name, stream.layout.name} & set(self.asked))
-            self._by_name[stream.name] = stream
+            if not stream.key_field:
+                self._note(stream)
         self._streams[key] = stream
+        return stream
+
+    def _thing(self, whole: _MessageStream, payload: bytes) -> _MessageStream:
+        """The stream of the thing that a message belongs to."""
+        kind, at = whole.layout.dtype.fields[whole.key_field][:2]  # type: ignore[index]
+        raw = payload[at : at + kind.itemsize]
+        known = whole.things.get(raw)
+        if known is not None:
+            return known
+        text = _text_of(raw, kind)
+        is_room = len(self._by_name) < Limits().max_things
+        stream = _MessageStream(whole.source, self._dialect, text if is_room else REST)
+        stream = self._by_name.get(stream.name) or self._note(stream)
+        if is_room:
+            whole.things[raw] = stream
+        return stream
+
+    def _note(self, stream: _MessageStream) -> _MessageStream:
+        """A stream that rows have come of."""
+        stream.is_asked = stream.is_heartbeat or any(
+            matching_streams(word, {stream.name: 0}) for word in self.asked
+        )
+        self._by_name[stream.name] = stream
         return stream
 
     def _rows_of(self, stream: _MessageStream) -> list[Rows]:
@@ -209,3 +243,10 @@ class Decoder:
             Rows(np.array(times, np.int64), boot, records if len(rows) == len(records) else records[rows])
             for boot, (times, rows) in boots.items()
         ]
+
+
+def _text_of(raw: bytes, kind: np.dtype[Any]) -> str:
+    """The value of a key in a stream's name."""
+    if kind.kind == "S":
+        return str(fixed_text(np.frombuffer(raw, np.uint8)[None])[0].as_py())
+    return thing_text(np.frombuffer(raw, kind)[0].item())

@@ -9,7 +9,8 @@ from flysid.errors import DataError
 from flysid.ingest.align import resample
 from flysid.ingest.align.clock_pair import ClockFit, fit_clock
 from flysid.ingest.align.recipe import ClockSpec, SignalSpec
-from flysid.ingest.align.signals import Loaded, Log, Samples, find_source, find_stream, load_signal
+from flysid.ingest.align.signals import Loaded, Log, Samples, find_source, load_signal
+from flysid.ingest.align.things import find_stream
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from flysid.flight import message_of
+
 COPTER: Mapping[int, str] = {
     0: "STABILIZE", 1: "ACRO", 2: "ALT_HOLD", 3: "AUTO", 4: "GUIDED", 5: "LOITER", 6: "RTL", 7: "CIRCLE",
     9: "LAND", 11: "DRIFT", 13: "SPORT", 14: "FLIP", 15: "AUTOTUNE", 16: "POSHOLD", 17: "BRAKE", 18: "THROW",
@@ -38,7 +40,7 @@ def mode_names(stream: str, field: str, info: Mapping[str, str]) -> Mapping[int,
     stream : key of the stream, e.g. "1.1/HEARTBEAT".
     info : facts about the vehicle: "autopilot", "vehicle".
     """
-    message = stream.rpartition("/")[2].partition("#")[0]
+    message = message_of(stream).partition("#")[0]
     if (message, field) == ("vehicle_status", "nav_state"):
         return PX4
     if (message, field) not in ARDUPILOT or not info.get("autopilot", "").startswith("ardupilot"):

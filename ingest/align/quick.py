@@ -158,7 +158,8 @@ def driven_by(recipe: Recipe, reference: Sequence[str], logs: Sequence[Log]) -> 
 def find_field(logs: Sequence[Log], word: str) -> StreamField:
     """The field that a word names; raises RecipeError with what is near."""
     for log in logs:
-        found = [place for stream in log.rows if (place := _place(log, stream, word)) is not None]
+        readings = _readings(log, word)
+        found = [place for stream in log.rows if (place := _place(log, stream, readings[stream])) is not None]
         if len(found) > 1:
             told = ", ".join(f"{p.stream}.{p.field}" for p in found[:SHOWN])
             raise RecipeError(f"{word!r} is a field of {len(found)} streams", hint=f"one of {told}")
@@ -170,10 +171,10 @@ def find_field(logs: Sequence[Log], word: str) -> StreamField:
     raise RecipeError(f"no log has a field {word!r}", hint=hint)
 
 
-def _place(log: Log, stream: str, word: str) -> StreamField | None:
-    """Where `word` stands in a stream: as a field, or behind the stream's key or message name and a dot."""
+def _place(log: Log, stream: str, readings: Sequence[str]) -> StreamField | None:
+    """The first of some fields that a stream has."""
     columns = [c for c in log.columns(stream) if c not in _OWN]
-    for field in _readings(stream, word):
+    for field in readings:
         match = _ELEMENT.match(field)
         column = field if field in columns else match[1] if match else ""
         if column in columns:
@@ -182,11 +183,13 @@ def _place(log: Log, stream: str, word: str) -> StreamField | None:
     return None
 
 
-def _readings(stream: str, word: str) -> list[str]:
-    """The fields of this stream that a word may mean."""
-    at = [i for i, c in enumerate(word) if c == "."]
-    behind = [word[i + 1 :] for i in at if matching_streams(word[:i], {stream: 0})]
-    return [word, *behind]
+def _readings(log: Log, word: str) -> dict[str, list[str]]:
+    """Stream -> the fields of it that a word may mean: itself, or what stands behind the stream and a dot."""
+    found = {stream: [word] for stream in log.rows}
+    for i in [i for i, c in enumerate(word) if c == "."]:
+        for stream in matching_streams(word[:i], log.rows):
+            found[stream].append(word[i + 1 :])
+    return found
 
 
 def _fields(logs: Sequence[Log]) -> list[str]:

@@ -1,14 +1,13 @@
 """A recipe's source in a log -> times and values of one signal, in the unit the recipe wants.
 
-Streams are resolved per vehicle: of several streams with one message name, that of the autopilot
-(component 1 of the system that logs most) is taken. Units come from the log's own metadata; where it
-states none, the recipe must.
+Streams are resolved per vehicle: of several senders of one message, the autopilot (component 1 of the system
+that logs most) is taken. Of several things of one message, as gyros are, none is: `IMU[0]` names one, and so
+does `where = { I = 0 }`. Units come from the log's own metadata; where it states none, the recipe must.
 """
 
 from __future__ import annotations
 
 import difflib
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
@@ -18,10 +17,21 @@ import numpy.typing as npt
 import pyarrow as pa
 
 from flysid.errors import RecipeError
-from flysid.flight import BOOT, ROW_NUMBER, TIME, Flight, field_scale, field_unit, matching_streams
+from flysid.flight import (
+    BOOT,
+    ROW_NUMBER,
+    TIME,
+    Flight,
+    field_scale,
+    field_unit,
+    message_of,
+    thing_of,
+    why_several,
+)
 from flysid.flightwriter import int_values
 from flysid.ingest.align.allowed import Allowed
 from flysid.ingest.align.recipe import Recipe, SignalSpec, Source
+from flysid.ingest.align.things import things_of, things_where
 from flysid.ingest.align.transforms import TRANSFORMS
 from flysid.ingest.align.values import (
     MOST_VALUES,
@@ -38,7 +48,6 @@ from flysid.showing import one_of
 from flysid.stretch import FloatArray
 
 IntArray = npt.NDArray[np.int64]
-_VEHICLE = re.compile(r"^(\d+)\.(\d+)/")
 
 
 class Log(Protocol):
@@ -130,47 +139,29 @@ class Loaded:
     notes: tuple[str, ...] = ()
 
 
-# ------------------------------------------------------------------------------------------- streams
-
-
-def autopilot_system(rows: Mapping[str, int]) -> str:
-    """The MAVLink system whose component 1 logs most rows; '' where streams carry no system."""
-    count: dict[str, int] = {}
-    for key, n in rows.items():
-        match = _VEHICLE.match(key)
-        if match and match[2] == "1":
-            count[match[1]] = count.get(match[1], 0) + n
-    return max(count, key=lambda system: (count[system], -int(system)), default="")
-
-
-def find_stream(name: str, rows: Mapping[str, int]) -> str | None:
-    """The key that `name` means: exact, else the autopilot's, else its system's, else the one with most rows.
-
-    None where the log has no such stream, or only empty ones.
-    """
-    found = [key for key in matching_streams(name, rows) if rows[key] > 0]
-    if len(found) <= 1:
-        return found[0] if found else None
-    system = autopilot_system(rows)
-
-    def preference(key: str) -> tuple[int, int]:
-        rank = 2 if key.startswith(f"{system}.1/") else 1 if key.startswith(f"{system}.") else 0
-        return rank, rows[key]
-
-    return max(found, key=preference)
+# ------------------------------------------------------------------------------------------- sources
 
 
 def find_source(spec: Sequence[Source], log: Log) -> tuple[Source, str] | None:
     """The first of the alternatives that the log holds, and the key of its stream."""
-    rows = log.rows
     for source in spec:
-        stream = find_stream(source.stream, rows)
+        stream = _stream_of(source, log)
         if stream is None or not _has_fields(source, log.columns(stream)):
             continue
         if source.yaw is not None and find_source((source.yaw,), log) is None:
             continue
         return source, stream
     return None
+
+
+def _stream_of(source: Source, log: Log) -> str | None:
+    """The stream that a source means; None where there is none, or several and `where` does not say which."""
+    things = things_of(source.stream, log.rows)
+    if source.where and things and thing_of(things[0]):
+        known = set(log.columns(things[0]))
+        chosen = log.table(things[0], [name for name in source.where if name in known])
+        things = things_where(source.where, things, chosen, log.info)
+    return things[0] if len(things) == 1 else None
 
 
 def serves(log: Log, recipe: Recipe, channel: str) -> bool:
@@ -184,25 +175,28 @@ def missing(signal: str, spec: Sequence[Source], logs: Sequence[Log]) -> RecipeE
         f"{s.stream}.{'/'.join([*s.fields, *s.where, *([s.time] if s.time else [])])}" for s in spec
     )
     streams = sorted({key for log in logs for key in log.rows})
-    names = sorted({*streams, *(key.rpartition("/")[2] for key in streams)})
+    names = sorted({*streams, *map(message_of, streams)})
     near = [n for s in spec for n in difflib.get_close_matches(s.stream, names, n=2, cutoff=0.5)]
     flights = ", ".join(log.name for log in logs[:3]) + (", ..." if len(logs) > 3 else "")
-    hint = _near_fields(spec, logs) or ", ".join(dict.fromkeys(near))
-    hint = hint or "streams logged: " + ", ".join(streams[:8])
-    return RecipeError(f"signal {signal!r} needs {wanted}; not in {flights}", hint=hint)
+    there = next((found for s in spec for log in logs if (found := _there(s, log))), ("", ""))
+    hint = there[1] or ", ".join(dict.fromkeys(near)) or "streams logged: " + ", ".join(streams[:8])
+    lacking = f"{there[0]}, in {flights}" if there[0] else f"not in {flights}"
+    return RecipeError(f"signal {signal!r} needs {wanted}; {lacking}", hint=hint)
 
 
-def _near_fields(spec: Sequence[Source], logs: Sequence[Log]) -> str:
-    """Of a stream that is there and lacks a field: what it has; "" where no source's stream is there."""
-    for source in spec:
-        for log in logs:
-            stream = find_stream(source.stream, log.rows)
-            if stream is not None:
-                columns = [name for name in log.columns(stream) if name not in (TIME, BOOT)]
-                wanted = [*source.fields, *source.where, *([source.time] if source.time else [])]
-                lacking = next((name for name in wanted if not base_column(name, set(columns))), "")
-                return f"{stream} has no field {lacking!r}: {one_of(columns, lacking)}" if lacking else ""
-    return ""
+def _there(source: Source, log: Log) -> tuple[str, str]:
+    """Of a source whose stream a log has and cannot use: what is wrong, "" for "not", and what to name."""
+    things = things_of(source.stream, log.rows)
+    if not things:
+        return "", ""
+    wanted = [*source.fields, *source.where, *([source.time] if source.time else [])]
+    columns = [name for name in log.columns(things[0]) if name not in (TIME, BOOT)]
+    lacking = next((name for name in wanted if not base_column(name, set(columns))), "")
+    if lacking:
+        return "", f"{things[0]} has no field {lacking!r}: {one_of(columns, lacking)}"
+    if len(things) == 1:
+        return "", f"{things[0]} is there" if thing_of(things[0]) else ""
+    return why_several(source.stream, [message_of(key) for key in things])
 
 
 def _has_fields(source: Source, columns: Sequence[str]) -> bool:

@@ -11,7 +11,7 @@ import hashlib
 import importlib
 import mmap
 from collections.abc import Generator, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -20,6 +20,7 @@ import pyarrow as pa
 from flysid.errors import FormatError
 from flysid.files import remedy_unread, why_unread
 from flysid.flight import ClockMap, Damage, Flight, Source
+from flysid.ingest.formats.keyed import KeyedStreams
 from flysid.parts import exhaust
 
 HEAD_BYTES = 65536
@@ -39,6 +40,7 @@ class Limits:
         caller cannot tell.
     date_order : of a table's dates that fit in two: "dmy", "mdy" or "ymd"; "" where the caller cannot tell.
     format : the log's format, by name; "" where its bytes shall tell.
+    max_things : streams that messages whose rows belong to several things are split into, of a whole log.
     """
 
     max_chunk_bytes: int = 1 << 30
@@ -47,11 +49,15 @@ class Limits:
     time_unit: str = ""
     date_order: str = ""
     format: str = ""
+    max_things: int = 2000
 
 
 @dataclass(frozen=True)
 class StreamPart:
-    """Some rows of one stream. All parts of a stream have the same schema, `time_ns` and `boot` first."""
+    """Some rows of one stream. All parts of a stream have the same schema, `time_ns` and `boot` first.
+
+    Where the schema's metadata names a `key`, rows of each of its values go to a stream of their own.
+    """
 
     stream: str
     table: pa.Table
@@ -59,11 +65,15 @@ class StreamPart:
 
 @dataclass(frozen=True)
 class Summary:
-    """What a reader knows once it has reached the end."""
+    """What a reader knows once it has reached the end.
+
+    `renamed`: streams whose name has turned out to be another since their parts were yielded.
+    """
 
     damage: Damage = field(default_factory=Damage)
     clocks: tuple[ClockMap, ...] = ()
     info: Mapping[str, str] = field(default_factory=dict)
+    renamed: Mapping[str, str] = field(default_factory=dict)
 
 
 Parts = Generator[StreamPart, None, Summary]
@@ -102,9 +112,8 @@ class Format:
         """
         skipped = self.zeros_ahead(view)
         try:
-            summary: Summary = yield from importlib.import_module(self.reader).read(
-                view[skipped:], name, limits
-            )
+            parts = importlib.import_module(self.reader).read(view[skipped:], name, limits)
+            summary = yield from _things_apart(parts, limits)
         except FormatError as error:
             error.byte = None if error.byte is None else error.byte + skipped
             raise
@@ -113,6 +122,26 @@ class Format:
     def zeros_ahead(self, view: memoryview) -> int:
         """Zero bytes that a log begins with, those that belong to it left out."""
         return max(0, count_zeros(view) - self.zeros)
+
+
+def _things_apart(parts: Parts, limits: Limits) -> Parts:
+    """The parts with a stream for each thing that the rows of one message belong to."""
+    streams = KeyedStreams(limits.max_things)
+    with closing(parts):
+        while True:
+            try:
+                part = next(parts)
+            except StopIteration as stop:
+                summary: Summary = stop.value
+                break
+            for stream, table in streams.split(part.stream, part.table):
+                yield StreamPart(stream, table)
+    summary = replace(summary, renamed=streams.renamed)
+    if not streams.joined:
+        return summary
+    counts = ", ".join(f"{rows:,} of {stream}" for stream, rows in streams.joined.items())
+    note = f"rows of things beyond the {limits.max_things:,} that are kept apart: {counts}"
+    return replace(summary, info={**summary.info, "keys_note": note})
 
 
 def sniff_magic(head: bytes, name: str, magic: bytes, suffix: str) -> float:
@@ -206,6 +235,7 @@ def collect(view: memoryview, name: str, fmt: Format, limits: Limits) -> Flight:
     parts: dict[str, list[pa.Table]] = {}
     reader = fmt.read(view, name, limits)
     summary = exhaust(reader, lambda part: parts.setdefault(part.stream, []).append(part.table))
+    parts = {summary.renamed.get(stream, stream): found for stream, found in parts.items()}
     tables = {stream: _join(parts.pop(stream)) for stream in sorted(parts)}
     return Flight(source_of(view, name, fmt), tables, summary.damage, summary.clocks, summary.info)
 

@@ -11,7 +11,8 @@ import numpy as np
 from flysid.flight import BOOT, TIME, matching_streams
 from flysid.flightwriter import float_values, int_values
 from flysid.ingest.align.modes import mode_names
-from flysid.ingest.align.signals import Log, find_stream
+from flysid.ingest.align.signals import Log
+from flysid.ingest.align.things import find_stream
 
 MODES = (
     ("MODE", "ModeNum"),

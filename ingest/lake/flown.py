@@ -12,7 +12,7 @@ from functools import cache
 import numpy as np
 import pyarrow as pa
 
-from flysid.flight import BOOT, TIME, ClockMap
+from flysid.flight import BOOT, TIME, ClockMap, message_of
 from flysid.ingest.align.conditions import condition_spans
 from flysid.ingest.align.recipe import Condition, load_recipe, shipped_recipes
 from flysid.ingest.align.resample import Span
@@ -74,7 +74,7 @@ def within(spans: Iterable[Span], limits: Span) -> tuple[Span, ...]:
 
 def changes(stream: str, table: pa.Table) -> pa.Table | None:
     """The rows of a part at which something changes that a condition asks for; None where none asks."""
-    message = stream.rpartition("/")[2].partition("#")[0]
+    message = message_of(stream).partition("#")[0]
     columns = list(
         dict.fromkeys(filter(None, (base_column(c, table.column_names) for c in _asked_of(message))))
     )

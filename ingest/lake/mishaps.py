@@ -18,7 +18,8 @@ from flysid.ingest.align import resample
 from flysid.ingest.align.conditions import condition_spans
 from flysid.ingest.align.recipe import load_recipe
 from flysid.ingest.align.resample import FOREVER, Span
-from flysid.ingest.align.signals import Log, Samples, find_stream, load_signal
+from flysid.ingest.align.signals import Log, Samples, load_signal
+from flysid.ingest.align.things import find_stream
 
 APART_DEG = 30.0
 ATTITUDES = ("ardupilot-attitude", "px4-attitude")

@@ -13,7 +13,17 @@ import numpy as np
 import pyarrow as pa
 
 from flysid.errors import FlysidError
-from flysid.flight import BOOT, TIME, ClockMap, Damage, Source, field_scale, field_unit
+from flysid.flight import (
+    BOOT,
+    TIME,
+    ClockMap,
+    Damage,
+    Source,
+    field_scale,
+    field_unit,
+    message_of,
+    stem_of,
+)
 from flysid.flightwriter import float_values, int_values
 from flysid.ingest.align.resample import Span
 from flysid.ingest.excitation.enough import FLY_MORE, MIN_DURATION_S, least_hz, too_short_alone
@@ -138,7 +148,7 @@ class Survey:
 
     def role(self, role: str) -> tuple[str, float]:
         """(stream, rate) of the first stream that plays a role; ("", 0) where none does."""
-        by_message = {key.rpartition("/")[2].partition("#")[0]: key for key in reversed(list(self.streams))}
+        by_message = {stem_of(message_of(key)).partition("#")[0]: key for key in reversed(list(self.streams))}
         for name in ROLES[role]:
             if name in by_message:
                 return by_message[name], self.streams[by_message[name]].rate_hz
@@ -169,6 +179,7 @@ def survey(path: Path, limits: Limits | None = None) -> Survey:
 
         summary = exhaust(log.read(fmt, limits), look_at)
         source = source_of(log.view, log.name, fmt)
+    streams = {summary.renamed.get(key, key): count for key, count in streams.items()}
     rows = {key: count.rows for key, count in streams.items()}
     tables = {key: pa.concat_tables(parts, promote_options="default") for key, parts in kept.items()}
     flown, never = Kept(source.name, rows, summary.info, tables).flown(summary.clocks)

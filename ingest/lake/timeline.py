@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from itertools import pairwise
@@ -15,7 +15,17 @@ import pyarrow.compute as pc
 
 from flysid.dataset import FloatArray
 from flysid.errors import RecipeError, UsageError
-from flysid.flight import BOOT, RECEIVED, TIME, field_scale, field_unit
+from flysid.flight import (
+    BOOT,
+    RECEIVED,
+    TIME,
+    as_instance,
+    field_scale,
+    field_unit,
+    message_of,
+    stem_of,
+    why_several,
+)
 from flysid.flightwriter import float_values
 from flysid.ingest.align.allowed import CHOOSE_AGAIN, Allowed
 from flysid.ingest.align.recipe import Recipe
@@ -27,6 +37,7 @@ from flysid.showing import first_of
 
 _OWN = (TIME, BOOT, RECEIVED)
 _ELEMENT = re.compile(r"^(.+)\[(\d+)\]$")
+_COMMA = re.compile(r",(?![^\[]*\])")  # but inside brackets: FSB[1,0]
 
 
 Boots = Mapping[int, Samples]
@@ -102,7 +113,7 @@ def read_fields(log: Log, arguments: Sequence[str], *, most_lines: int = 8) -> l
     panels: list[list[Curve]] = []
     for argument in arguments:
         by_unit: dict[str, list[Curve]] = {}
-        for stream, field in find_fields(log, argument.split(",")):
+        for stream, field in find_fields(log, _COMMA.split(argument)):
             curve = _read_field(log, stream, field)
             by_unit.setdefault(curve.unit, []).append(curve)
         for curves in by_unit.values():
@@ -141,28 +152,61 @@ def find_fields(log: Log, patterns: Sequence[str]) -> list[tuple[str, str]]:
     Parameters
     ----------
     patterns : `STREAM.FIELD` with wildcards, e.g. `ATT.Des*`, `1.1/ATTITUDE.roll`, `vehicle_attitude.q[0]`. A
-        stream is named by its key or its message name; `STREAM` alone means all of its fields, `FIELD` alone
-        that field of every stream, and an array all of its elements.
+        stream is named by its key or its message name, and one of several things by `IMU[0]`; `STREAM` alone
+        means all of its fields, `FIELD` alone that field of every stream, and an array all of its elements.
 
     Raises
     ------
-    UsageError : a pattern names no numeric field of this log; the hint has what is near.
+    UsageError : a pattern names no numeric field of this log, or a message of several things; the hint has
+        what is near.
     """
     found: dict[tuple[str, str], None] = {}
     for pattern in patterns:
         element = _ELEMENT.match(pattern)
-        base = element[1] if element else pattern
-        hits: dict[str, list[str]] = {}
-        for stream, column in _columns(log):
-            if any(_is_named(base, stream, name) for name in (column, _column(column))):
-                hits.setdefault(stream, []).append(column)
-        fields = [(s, f) for s, columns in hits.items() for f in _numbers(log, s, columns)]
-        if element:
-            fields = [(s, f) for s, f in fields if f.endswith(f"[{element[2]}]")]
+        fields = _fields_named(log, pattern)
+        if not fields and element:  # one element of an array
+            fields = [f for f in _fields_named(log, element[1]) if f[1].endswith(f"[{element[2]}]")]
         if not fields:
             raise _nothing(pattern, log)
         found.update(dict.fromkeys(fields))
     return list(found)
+
+
+def _fields_named(log: Log, pattern: str) -> list[tuple[str, str]]:
+    """The (stream, field) pairs that a pattern names: in full, else without the thing where there is but one.
+
+    Raises
+    ------
+    UsageError : the pattern names no thing, and its message is of several.
+    """
+    columns = _columns(log)
+    hits = _hits(columns, pattern, message_of)
+    hits = hits or _hits(columns, pattern, lambda stream: as_instance(stream, log.rows))
+    if not hits:
+        hits = _hits(columns, pattern, lambda stream: stem_of(message_of(stream)))
+        for stem in dict.fromkeys(map(stem_of, hits)):
+            things = [message_of(stream) for stream in hits if stem_of(stream) == stem]
+            if len(things) > 1:
+                field = pattern.rpartition(message_of(stem))[2]
+                words, hint = why_several(pattern, [thing + field for thing in things])
+                raise UsageError(words, path=log.name, hint=hint)
+    return [(s, f) for s, columns in hits.items() for f in _numbers(log, s, columns)]
+
+
+def _hits(
+    columns: Sequence[tuple[str, str]], pattern: str, called: Callable[[str], str]
+) -> dict[str, list[str]]:
+    """Stream -> its columns that a pattern names, with streams by their keys or as they are `called`."""
+    hits: dict[str, list[str]] = {}
+    for stream, column in columns:
+        name = called(stream)
+        if any(
+            _is_named(pattern, sender + name, f)
+            for sender in ("", _sender(stream))
+            for f in (column, _column(column))
+        ):
+            hits.setdefault(stream, []).append(column)
+    return hits
 
 
 def lay_out(log: Log, panels: Sequence[Sequence[Curve]], allowed: Allowed = Allowed()) -> Timeline:  # noqa: B008 - frozen
@@ -225,10 +269,14 @@ def _numbers(log: Log, stream: str, columns: Sequence[str]) -> list[str]:
     return fields
 
 
+def _sender(stream: str) -> str:
+    """What stands before a stream's message: `1.1/`."""
+    return stream[: len(stream) - len(message_of(stream))]
+
+
 def _is_named(pattern: str, stream: str, field: str) -> bool:
-    message = stream.rpartition("/")[2]
-    full = (f"{stream}.{field}", f"{message}.{field}")
-    return pattern in (stream, message, field) or any(fnmatchcase(name, pattern) for name in full)
+    """Whether a pattern means a field; brackets stand for themselves, as things and elements have them."""
+    return pattern in (stream, field) or fnmatchcase(f"{stream}.{field}", pattern.replace("[", "[[]"))
 
 
 def _nothing(pattern: str, log: Log, *, most: int = 8) -> UsageError:
@@ -236,9 +284,11 @@ def _nothing(pattern: str, log: Log, *, most: int = 8) -> UsageError:
 
     `most`: names in a hint.
     """
-    names = [f"{s.rpartition('/')[2]}.{c}" for s, c in _columns(log)]
-    streams = list(dict.fromkeys(name.partition(".")[0] for name in names))
-    inside = [n for n in names if n.partition(".")[0] == pattern.partition(".")[0]]
+    fields = [(message_of(s), c) for s, c in _columns(log)]
+    names = [f"{message}.{c}" for message, c in fields]
+    streams = list(dict.fromkeys(message for message, _ in fields))
+    asked = pattern.partition(".")[0]
+    inside = [f"{message}.{c}" for message, c in fields if asked in (message, stem_of(message))]
     near = inside or difflib.get_close_matches(pattern, [*names, *streams], n=5, cutoff=0.4)
     near = near or (names if len(names) <= most else streams)
     return UsageError(f"no numeric field {pattern!r} in the log", path=log.name, hint=first_of(near, most))

@@ -6,7 +6,7 @@ import numpy as np
 import pyarrow as pa
 
 from flysid.dataset import FloatArray
-from flysid.flight import BOOT, TIME, field_scale
+from flysid.flight import BOOT, TIME, field_scale, message_of
 from flysid.ingest.align.signals import Log
 from flysid.ingest.formats.common.scrub_rules import Position, ScrubColumn, has_fix, places
 
@@ -26,7 +26,7 @@ def read_track(log: Log) -> pa.Table | None:
         return None
 
     def preference(candidate: tuple[str, Position]) -> tuple[bool, int]:
-        message = candidate[0].rpartition("/")[2]
+        message = message_of(candidate[0])
         return message in ESTIMATES, log.rows[candidate[0]]
 
     stream, place = max(found, key=preference)

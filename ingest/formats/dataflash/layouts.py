@@ -53,6 +53,10 @@ BINARY_TEXT = ("<u1", 64, 1.0)
 TIME_LABELS = {"TimeUS": 1e-6, "TimeMS": 1e-3}
 LEGACY_UNITS = {"L": "deg"}
 NO_UNIT = "-?\0# "
+INSTANCE = "#"
+"""The unit of fields that tell instances apart (AP_Logger/LogStructure.h)."""
+INSTANCE_NAMES = ("I", "Instance", "Inst", "C")
+"""What ArduPilot calls them: of sensors, batteries and motors, and C of the cores of an estimator."""
 
 
 @dataclass(frozen=True)
@@ -201,17 +205,17 @@ class Units:
     of_message: dict[int, tuple[str, str]] = field(default_factory=dict)
 
     def apply(self, definition: Definition) -> tuple[RecordLayout, str]:
-        """The definition's layout with units and factors, and its instance column ("" where none)."""
+        """The definition's layout with units and factors, and the fields that tell its instances apart.
+
+        Several are joined by commas; "" where there are none.
+        """
         assert definition.layout is not None
         unit_ids, factor_ids = self.of_message.get(definition.number, ("", ""))
-        fields = []
-        instance = ""
-        for i, spec in enumerate(definition.layout.fields):
-            unit_id = unit_ids[i : i + 1]
-            factor_id = factor_ids[i : i + 1]
-            instance = spec.name if unit_id == "#" and not instance else instance
-            fields.append(self._with_unit(spec, unit_id, factor_id))
-        return replace(definition.layout, fields=tuple(fields)), instance
+        own = definition.layout.fields
+        fields = [self._with_unit(f, unit_ids[i : i + 1], factor_ids[i : i + 1]) for i, f in enumerate(own)]
+        keys = [f.name for f, unit_id in zip(own, unit_ids, strict=False) if unit_id == INSTANCE]
+        keys = keys if unit_ids else undeclared_key(definition)
+        return replace(definition.layout, fields=tuple(fields)), ",".join(keys)
 
     def _with_unit(self, spec: Field, unit_id: str, factor_id: str) -> Field:
         if spec.is_text:
@@ -222,6 +226,15 @@ class Units:
         unit, extra = UNIT_NAMES.get(label, (label, 1.0))
         scale = float(factor) if stated else spec.scale
         return replace(spec, unit=unit or spec.unit, scale=scale * extra)
+
+
+def undeclared_key(definition: Definition) -> list[str]:
+    """The field that tells instances apart in a log that states no units, as ArduPilot lays it out: a byte
+    behind the time.
+    """
+    names = [f.name for f in definition.layout.fields] if definition.layout is not None else []
+    is_key = len(names) > 1 and names[0] in TIME_LABELS and names[1] in INSTANCE_NAMES
+    return [names[1]] if is_key and definition.format[1] in "bB" else []
 
 
 UNIT_NAMES: Mapping[str, tuple[str, float]] = {

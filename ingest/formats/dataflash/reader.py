@@ -3,7 +3,7 @@
 Framing: `dfframes`; definitions and units: `dfformats`; messages without a time of their own lie between
 their neighbours in the file (`vehicletime`). Time bases: TimeUS (since 2015), TimeMS, and in the oldest logs
 only GPS week and milliseconds. UTC comes from GPS messages with a fix. Written from ArduPilot's description
-of the format; instances stay in one table, whose schema metadata names the `instance` column.
+of the format; the schema's metadata names the fields that tell instances apart.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import numpy.typing as npt
 import pyarrow as pa
 
 from flysid.errors import FormatError
-from flysid.flight import ClockMap, Damage
+from flysid.flight import KEY, ClockMap, Damage
 from flysid.ingest.formats.base import Limits, Parts, StreamPart, Summary, release
 from flysid.ingest.formats.common.clock import SECOND_NS, IntArray, UtcFit
 from flysid.ingest.formats.common.columns import ByteMatrix, RecordLayout, gather, message_schema
@@ -274,12 +274,12 @@ def utc_of_gps(gps_ns: IntArray) -> IntArray:
 def _table(reader: _Reader, code: int, matrix: ByteMatrix, time_ns: IntArray, boots: IntArray) -> StreamPart:
     definition = reader.walker.definitions.items[code]
     if definition.stream not in reader.schemas:
-        layout, instance = reader.units.apply(definition)
+        layout, key = reader.units.apply(definition)
         source = (SYSTEM, 1, code)
         metadata = {
             "time_source": reader.time.source_of(source).replace("arrival-mapped", "order-mapped"),
             "message": definition.name,
-            **({"instance": instance} if instance else {}),
+            **({KEY: key} if key else {}),
         }
         reader.schemas[definition.stream] = message_schema(layout.columns, metadata, received=False)
     schema = reader.schemas[definition.stream]

@@ -19,7 +19,7 @@ import numpy.typing as npt
 import pyarrow as pa
 
 from flysid.errors import FormatError
-from flysid.flight import ClockMap, Damage, Region
+from flysid.flight import KEY, ClockMap, Damage, Region
 from flysid.ingest.formats.base import Limits, Parts, StreamPart, Summary
 from flysid.ingest.formats.common.arrow_arrays import strings
 from flysid.ingest.formats.common.clock import IntArray
@@ -309,11 +309,11 @@ def _table(
     definition = reader.definitions.items[code]
     arrays = [strings(c) if isinstance(c, list) else numbers(c) for c in columns]
     if definition.stream not in reader.schemas:
-        layout, instance = _describe(reader, definition)
+        layout, key = _describe(reader, definition)
         metadata = {
             "time_source": reader.time.source_of((SYSTEM, 1, code)).replace("arrival-mapped", "order-mapped"),
             "message": definition.name,
-            **({"instance": instance} if instance else {}),
+            **({KEY: key} if key else {}),
         }
         fields = (schema_field(spec, array.type) for spec, array in zip(layout.fields, arrays, strict=True))
         reader.schemas[definition.stream] = message_schema(fields, metadata, received=False)
@@ -329,12 +329,12 @@ def _describe(reader: _TextReader, definition: Definition) -> tuple[RecordLayout
         from flysid.ingest.formats.common.columns import Field
 
         return RecordLayout(definition.name, np.dtype([]), tuple(Field(n) for n in _names(definition))), ""
-    layout, instance = reader.units.apply(definition)
+    layout, key = reader.units.apply(definition)
     fields = tuple(
         replace(spec, scale=1.0) if character in DIVIDED else spec
         for spec, character in zip(layout.fields, definition.format, strict=True)
     )
-    return replace(layout, fields=fields), instance
+    return replace(layout, fields=fields), key
 
 
 def _summary(reader: _TextReader) -> Summary:

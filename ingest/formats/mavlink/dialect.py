@@ -63,6 +63,43 @@ UNITS: Mapping[str, tuple[str, float]] = {
 }
 
 
+KEYS: Mapping[str, str] = {
+    "ACTUATOR_CONTROL_TARGET": "group_mlx",
+    "ADSB_VEHICLE": "ICAO_address",
+    "AIS_VESSEL": "MMSI",
+    "BATTERY_INFO": "id",
+    "CAMERA_CAPTURE_STATUS": "camera_device_id",
+    "CAMERA_FEEDBACK": "cam_idx",
+    "CAMERA_FOV_STATUS": "camera_device_id",
+    "CAMERA_INFORMATION": "camera_device_id",
+    "CAMERA_SETTINGS": "camera_device_id",
+    "CAMERA_STATUS": "cam_idx",
+    "CAMERA_TRACKING_GEO_STATUS": "camera_device_id",
+    "CAMERA_TRACKING_IMAGE_STATUS": "camera_device_id",
+    "CANFD_FRAME": "bus",
+    "CAN_FRAME": "bus",
+    "COLLISION": "id",
+    "DEBUG": "ind",
+    "EFI_STATUS": "ecu_index",
+    "ESC_INFO": "index",
+    "ESC_STATUS": "index",
+    "FUEL_STATUS": "id",
+    "GIMBAL_DEVICE_ATTITUDE_STATUS": "gimbal_device_id",
+    "GIMBAL_DEVICE_INFORMATION": "gimbal_device_id",
+    "GPS2_RTK": "rtk_receiver_id",
+    "GPS_RTK": "rtk_receiver_id",
+    "HIL_GPS": "id",
+    "HIL_OPTICAL_FLOW": "sensor_id",
+    "HIL_SENSOR": "id",
+    "OPTICAL_FLOW": "sensor_id",
+    "RAW_RPM": "index",
+    "RC_CHANNELS_RAW": "port",
+    "RC_CHANNELS_SCALED": "port",
+    "SET_ACTUATOR_CONTROL_TARGET": "group_mlx",
+}
+"""Message -> the field that tells its things apart, where the XML does not say so by `instance="true"`."""
+
+
 @dataclass(frozen=True, eq=False)
 class Dialect:
     """A dialect: the CRC seed of every id, and layouts on demand.
@@ -80,6 +117,10 @@ class Dialect:
     def layout(self, message_id: int) -> RecordLayout:
         """The layout of a known message."""
         return _layout(self.name, message_id)
+
+    def key(self, message_id: int) -> str:
+        """The field that tells to which of several things a message belongs; "" where none does."""
+        return _key(self.name, message_id)
 
     def message_name(self, message_id: int) -> str:
         """ "ATTITUDE"; "#12345" for an id that this dialect does not know."""
@@ -115,6 +156,13 @@ def _layout(dialect: str, message_id: int) -> RecordLayout:
     dtype = np.dtype(list(formats.items()))
     fields = tuple(_field(module, message, name, formats[name]) for name in message.fieldnames)
     return RecordLayout(str(message.msgname), dtype, fields)
+
+
+@cache
+def _key(dialect: str, message_id: int) -> str:
+    message = load_dialect(dialect)._module.mavlink_map[message_id]
+    field = message.instance_field or KEYS.get(message.msgname, "")
+    return field if field in message.fieldnames else ""
 
 
 def _dtype(code: str, count: int) -> Any:

@@ -18,7 +18,7 @@ import numpy.typing as npt
 import pyarrow as pa
 
 from flysid.errors import FormatError
-from flysid.flight import ClockMap, Damage
+from flysid.flight import KEY, ClockMap, Damage
 from flysid.ingest.formats.base import HEAD_BYTES, Limits, Parts, StreamPart, Summary, release
 from flysid.ingest.formats.common.capture import is_capture
 from flysid.ingest.formats.common.clock import SECOND_NS, SIDE, UNIX_NS, BoolArray, IntArray, is_outlier
@@ -368,6 +368,8 @@ def _table(
             "component": str(source[1]),
             "message": layout.name,
         }
+        if key := reader.dialect.key(source[2]):
+            metadata[KEY] = key
         reader.schemas[source] = message_schema(layout.columns, metadata, received=received is not None)
     heads = times if received is None else (*times, received)
     table = layout.table(reader.schemas[source], heads, matrix)

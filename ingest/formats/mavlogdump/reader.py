@@ -20,13 +20,14 @@ import numpy as np
 import pyarrow as pa
 
 from flysid.errors import FormatError
-from flysid.flight import BOOT, RECEIVED, TIME
+from flysid.flight import BOOT, KEY, RECEIVED, TIME
 from flysid.ingest.formats.base import Limits, Parts, StreamPart, Summary
 from flysid.ingest.formats.common.columns import Field, IntArray, numbers, schema_field
 from flysid.ingest.formats.common.line_batches import whole_lines
 from flysid.ingest.formats.common.odd_cells import OddCells
 from flysid.ingest.formats.common.tally import Tally
 from flysid.ingest.formats.common.vehicle_time import Clocked, Source, VehicleTime
+from flysid.ingest.formats.dataflash.layouts import Definitions, Units
 from flysid.ingest.formats.mavlink.dialect import load_dialect
 from flysid.ingest.formats.mavlink.parameters import NUMBERS, REAL32, SENT, VALUE, Encodings
 from flysid.ingest.formats.messages.json_schema import as_numbers
@@ -76,6 +77,8 @@ class _Reader:
     schemas: dict[Source, pa.Schema] = field(default_factory=dict)
     ids: dict[str, int] = field(default_factory=dict)
     formats: dict[str, dict[str, pa.DataType]] = field(default_factory=dict)
+    definitions: Definitions = field(default_factory=Definitions)
+    units: Units = field(default_factory=Units)
     encodings: Encodings = field(default_factory=Encodings)
     rows: dict[Source, int] = field(default_factory=dict)
     odd: OddCells = field(default_factory=OddCells)
@@ -159,6 +162,8 @@ def _parts(reader: _Reader, messages: list[_Message]) -> Iterator[StreamPart]:
     for row, message in enumerate(messages):
         if message.kind == "FMT":
             _note_format(reader, message.data)
+        elif message.kind == "FMTU":
+            _note_units(reader, message.data)
         groups.setdefault(_source(reader, message), []).append(row)
         _note_encoding(reader.encodings, message)
         if message.kind == "HEARTBEAT" and message.data.get("autopilot") != 8:
@@ -225,6 +230,23 @@ def _note_format(reader: _Reader, data: Mapping[str, Any]) -> None:
             column: _kind_of(letter) for column, letter in zip(columns.split(","), letters, strict=False)
         }
         reader.formats.setdefault(name, kinds)
+        number, length = (data.get(key) for key in ("Type", "Length"))
+        if isinstance(number, int) and isinstance(length, int):
+            reader.definitions.add(number, length, name, letters, columns)
+
+
+def _note_units(reader: _Reader, data: Mapping[str, Any]) -> None:
+    """The units of a DataFlash message, as its FMTU line states them."""
+    number, units = (data.get(key) for key in ("FmtType", "UnitIds"))
+    if isinstance(number, int) and isinstance(units, str):
+        reader.units.of_message[number] = (units, "")
+
+
+def _dataflash_key(reader: _Reader, kind: str) -> str:
+    """The fields that tell instances of a DataFlash message apart; "" where there are none."""
+    named = (item for item in reader.definitions.items if item.name == kind and item.layout is not None)
+    definition = next(named, None)
+    return reader.units.apply(definition)[1] if definition is not None else ""
 
 
 def _kind_of(letter: str) -> pa.DataType:
@@ -283,6 +305,9 @@ def _schema(reader: _Reader, source: Source, messages: list[_Message]) -> pa.Sch
         own = [item.with_type(pa.float64()) if item.name == VALUE else item for item in own]
     fields = [item.with_name(item.name + "_") if item.name in HEADS else item for item in own]
     metadata = {"time_source": reader.time.source_of(source), "message": first.kind}
+    known = source[2] < FIRST_OTHER
+    if key := load_dialect().key(source[2]) if known else _dataflash_key(reader, first.kind):
+        metadata[KEY] = key
     if any(first.sender):
         metadata |= {"system": str(source[0]), "component": str(source[1])}
     return pa.schema(heads + fields, metadata=metadata)

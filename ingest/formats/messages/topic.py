@@ -8,12 +8,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pyarrow as pa
 
-from flysid.flight import BOOT, RECEIVED, TIME, ClockMap, field_metadata
+from flysid.flight import BOOT, KEY_IF_SEVERAL, RECEIVED, TIME, ClockMap, field_metadata
 from flysid.ingest.formats.base import StreamPart
 from flysid.ingest.formats.common import arrow_arrays
 from flysid.ingest.formats.common.clock import UNIX_NS
 from flysid.ingest.formats.common.gather import Bytes, Index
 from flysid.ingest.formats.common.odd_cells import OddCells
+from flysid.ingest.formats.common.px4_keys import px4_key
 from flysid.ingest.formats.common.px4_units import px4_topic, px4_unit
 from flysid.ingest.formats.common.tally import Tally
 from flysid.ingest.formats.messages.cdr import (
@@ -38,6 +39,17 @@ from flysid.ingest.formats.messages.protobuf import decode_protobuf, parse_descr
 MAX_LAGS = 4096
 MAX_COLUMNS = 20_000
 ZERO_PAGE = 1 << 14
+PX4 = "px4_msgs/"
+FRAMES = ("header.frame_id", "frame_id", "child_frame_id")
+"""Fields with the frame that values are in: of several sensors on one topic each has its own."""
+KEYS: Mapping[str, str] = {
+    "diagnostic_msgs/KeyValue": "key",
+    "mavros_msgs/DebugValue": "name",
+    "sensor_msgs/BatteryState": "location",
+}
+"""Type of message -> a text that tells its things apart."""
+NAMES = ("name", "names", "joint_names")
+"""Lists that name the elements of the lists beside them, as sensor_msgs/JointState has."""
 
 
 @dataclass(frozen=True)
@@ -159,7 +171,7 @@ def _cdr_decoder(name: str, text: str) -> Decoder:
 
 def _unit_notes(name: str, kind: MessageType) -> dict[str, dict[bytes, bytes] | None]:
     """Units as the definition's comments state them; for PX4's messages, else as PX4 does."""
-    topic = px4_topic(name) if name.startswith("px4_msgs/") else ""
+    topic = px4_topic(name) if name.startswith(PX4) else ""
     return {
         path: field_metadata(unit or (px4_unit(topic, path) if topic else ""))
         for path, unit in units_of(kind)
@@ -276,7 +288,19 @@ class Topic:
             used.add(free)
             fields.append(pa.field(free, array.type, metadata=decoded.notes.get(name)))
             arrays.append(array)
-        return pa.Table.from_arrays(arrays, schema=pa.schema(fields, metadata=self._about()))
+        about = self._about() | self._key_of(fields)
+        return pa.Table.from_arrays(arrays, schema=pa.schema(fields, metadata=about))
+
+    def _key_of(self, fields: Sequence[pa.Field]) -> dict[str, str]:
+        """The fields that tell several things apart: PX4's, else frames of reference and lists of names."""
+        schema = self.channel.schema
+        if schema is not None and schema.name.startswith(PX4):
+            return px4_key(px4_topic(schema.name), [f.name for f in fields])
+        kind = schema.name.replace("/msg/", "/") if schema is not None else ""
+        texts = [f.name for f in fields if f.name in (*FRAMES, KEYS.get(kind)) and pa.types.is_string(f.type)]
+        names = [f.name for f in fields if f.name in NAMES and f.type == pa.list_(pa.string())]
+        found = ",".join([*texts, *names])
+        return {KEY_IF_SEVERAL: found} if found else {}
 
     def _about(self) -> dict[str, str]:
         schema = self.channel.schema

@@ -21,6 +21,7 @@ from flysid.ingest.formats.common import arrow_arrays
 from flysid.ingest.formats.common.clock import UNIX_NS, UtcFit
 from flysid.ingest.formats.common.gather import Bytes, Index, numbers, rows
 from flysid.ingest.formats.common.gps_weeks import WEEK_NS, weeks_lost
+from flysid.ingest.formats.common.px4_keys import px4_key
 from flysid.ingest.formats.common.px4_units import px4_unit
 from flysid.ingest.formats.common.tally import Tally
 from flysid.ingest.formats.ulog.layouts import NUMBERS, UlogLayout
@@ -152,7 +153,8 @@ def _schema(topic: str, instance: int, layout: UlogLayout) -> pa.Schema:
         for name, kind, note in zip(names, layout.form.types, notes, strict=True)
     ]
     time_source = "timestamp" if layout.time else "neighbours"
-    return pa.schema(fields, metadata={"time_source": time_source, "topic": topic, "instance": str(instance)})
+    about = {"time_source": time_source, "topic": topic, "instance": str(instance)}
+    return pa.schema(fields, metadata={**about, **px4_key(topic, names)})
 
 
 def far_ahead(time_us: Index) -> NDArray[np.bool_]:

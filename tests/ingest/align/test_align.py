@@ -13,7 +13,7 @@ from flysid.flight import Flight, Source, field_metadata
 from flysid.ingest.align.align import align, dataset
 from flysid.ingest.align.recipe import Recipe, load_recipe, parse_recipe
 from flysid.ingest.align.resample import period_ns
-from flysid.ingest.align.signals import autopilot_system, find_stream
+from flysid.ingest.align.things import autopilot_system, find_stream
 
 MS = 1_000_000
 

@@ -18,6 +18,7 @@ from flysid.ingest.formats.base import Limits, collect
 from flysid.ingest.formats.common.clock import SECOND_NS
 from flysid.ingest.formats.dataflash.layouts import CHARACTERS, make_layout
 from flysid.ingest.formats.registry import FORMATS
+from tests.ingest.formats.things import apart
 from tests.inner_headers import plant_headers
 from tests.samplelogs import dataflash_text as text_sample
 from tests.samplelogs.dataflash import CODES, TYPES, build, fmt, pack
@@ -60,7 +61,7 @@ def dfreader_rows(path: Path) -> dict[str, list[Any]]:
 @pytest.mark.parametrize("name", ["copter_437s.bin", "pymavlink_test.BIN"])
 def test_every_field_is_what_dfreader_reads(name: str) -> None:
     flight = flysid.read(LOGS / name)
-    expected = dfreader_rows(LOGS / name)
+    expected = apart(flight, dfreader_rows(LOGS / name))
     assert set(flight.streams) == set(expected)
     for stream, table in flight.tables.items():
         assert table.num_rows == len(expected[stream]), stream
@@ -83,7 +84,7 @@ def test_units_come_from_the_log() -> None:
     assert (field_unit(gps.field("Lat")), field_scale(gps.field("Lat"))) == ("deg", 1e-7)
     assert (field_unit(att.field("DesRoll")), field_scale(att.field("DesRoll"))) == ("deg", 0.01)
     assert (field_unit(att.field("TimeUS")), field_scale(att.field("TimeUS"))) == ("s", 1e-6)
-    assert flight["IMU"].schema.metadata[b"instance"] == b"I"
+    assert flight["IMU[0]"].schema.metadata[b"key"] == b"I"
     assert flight.info["firmware"] == "4.4.4"
     assert flight.damage.dropouts == {"messages": 8}
     (clock,) = flight.clocks
@@ -262,7 +263,7 @@ def test_the_text_of_a_log_gives_the_same_physical_values() -> None:
 
     text = collect(memoryview(build_text()), "x.log", TEXT, Limits())
     binary = read(build())
-    for stream in ("ATT", "IMU", "GPS"):
+    for stream in ("ATT", "IMU[0]", "IMU[1]", "GPS"):
         for name in binary[stream].column_names[2:]:
             ours, theirs = (
                 f[stream][name].to_numpy() * field_scale(f[stream].schema.field(name)) for f in (text, binary)

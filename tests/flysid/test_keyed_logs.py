@@ -1,0 +1,243 @@
+"""Rows of one message that belong to several things: streams of their own in every verb."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import flysid
+from flysid.errors import RecipeError, UsageError
+from flysid.flight import Flight, matching_streams
+from flysid.ingest.align.recipe import SignalSpec, Source
+from flysid.ingest.align.signals import FlightLog, find_source, load_signal
+from flysid.ingest.formats.base import Limits, collect
+from flysid.ingest.formats.registry import find_format
+from flysid.ingest.lake.lake import open as open_lake
+from flysid.ingest.lake.timeline import find_fields
+from flysid.live.decoding import Decoder
+from tests.command import Done, call
+from tests.keyed_trials import KINDS, draw, trials
+from tests.parameter_trials import written
+from tests.samplelogs import dataflash
+
+TYPES = {
+    **{number: dataflash.TYPES[number] for number in (128, 129, 130, 131)},
+    13: ("IMU", "QBff", "TimeUS,I,GyrX,AccX"),
+    14: ("CMD", "Qf", "TimeUS,U"),
+}
+GYROS = (1, 2)
+OFFSET = 100.0  # of the second gyro: a mixture shows at once
+MANY = 600
+RATE_HZ = 50
+
+
+def imu_log(gyros: tuple[int, ...] = GYROS, *, units: bool = True) -> bytes:
+    """A command and gyros that follow it with a lag: their numbers as gains, `OFFSET` apart, at 50 Hz."""
+    out = [dataflash.fmt(number, TYPES) for number in TYPES]
+    out.append(dataflash.pack(129, 1, ord("#"), "instance", types=TYPES))
+    if units:
+        out.append(dataflash.pack(130, 1, 13, "s#Eo", "F---", types=TYPES))
+    rate = 0.0
+    for k in range(MANY):
+        us = 10_000_000 + k * 1_000_000 // RATE_HZ
+        command = math.sin(0.02 * k + 0.0006 * k * k)
+        out.append(dataflash.pack(14, us, command, types=TYPES))
+        rate += 0.2 * (command - rate)
+        out += [
+            dataflash.pack(13, us + 40 + g, g, g * rate + OFFSET * (g - 1), -9.8, types=TYPES) for g in gyros
+        ]
+    return b"".join(out)
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    (tmp_path / "imu.bin").write_bytes(imu_log())
+    (tmp_path / "alone.bin").write_bytes(imu_log((2,)))
+    return tmp_path
+
+
+def read(blob: bytes, kind: str) -> Flight:
+    return collect(memoryview(blob), f"x.{kind}", find_format(kind), Limits())
+
+
+def refused(done: Done) -> str:
+    assert done.returncode == 2, (done.stdout, done.stderr)
+    return done.stderr
+
+
+# ------------------------------------------------------------------------------------------ every verb
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("plot", "imu.bin", "IMU.GyrX", "--term"),
+        ("plot", "imu.bin", "IMU", "--term"),
+        ("plot", "imu.bin", "IMU.Gyr*", "--term"),
+        ("show", "imu.bin", "IMU"),
+        ("export", "imu.bin", "IMU", "-o", "out.csv"),
+        ("tf", "imu.bin", "--from", "CMD.U", "--to", "IMU.GyrX"),
+        ("tf", "imu.bin", "--from", "IMU.GyrX", "--to", "CMD.U"),
+        ("step", "imu.bin", "--from", "CMD.U", "--to", "IMU.GyrX"),
+        ("fit", "imu.bin", "--from", "CMD.U", "--to", "IMU.GyrX", "-o", "run"),
+    ],
+)
+def test_a_message_of_several_things_is_refused_with_their_names(
+    words: tuple[str, ...], folder: Path
+) -> None:
+    told = refused(call(*words, cwd=folder))
+    assert all(f"IMU[{gyro}]" in told for gyro in GYROS), told
+
+
+@pytest.mark.parametrize("gyro", GYROS)
+def test_one_thing_is_fitted_alone(gyro: int, folder: Path) -> None:
+    found = call("tf", "imu.bin", "--from", "CMD.U", "--to", f"IMU[{gyro}].GyrX", "--json", cwd=folder)
+    assert found.returncode == 0, found.stderr
+    y = flysid.dataset_from(folder / "imu.bin", "CMD.U", f"IMU[{gyro}].GyrX").segments[0].y
+    assert np.all(np.abs(y - OFFSET * (gyro - 1)) < 3.0)
+
+
+def test_the_rows_of_one_thing_are_shown_plotted_and_exported(folder: Path) -> None:
+    shown = call("show", "imu.bin", "IMU[2]", "--rows", "3", cwd=folder)
+    assert shown.returncode == 0, shown.stderr
+    assert f"{MANY} rows" in shown.stdout
+    drawn = call("plot", "imu.bin", "IMU[2].GyrX", "-o", "p.html", cwd=folder)
+    assert drawn.returncode == 0, drawn.stderr
+    assert "IMU[2].GyrX" in (folder / "p.html").read_text()
+    assert "IMU[1].GyrX" not in (folder / "p.html").read_text()
+
+
+def test_one_grid_has_a_column_of_every_thing(folder: Path) -> None:
+    done = call("export", "imu.bin", "--rate", str(RATE_HZ), "-o", "grid.csv", cwd=folder)
+    assert done.returncode == 0, done.stderr
+    with (folder / "grid.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    titles = {name.partition(" [")[0].partition("[rad")[0]: name for name in rows[0]}
+    for gyro in GYROS:
+        values = np.array([float(row[titles[f"IMU[{gyro}].GyrX"]] or "nan") for row in rows])
+        assert np.nanmin(values) > OFFSET * (gyro - 1) - 3.0
+        assert np.nanmax(values) < OFFSET * (gyro - 1) + 3.0
+
+
+def test_a_message_of_one_thing_has_both_names(folder: Path) -> None:
+    for stream in ("IMU", "IMU[2]"):
+        done = call("tf", "alone.bin", "--from", "CMD.U", "--to", f"{stream}.GyrX", "--json", cwd=folder)
+        assert done.returncode == 0, done.stderr
+    flight = flysid.read(folder / "alone.bin")
+    assert flight["IMU"] is flight["IMU[2]"]
+
+
+def test_an_ingested_folder_holds_a_stream_of_every_thing(folder: Path) -> None:
+    done = call("ingest", "imu.bin", "-o", "data", cwd=folder)
+    assert done.returncode == 0, done.stderr
+    (flight,) = open_lake(folder / "data").flights
+    rows = {entry.stream: entry.rows for entry in flight.streams if entry.stream.startswith("IMU")}
+    assert rows == {f"IMU[{gyro}]": MANY for gyro in GYROS}
+    listed = call("show", "data", "--json", cwd=folder)
+    assert {"IMU[1]", "IMU[2]"} <= {s["stream"] for s in json.loads(listed.stdout)["streams"]}
+    assert "IMU[1]" in refused(call("plot", "data", "IMU.GyrX", "--term", cwd=folder))
+
+
+# -------------------------------------------------------------------------------------------- recipes
+
+
+def gyro(stream: str, **where: Any) -> SignalSpec:
+    return SignalSpec("rad/s", (Source(stream, "GyrX", unit="rad/s", where=where),))
+
+
+@pytest.mark.parametrize(
+    ("spec", "thing"), [(gyro("IMU[2]"), 2), (gyro("IMU", I=2), 2), (gyro("IMU", I=1), 1)]
+)
+def test_a_recipe_names_a_thing_by_its_key_or_by_its_value(spec: SignalSpec, thing: int) -> None:
+    loaded = load_signal("p", spec, FlightLog(read(imu_log(), "dataflash")))
+    assert loaded.stream == f"IMU[{thing}]"
+    assert len(loaded.boots[0].x) == MANY
+    assert np.all(np.abs(loaded.boots[0].x - OFFSET * (thing - 1)) < 3.0)
+
+
+def test_a_recipe_that_names_no_thing_is_refused_and_one_alone_is_taken() -> None:
+    with pytest.raises(RecipeError, match="several things") as caught:
+        load_signal("p", gyro("IMU"), FlightLog(read(imu_log(), "dataflash")))
+    assert "IMU[1], IMU[2]" in caught.value.advice
+    assert load_signal("p", gyro("IMU"), FlightLog(read(imu_log((2,)), "dataflash"))).stream == "IMU[2]"
+
+
+def test_an_absent_thing_falls_back_to_the_only_one_and_never_to_one_of_several() -> None:
+    sources = (*gyro("IMU", I=0).sources, *gyro("IMU").sources)
+    alone = find_source(sources, FlightLog(read(imu_log((2,)), "dataflash")))
+    assert alone is not None
+    assert alone[1] == "IMU[2]"
+    assert find_source(sources, FlightLog(read(imu_log(), "dataflash"))) is None
+
+
+# --------------------------------------------------------------------------------------------- formats
+
+
+@pytest.mark.parametrize("units", [True, False])
+def test_instances_are_told_by_their_unit_or_as_ardupilot_lays_them_out(units: bool) -> None:
+    flight = read(imu_log(units=units), "dataflash")
+    assert [name for name in flight if name.startswith("IMU")] == ["IMU[1]", "IMU[2]"]
+
+
+def named_values(names: list[str]) -> bytes:
+    from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+    told: list[tuple[tuple[int, int], Any]] = []
+    for k, name in enumerate(names):
+        told.append(((1, 1), mavlink.MAVLink_attitude_message(5000 + 20 * k, 0, 0, 0, 0, 0, 0)))
+        told.append(
+            ((1, 1), mavlink.MAVLink_named_value_float_message(5000 + 20 * k, name.encode(), float(k)))
+        )
+    return written(told)
+
+
+def test_named_values_are_apart_whatever_their_names() -> None:
+    names = ["alt_err", "a.b", "x/y", "q[0]", ""]
+    flight = read(named_values(names * 4), "tlog")
+    for k, name in enumerate(names):
+        table = flight[f"NAMED_VALUE_FLOAT[{name}]"]
+        assert table["value"].to_pylist() == [float(k + len(names) * i) for i in range(4)]
+        fields = find_fields(FlightLog(flight), [f"NAMED_VALUE_FLOAT[{name}].value"])
+        assert fields == [(f"1.1/NAMED_VALUE_FLOAT[{name}]", "value")]
+
+
+def test_more_things_than_are_kept_apart_stay_together_by_another_name() -> None:
+    names = [f"n{k}" for k in range(12)]
+    limits = Limits(max_things=10)
+    flight = collect(memoryview(named_values(names)), "x.tlog", find_format("tlog"), limits)
+    assert flight["NAMED_VALUE_FLOAT[...]"].num_rows == 2
+    assert flight.rows == 2 * len(names)
+    assert "2 of 1.1/NAMED_VALUE_FLOAT" in flight.info["keys_note"]
+    with pytest.raises(UsageError):
+        flight["NAMED_VALUE_FLOAT"]
+
+
+def test_instances_of_ulog_topics_have_the_same_addresses() -> None:
+    streams = {"gyro": 1, "gyro#1": 1, "baro": 1}
+    assert [matching_streams(f"gyro[{k}]", streams) for k in (0, 1, 2)] == [["gyro"], ["gyro#1"], []]
+    assert matching_streams("baro[0]", streams) == []
+
+
+def test_live_rows_come_by_thing() -> None:
+    decoder = Decoder({"NAMED_VALUE_FLOAT[b]"})
+    rows = decoder.read(named_values(["a", "b"] * 3))
+    assert [r.records["value"].tolist() for r in rows["1.1/NAMED_VALUE_FLOAT[b]"]] == [[1.0, 3.0, 5.0]]
+    assert decoder.rows["1.1/NAMED_VALUE_FLOAT[a]"] == 3
+    assert "1.1/NAMED_VALUE_FLOAT[a]" not in rows
+
+
+@pytest.mark.parametrize("kind", list(KINDS))
+def test_random_logs_come_back_thing_by_thing(kind: str) -> None:
+    assert any(draw(seed).format == kind for seed in range(40))
+
+
+def test_no_row_of_random_logs_is_lost_invented_or_mixed() -> None:
+    outcome = trials(40, lambda: True)
+    assert outcome.failures == []
+    assert outcome.lost == 0
