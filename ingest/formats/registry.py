@@ -15,7 +15,8 @@ from flysid.errors import FormatError, UsageError
 from flysid.flight import Flight
 from flysid.ingest.formats.base import WHOLE_BATCH_BYTES, Format, Limits, collect
 from flysid.ingest.formats.blame import blaming
-from flysid.ingest.formats.opening import OpenLog, members_of, open_log, own_name
+from flysid.ingest.formats.common.packed_names import own_name
+from flysid.ingest.formats.opening import OpenLog, members_of, open_log
 from flysid.ingest.formats.recognised import stranger
 from flysid.ingest.formats.rosbag2.side_files import READ
 from flysid.mirror import log_at
@@ -27,10 +28,18 @@ CERTAIN = 0.95
 PLAUSIBLE = 0.3
 
 
-def _row(name: str, title: str, suffixes: str, reader: str, scrubber: str | None, zeros: int = 0) -> Format:
+def _row(
+    name: str,
+    title: str,
+    suffixes: str,
+    reader: str,
+    scrubber: str | None,
+    zeros: int = 0,
+    joins: bool = False,
+) -> Format:
     home = "flysid.ingest.formats"
     scrub = f"{home}.{scrubber}" if scrubber else None
-    return Format(name, title, tuple(suffixes.split()), f"{home}.{reader}", scrub, zeros)
+    return Format(name, title, tuple(suffixes.split()), f"{home}.{reader}", scrub, zeros, joins)
 
 
 FORMATS: Mapping[str, Format] = {
@@ -54,7 +63,7 @@ FORMATS: Mapping[str, Format] = {
             "dataflash.scrub_text",
         ),
         _row("mavlogdump", "JSON lines of pymavlink's mavlogdump", "", "mavlogdump.reader", None),
-        _row("mcap", "MCAP (ROS 1, ROS 2, protobuf, JSON)", ".mcap", "mcap.reader", "mcap.scrub"),
+        _row("mcap", "MCAP (ROS 1, ROS 2, protobuf, JSON)", ".mcap", "mcap.reader", "mcap.scrub", joins=True),
         _row(
             "navdata",
             "AR.Drone navdata (packets or pcap)",
@@ -63,8 +72,10 @@ FORMATS: Mapping[str, Format] = {
             "ardrone.scrub",
         ),
         _row("parquet", "table in parquet (.parquet)", ".parquet .pq", "parquet.reader", None),
-        _row("rosbag", "ROS 1 bag", ".bag", "rosbag1.reader", "rosbag1.scrub"),
-        _row("rosbag2", "ROS 2 bag (SQLite)", ".db3 .db3.zstd", "rosbag2.reader", "rosbag2.scrub"),
+        _row("rosbag", "ROS 1 bag", ".bag", "rosbag1.reader", "rosbag1.scrub", joins=True),
+        _row(
+            "rosbag2", "ROS 2 bag (SQLite)", ".db3 .db3.zstd", "rosbag2.reader", "rosbag2.scrub", joins=True
+        ),
         _row(
             "tlog",
             "MAVLink telemetry (.tlog, raw, pcap)",
@@ -227,7 +238,7 @@ def read(
     file = _file(path)
     with blaming(file), open_log(sole_log(file), limits) as log:
         fmt = format_of(log, limits)
-        return log.told(collect(log.view, log.name, fmt, limits))
+        return log.told(collect(log.view, log.name, fmt, limits, log.rest_for(fmt)))
 
 
 def _file(path: str | Path) -> Path:
