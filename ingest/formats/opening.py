@@ -40,6 +40,7 @@ from flysid.ingest.formats.common.compression import (
     unpacked_pieces,
 )
 from flysid.ingest.formats.common.packed_names import PACKED_SUFFIXES, own_name
+from flysid.ingest.formats.common.transfer import harm_of
 from flysid.ingest.formats.common.zip_members import ZIP_MAGICS, Member, member_pieces, read_archive
 from flysid.ingest.formats.recognised import TAR_MAGIC, TAR_MAGIC_AT, is_office, packing_of
 from flysid.ingest.formats.recordings.continued import Heard, heard
@@ -115,16 +116,22 @@ class OpenLog:
             )
         }
         lost = {where: why for where, why in lost.items() if why}
+        harm = harm_of(self.head) if found.damage.lossy else ""
         absent = {one.name: one.messages or 1 for one in self.lacking}
         if self.rest:
             found = replace(found, info={**found.info, "files": ", ".join(one.name for one in files)})
-        if not lost and not absent:
+        if not lost and not absent and not harm:
             return found
         damage = replace(
             found.damage,
             truncated=found.damage.truncated or bool(lost),
             undecoded={**found.damage.undecoded, **absent},
-            reasons={**{one.name: one.why for one in self.lacking}, **found.damage.reasons, **lost},
+            reasons={
+                **({"copy": harm} if harm else {}),
+                **{one.name: one.why for one in self.lacking},
+                **found.damage.reasons,
+                **lost,
+            },
         )
         return replace(found, damage=damage)
 

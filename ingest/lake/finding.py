@@ -29,14 +29,13 @@ from flysid.ingest.formats.opening import begins_archive, folder_of, head_of, na
 from flysid.ingest.formats.recognised import TEXT, kind_of, packing_of, stranger
 from flysid.ingest.formats.recordings.finding import present
 from flysid.ingest.formats.recordings.names import METADATA, ending_of, listed, part_named
-from flysid.ingest.formats.registry import confidence_of, known_suffixes
+from flysid.ingest.formats.registry import confidence_of, known_suffixes, refusal_of
 from flysid.ingest.formats.rosbag2.side_files import ALL as SIDE_SUFFIXES
 from flysid.ingest.lake.workers import Bounds, Lost, read_bounded
 from flysid.manifest import DATA_FILE, about_run
 
 GLOB_MARKS = frozenset("*?[")
 ANYBODYS_SUFFIXES = (".log", ".txt")  # any program's notes end so, too
-UNKNOWN = "binary data that no reader knows"
 LOG = "log"
 NO_LOGS = "archive without logs"
 NOTHING = "no flight log in there"
@@ -319,5 +318,12 @@ def judge_head(found: Found, path: Path, name: str, head: bytes) -> None:
         found.pass_over(path, kind)
     else:
         known = stranger(head)
-        told = f"this is {known.title}, not a log; try: {known.hint}" if known else UNKNOWN
-        found.fail(path, told)
+        if known is None:
+            found.fail(path, _advice(refusal_of(head, name)))
+        else:
+            found.fail(path, f"this is {known.title}, not a log; try: {known.hint}")
+
+
+def _advice(error: FormatError) -> str:
+    """What a list says of an error whose file it names itself."""
+    return f"{error.message}; try: {error.hint}"

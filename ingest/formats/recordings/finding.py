@@ -78,11 +78,11 @@ def recording_of(name: str, folder: Folder, listen: Listen) -> Recording:
         unlisted = [other for other in family if other.name not in of_list.files]
         behind = [other for other in unlisted if other.number > _last_number(of_list.files)]
         found = _grown(of_list, behind, folder, listen)
-        return found if name in found.files else _by_times(part, unlisted, listen)
+        return found if name in found.files else _by_times(part, unlisted, listen, True)
     if part.stem == folder.name and not part.date:
         files = tuple(other.name for other in family)
         return Recording(files, () if _files_of_list(folder) else tuple(_holes(family)))
-    return _by_times(part, family, listen)
+    return _by_times(part, family, listen, len(folder.files) > 1)
 
 
 def _by_list(name: str, folder: Folder) -> Recording | None:
@@ -141,8 +141,11 @@ def _hole(like: Part, number: int) -> Lacking:
     return Lacking(name, "the files beside it are numbered so that it belongs to them, and it is not there")
 
 
-def _by_times(part: Part, family: Sequence[Part], listen: Listen) -> Recording:
-    """The files around one that go on from each other."""
+def _by_times(part: Part, family: Sequence[Part], listen: Listen, has_company: bool) -> Recording:
+    """The files around one that go on from each other.
+
+    A file that was copied alone misses nobody: `has_company` is whether others lie beside it.
+    """
     at = family.index(part)
     first = at
     while first and _follows(family[first - 1], family[first], listen):
@@ -152,7 +155,7 @@ def _by_times(part: Part, family: Sequence[Part], listen: Listen) -> Recording:
         last += 1
     files = family[first : last + 1]
     lacking: tuple[Lacking, ...] = ()
-    if files[0].date and files[0].number:
+    if files[0].date and files[0].number and has_company:
         before = f"{files[0].family[0]}*_{files[0].number - 1}.bag"
         lacking = (Lacking(before, f"{files[0].name} goes on from it, by its number, and it is not there"),)
     return Recording(tuple(one.name for one in files), lacking)

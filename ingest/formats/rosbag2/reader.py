@@ -21,8 +21,10 @@ from flysid.ingest.formats.messages.topics import Message, Topics, gather
 from flysid.ingest.formats.rosbag2.ros_types import find_definition
 from flysid.ingest.formats.rosbag2.sqlite_pages import MAGIC
 from flysid.ingest.formats.rosbag2.sqlite_tables import Row, Tables
+from flysid.showing import first_of
 
 MAX_CHANNELS = 1 << 16
+MOST_NAMED = 5
 MARK = b"CREATE TABLE messages"
 
 
@@ -47,6 +49,7 @@ def read_files(views: Sequence[memoryview], name: str, limits: Limits) -> Parts:
     damages = []
     info: dict[str, str] = {}
     is_bag = False
+    tables: list[str] = []
     topics = Topics(Tally())
     for view in views:
         topics.tally = Tally()
@@ -56,11 +59,16 @@ def read_files(views: Sequence[memoryview], name: str, limits: Limits) -> Parts:
         damages.append((len(view), topics.tally.freeze()))
         info |= bag.info
         is_bag |= bool(bag.rows) or "messages" in bag.tables
+        tables += bag.tables.names
     if not is_bag:
         raise FormatError(
-            "no table of messages in this SQLite file",
+            "no table of messages in this SQLite file"
+            + (f", which holds {first_of(tables, MOST_NAMED)}" if tables else ""),
             path=name,
-            hint="check that this is a ROS 2 bag, and that the download or copy finished",
+            byte=0,
+            hint="it is a database of another program: give the bag"
+            if tables
+            else "check that this is a ROS 2 bag, and that the download or copy finished",
         )
     return Summary(joined(damages), topics.clocks(), {**info, **topics.notes()})
 

@@ -216,6 +216,9 @@ def test_dated_bags_of_one_prefix_are_recordings_of_their_own(tmp_path: Path) ->
     lacking = flysid.read(tmp_path / f"{names[1]}.bag")
     assert lacking.rows == 40
     assert lacking.damage.undecoded == {"imu_*_0.bag": 1}
+    (tmp_path / "alone").mkdir()
+    alone = shutil.copy(tmp_path / f"{names[1]}.bag", tmp_path / "alone")
+    assert not flysid.read(alone).damage.lossy
 
 
 def test_recordings_cut_at_random_are_whole_again(tmp_path: Path) -> None:
