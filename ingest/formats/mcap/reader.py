@@ -2,7 +2,7 @@
 
 The stream key is the topic. `time_ns` is the message's own stamp where it has one (`header.stamp`, `stamp`,
 `timestamp`), else the log time; which of them is in the schema metadata as `time_source`. The log time is
-`recv_ns`.
+`recv_ns`. A recorder that left it at 0 is believed in its publish time.
 A topic whose layout changes goes on under `topic~2`. Topics without a known layout are named in the damage.
 Messages are gathered over chunks to batches, then decoded topic by topic.
 """
@@ -23,6 +23,7 @@ from flysid.ingest.formats.mcap.container import McapReader
 from flysid.ingest.formats.mcap.records import MAGIC, Registry
 from flysid.ingest.formats.messages.topic import ZERO_PAGE, Messages
 from flysid.ingest.formats.messages.topics import BATCH_BYTES, Topics
+from flysid.showing import counted
 
 
 @dataclass
@@ -79,6 +80,7 @@ def read_files(views: Sequence[memoryview], name: str, limits: Limits) -> Parts:
     damages = []
     info: dict[str, str] = {}
     has_channels = False
+    published = 0
     topics = Topics(Tally())
     for number, view in enumerate(views):
         topics.tally = Tally()
@@ -86,6 +88,7 @@ def read_files(views: Sequence[memoryview], name: str, limits: Limits) -> Parts:
         yield from _gathered(view, number, reader, topics, limits)
         damages.append((len(view), topics.tally.freeze()))
         info |= reader.info
+        published += reader.published
         has_channels |= bool(reader.registry.channels)
     damage = joined(damages)
     if not topics and damage.lossy and not has_channels:
@@ -96,7 +99,11 @@ def read_files(views: Sequence[memoryview], name: str, limits: Limits) -> Parts:
             byte=why.start if why else 0,
             hint="check that this is an MCAP file, and that the download or copy finished",
         )
-    return Summary(damage, topics.clocks(), {**info, **topics.notes()})
+    notes = topics.notes()
+    if published:
+        bare = f"{counted(published, 'message')} without a log time: the time of publishing stands for it"
+        notes["clock_note"] = "; ".join(filter(None, (bare, notes.get("clock_note", ""))))
+    return Summary(damage, topics.clocks(), {**info, **notes})
 
 
 def _gathered(
