@@ -126,7 +126,7 @@ def check_flights(logs: FoundLogs, place: Path, selection: Selection, held: Sequ
     held : parts of flights to hold out, as `parse_part` reads them.
     """
     from flysid.files import slug
-    from flysid.ingest.formats.opening import own_name
+    from flysid.ingest.formats.common.packed_names import own_name
     from flysid.ingest.lake.stretches import parse_part
     from flysid.showing import first_of, one_of
 

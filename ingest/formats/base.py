@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import importlib
 import mmap
-from collections.abc import Generator, Iterator, Mapping
+from collections.abc import Generator, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -91,6 +91,8 @@ class Format:
     reader : module with `sniff(head, name)` and `read(view, name, limits)`.
     scrubber : module with `scrub(view, scrubber, limits)`; None where the format cannot be scrubbed.
     zeros : how many zero bytes a sound log may begin with. More are what a lost write left.
+    joins : whether its recorders split a log over several files: the reader has `read_files` then, which
+        takes views where `read` takes one.
     """
 
     name: str
@@ -99,17 +101,24 @@ class Format:
     reader: str
     scrubber: str | None = None
     zeros: int = 0
+    joins: bool = False
 
     def sniff(self, head: bytes, name: str) -> float:
         """Confidence from 0 to 1 that a file with these first `HEAD_BYTES` bytes is of this format."""
         confidence: float = importlib.import_module(self.reader).sniff(head, name)
         return confidence
 
-    def read(self, view: memoryview, name: str, limits: Limits) -> Parts:
+    def read(self, view: memoryview, name: str, limits: Limits, rest: Sequence[memoryview] = ()) -> Parts:
         """The parts of a whole log. Zeros ahead of it count as damage.
 
         Damage never raises: it is counted. FormatError is raised only where nothing at all can be read.
+
+        `rest`: the files behind the first, of a format that `joins` them.
         """
+        if rest:
+            read_files = importlib.import_module(self.reader).read_files
+            whole: Summary = yield from _things_apart(read_files((view, *rest), name, limits), limits)
+            return whole
         skipped = self.zeros_ahead(view)
         try:
             parts = importlib.import_module(self.reader).read(view[skipped:], name, limits)
@@ -216,28 +225,32 @@ def release(view: memoryview, start: int, stop: int) -> None:
             mapped.madvise(mmap.MADV_DONTNEED, first, length)
 
 
-def hash_log(view: memoryview) -> str:
-    """sha256 of a log, in hexadecimal, without keeping a mapped log in memory."""
+def hash_log(*views: memoryview) -> str:
+    """sha256 of a log's files one after the other, in hexadecimal, without keeping mapped ones in memory."""
     digest = hashlib.sha256()
-    for start in range(0, len(view), _HASH_BYTES):
-        digest.update(view[start : start + _HASH_BYTES])
-        release(view, start, min(start + _HASH_BYTES, len(view)))
+    for view in views:
+        for start in range(0, len(view), _HASH_BYTES):
+            digest.update(view[start : start + _HASH_BYTES])
+            release(view, start, min(start + _HASH_BYTES, len(view)))
     return digest.hexdigest()
 
 
-def source_of(view: memoryview, name: str, fmt: Format) -> Source:
-    """Name, size and sha256 of a log."""
-    return Source(name=name, format=fmt.name, size_bytes=len(view), sha256=hash_log(view))
+def source_of(view: memoryview, name: str, fmt: Format, rest: Sequence[memoryview] = ()) -> Source:
+    """Name, size and sha256 of a log; `rest` is as `Format.read` takes it."""
+    size = len(view) + sum(len(other) for other in rest)
+    return Source(name=name, format=fmt.name, size_bytes=size, sha256=hash_log(view, *rest))
 
 
-def collect(view: memoryview, name: str, fmt: Format, limits: Limits) -> Flight:
-    """Run a format's reader to its end and join the parts of each stream."""
+def collect(
+    view: memoryview, name: str, fmt: Format, limits: Limits, rest: Sequence[memoryview] = ()
+) -> Flight:
+    """Run a format's reader to its end and join the parts of each stream; `rest` as `Format.read`."""
     parts: dict[str, list[pa.Table]] = {}
-    reader = fmt.read(view, name, limits)
+    reader = fmt.read(view, name, limits, rest)
     summary = exhaust(reader, lambda part: parts.setdefault(part.stream, []).append(part.table))
     parts = {summary.renamed.get(stream, stream): found for stream, found in parts.items()}
     tables = {stream: _join(parts.pop(stream)) for stream in sorted(parts)}
-    return Flight(source_of(view, name, fmt), tables, summary.damage, summary.clocks, summary.info)
+    return Flight(source_of(view, name, fmt, rest), tables, summary.damage, summary.clocks, summary.info)
 
 
 def _join(parts: list[pa.Table]) -> pa.Table:

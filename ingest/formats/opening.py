@@ -2,20 +2,23 @@
 
 A member is addressed as if its archive were a folder: `flights.zip/monday/one.tlog`. A log may be packed
 twice: a .gz or .zst file inside a .zip archive. What is packed in any other way is refused with the way out.
+A file that is part of a recording of several opens them all (`recordings`).
 """
 
 from __future__ import annotations
 
 import hashlib
+import importlib
 import os
 from collections.abc import Iterator, Mapping
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path, PurePosixPath
 from typing import BinaryIO, TypeVar
 
 from flysid.errors import FormatError
-from flysid.flight import Flight
+from flysid.flight import Flight, Source
 from flysid.ingest.formats.base import (
     HEAD_BYTES,
     Format,
@@ -25,22 +28,27 @@ from flysid.ingest.formats.base import (
     count_zeros,
     hash_log,
     map_file,
+    source_of,
 )
+from flysid.ingest.formats.blame import blaming
 from flysid.ingest.formats.common.compression import (
     GZIP_MAGIC,
     ZSTD_MAGIC,
     Expanded,
     expand,
     first_bytes,
-    packer_for,
     unpacked_pieces,
 )
+from flysid.ingest.formats.common.packed_names import PACKED_SUFFIXES, own_name
+from flysid.ingest.formats.common.transfer import harm_of
 from flysid.ingest.formats.common.zip_members import ZIP_MAGICS, Member, member_pieces, read_archive
 from flysid.ingest.formats.recognised import TAR_MAGIC, TAR_MAGIC_AT, is_office, packing_of
+from flysid.ingest.formats.recordings.continued import Heard, heard
+from flysid.ingest.formats.recordings.finding import READERS, Folder, Lacking, recording_of
+from flysid.ingest.formats.recordings.names import MARK, METADATA, ending_of, part_named
 from flysid.ingest.formats.rosbag2.side_files import READ, recover
 from flysid.ingest.formats.rosbag2.sqlite_pages import MAGIC as SQLITE_MAGIC
 
-PACKED_SUFFIXES = (".gz", ".zst", ".zstd")
 FIRST_BYTES = 128  # tell a packing, and an archive from a spreadsheet
 LEAST_ZEROS = 16  # fewer may belong to a log: a tlog's stamp begins with one
 
@@ -57,12 +65,29 @@ class OpenLog:
     view : its bytes, expanded.
     lost : what was lost while it was unpacked; "" for nothing.
     beside : what of its side files was left out; "" for nothing.
+    rest : the files behind this one, where a recorder split the log.
+    lacking : files of the recording that cannot be had.
     """
 
     name: str
     view: memoryview
     lost: str = ""
     beside: str = ""
+    rest: tuple[OpenLog, ...] = ()
+    lacking: tuple[Lacking, ...] = ()
+
+    @property
+    def size(self) -> int:
+        """Bytes of all its files."""
+        return len(self.view) + sum(len(other.view) for other in self.rest)
+
+    def rest_for(self, fmt: Format) -> tuple[memoryview, ...]:
+        """The bytes of the files behind the first, for a format that joins them."""
+        return tuple(other.view for other in self.rest) if fmt.joins else ()
+
+    def source(self, fmt: Format) -> Source:
+        """Name, size and sha256 of the log."""
+        return source_of(self.view, self.name, fmt, self.rest_for(fmt))
 
     @property
     def head(self) -> bytes:
@@ -74,29 +99,53 @@ class OpenLog:
     def read(self, fmt: Format, limits: Limits) -> Parts:
         """The parts of the log; what its packing and its side files lost counts as damage."""
         try:
-            return self.told((yield from fmt.read(self.view, self.name, limits)))
+            return self.told((yield from fmt.read(self.view, self.name, limits, self.rest_for(fmt))))
         except FormatError as error:
             if limits.format:
                 error.hint = f"leave out --format {limits.format}: the log's own bytes tell its format"
             raise
 
     def told(self, found: T) -> T:
-        """What was found in the log, with what its packing and its side files lost."""
-        lost = {where: why for where, why in (("packing", self.lost), ("side files", self.beside)) if why}
-        if not lost:
+        """What was found in the log, with what its packing, its side files and its other files lost."""
+        files = (self, *self.rest)
+        lost = {
+            where: "; ".join(f"{one.name}: {why}" if self.rest else why for one, why in whys if why)
+            for where, whys in (
+                ("packing", [(one, one.lost) for one in files]),
+                ("side files", [(one, one.beside) for one in files]),
+            )
+        }
+        lost = {where: why for where, why in lost.items() if why}
+        harm = harm_of(self.head) if found.damage.lossy else ""
+        absent = {one.name: one.messages or 1 for one in self.lacking}
+        if self.rest:
+            found = replace(found, info={**found.info, "files": ", ".join(one.name for one in files)})
+        if not lost and not absent and not harm:
             return found
-        reasons = {**found.damage.reasons, **lost}
-        return replace(found, damage=replace(found.damage, truncated=True, reasons=reasons))
+        damage = replace(
+            found.damage,
+            truncated=found.damage.truncated or bool(lost),
+            undecoded={**found.damage.undecoded, **absent},
+            reasons={
+                **({"copy": harm} if harm else {}),
+                **{one.name: one.why for one in self.lacking},
+                **found.damage.reasons,
+                **lost,
+            },
+        )
+        return replace(found, damage=damage)
 
 
 @contextmanager
-def open_log(path: Path, limits: Limits | None = None) -> Iterator[OpenLog]:
+def open_log(path: Path, limits: Limits | None = None, *, alone: bool = False) -> Iterator[OpenLog]:
     """The bytes of a log, unpacked where it is packed, with what its side files add, mapped into memory.
 
     Parameters
     ----------
-    path : a file, or a member of a .zip archive: `flights.zip/one.tlog`.
+    path : a file, or a member of a .zip archive: `flights.zip/one.tlog`. Any file of a recording of several
+        stands for them all.
     limits : how far packed logs may expand.
+    alone : this file only, whatever it is part of.
 
     Raises
     ------
@@ -104,9 +153,37 @@ def open_log(path: Path, limits: Limits | None = None) -> Iterator[OpenLog]:
     """
     limits = limits or Limits()
     with ExitStack() as stack:
-        log = _opened(path, limits, stack)
-        _check(log, path)
-        yield _with_side_files(log, path, limits, stack)
+        paths, lacking = ((path,), ()) if alone else recording_at(path, limits)
+        if paths == (path,):
+            yield replace(_opened_whole(path, limits, stack), lacking=lacking)
+            return
+        logs: list[OpenLog] = []
+        unusable: dict[str, FormatError] = {}
+        for part in paths:
+            try:
+                logs.append(_opened_part(part, limits, stack))
+            except FormatError as error:
+                unusable[part.name] = error
+        if not logs:
+            raise next(iter(unusable.values()))
+        lacking += tuple(Lacking(name, error.message) for name, error in unusable.items())
+        yield replace(logs[0], rest=tuple(logs[1:]), lacking=lacking)
+
+
+def _opened_whole(path: Path, limits: Limits, stack: ExitStack) -> OpenLog:
+    """A file with what its side files add. Raises FormatError where nothing is in it."""
+    log = _opened(path, limits, stack)
+    _check(log, path)
+    return _with_side_files(log, path, limits, stack)
+
+
+def _opened_part(path: Path, limits: Limits, stack: ExitStack) -> OpenLog:
+    """A file of a recording. Raises FormatError where it is none of its kind."""
+    log = _opened_whole(path, limits, stack)
+    ending = ending_of(path.name)
+    if not importlib.import_module(READERS[ending]).sniff(log.head, log.name):
+        raise FormatError(f"it does not begin as a {ending} file does", path=path, byte=0)
+    return log
 
 
 def _opened(path: Path, limits: Limits, stack: ExitStack) -> OpenLog:
@@ -159,6 +236,51 @@ def side_files(path: Path) -> dict[str, Path]:
     return found
 
 
+def recording_at(path: Path, limits: Limits | None = None) -> tuple[tuple[Path, ...], tuple[Lacking, ...]]:
+    """The files of the recording that a file belongs to, in order, and those that are not there.
+
+    Whether files that nothing lists belong together, their messages tell: then they are read for it.
+    """
+    limits = limits or Limits()
+    if not ending_of(path.name) or not (part_named(path.name) or names_log(path.with_name(METADATA))):
+        return (path,), ()
+    folder = folder_of(path)
+
+    def hear(name: str) -> Heard | None:
+        other = path.with_name(name)
+        state = locate(other)[0].stat()
+        return _heard(Path(os.path.abspath(other)), (state.st_mtime_ns, state.st_size), limits)
+
+    found = recording_of(path.name, folder, hear)
+    return tuple(path.with_name(name) for name in found.files), found.lacking
+
+
+def folder_of(path: Path) -> Folder:
+    """What lies beside a file, or a member of an archive."""
+    file, inside = locate(path)
+    if inside:
+        members = [PurePosixPath(name) for name in read_archive(file).members]
+        names = [name.name for name in members if name.parent == PurePosixPath(inside).parent]
+    else:
+        names = sorted(entry.name for entry in os.scandir(path.absolute().parent) if entry.is_file())
+    text = ""
+    if METADATA in names:
+        with suppress(FormatError, OSError):
+            text = head_of(path.with_name(METADATA))[1].decode("utf-8", "replace")
+    return Folder(path.absolute().parent.name, names, text if MARK in text else "")
+
+
+@lru_cache
+def _heard(path: Path, state: tuple[int, int], limits: Limits) -> Heard | None:  # noqa: ARG001 - of the file
+    """When the messages of a file were recorded; None where it cannot be read."""
+    try:
+        with blaming(path), ExitStack() as stack:
+            view = _opened_part(path, limits, stack).view
+            return heard(importlib.import_module(READERS[ending_of(path.name)]).listen(view, limits))
+    except (FormatError, OSError):
+        return None
+
+
 def readable(name: str) -> str:
     """A file's name as text that can be stored: bytes of another encoding are replaced."""
     return os.fsencode(name).decode("utf-8", "replace")
@@ -170,7 +292,7 @@ def identify(path: Path, limits: Limits) -> tuple[str, int]:
     A log that is not packed is read, not mapped: it may be cut meanwhile without harm to this process.
     """
     file, inside = locate(path)
-    if inside or not file.is_file():
+    if inside or not file.is_file() or len(recording_at(path, limits)[0]) > 1:
         return _identify_opened(path, limits)
     with file.open("rb") as opened:
         head = opened.read(FIRST_BYTES)
@@ -183,7 +305,7 @@ def identify(path: Path, limits: Limits) -> tuple[str, int]:
 
 def _identify_opened(path: Path, limits: Limits) -> tuple[str, int]:
     with open_log(path, limits) as log:
-        return hash_log(log.view), len(log.view)
+        return hash_log(log.view, *(other.view for other in log.rest)), log.size
 
 
 def _unpack(name: str, found: Expanded, lost_before: str = "") -> OpenLog:
@@ -269,33 +391,10 @@ def is_compressed(head: bytes | memoryview) -> bool:
     return bytes(head[:4]).startswith((GZIP_MAGIC, ZSTD_MAGIC))
 
 
-def is_packed(name: str) -> bool:
-    """Whether a name ends as those of packed logs do."""
-    return name.lower().endswith(PACKED_SUFFIXES)
-
-
 def short_name(path: Path) -> str:
     """The name of a log's file, and of the member where it is one of an archive."""
     file, inside = locate(path)
     return f"{file.name}/{inside}" if inside else file.name
-
-
-def own_name(name: str) -> str:
-    """A log's name without the suffix of its packing."""
-    suffix = PurePosixPath(name).suffix
-    return name[: -len(suffix)] if suffix.lower() in PACKED_SUFFIXES and len(name) > len(suffix) else name
-
-
-def packed_as(name: str, pieces: Iterator[bytes]) -> Iterator[bytes]:
-    """The pieces of a file, packed as its name says: .gz, .zst, .zstd, or as they are."""
-    suffix = PurePosixPath(name).suffix.lower()
-    if suffix not in PACKED_SUFFIXES:
-        yield from pieces
-        return
-    packer = packer_for(suffix)
-    for piece in pieces:
-        yield packer.compress(piece)
-    yield packer.flush()
 
 
 def head_of(path: Path, limits: Limits | None = None) -> tuple[str, bytes]:

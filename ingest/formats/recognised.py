@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from flysid.ingest.formats.common.compression import GZIP_MAGIC, ZSTD_MAGIC
+from flysid.ingest.formats.common.transfer import is_text
 from flysid.ingest.formats.common.zip_members import ZIP_MAGICS
 from flysid.ingest.formats.rosbag2.side_files import JOURNAL_MAGIC, WAL_MAGICS
 
@@ -59,8 +60,19 @@ def _begins(*magics: bytes) -> Callable[[bytes], bool]:
 
 def _text(pattern: bytes) -> Callable[[bytes], bool]:
     """Fits where the text of a file begins with this, after a mark of its encoding and white space."""
-    expression = re.compile(rb"(\xef\xbb\xbf)?\s*" + pattern, re.IGNORECASE)
+    expression = re.compile(rb"(\xef\xbb\xbf)?\s*(?:" + pattern + rb")", re.IGNORECASE)
     return lambda head: expression.match(head) is not None
+
+
+def _is_utf_16(head: bytes) -> bool:
+    """Whether text in UTF-16 begins here: by its mark, or because every other byte is 0."""
+    if head.startswith((b"\xff\xfe", b"\xfe\xff")):
+        return True
+    first = head[: 2 * (min(len(head), 256) // 2)]
+    return any(
+        len(first) >= 32 and not first[zeros::2].strip(b"\0") and 0 not in first[1 - zeros :: 2]
+        for zeros in (0, 1)
+    )
 
 
 def _is_iso_media(head: bytes) -> bool:
@@ -71,6 +83,15 @@ def _is_iso_media(head: bytes) -> bool:
 def _is_mpeg(head: bytes) -> bool:
     marks = head[: 5 * MPEG_PACKET : MPEG_PACKET]
     return len(marks) == 5 and marks == b"G" * 5
+
+
+def _is_pickle(head: bytes) -> bool:
+    return (
+        len(head) > 3
+        and head[0] == 0x80
+        and 2 <= head[1] <= 5
+        and head[2:3] in (b"\x95", b"}", b"c", b"]", b"(")
+    )
 
 
 def _is_dji_dat(head: bytes) -> bool:
@@ -150,7 +171,7 @@ STRANGERS = (
         "unpack it first",
         _begins(*PACKINGS),
     ),
-    Stranger("text in UTF-16", "save it as UTF-8", _begins(b"\xff\xfe", b"\xfe\xff")),
+    Stranger("text in UTF-16", "save it as UTF-8", _is_utf_16),
     Stranger(
         "sentences of a GPS receiver (NMEA)",
         "the autopilot's own log holds more; or gpsbabel -i nmea -f IN -o unicsv -F log.csv",
@@ -162,12 +183,92 @@ STRANGERS = (
     Stranger(
         "a GPS track (GPX, KML)",
         "the autopilot's own log holds more",
-        _text(rb"(<\?xml[^>]*>\s*)?<(gpx|kml)\b"),
+        _text(rb"(<\?xml[^>]*>\s*)?(<!--.*?-->\s*)*<(gpx|kml)\b"),
     ),
     Stranger(
         "a web page",
         "the download gave a page instead of the log: log in, and download again",
-        _text(rb"(<!doctype html|<html)\b"),
+        _text(rb"(<!--.*?-->\s*)*(<!doctype html|<html|<head|<body)\b"),
+    ),
+    Stranger(
+        "a pointer of Git LFS",
+        "the file itself is not here yet: git lfs pull",
+        _text(rb"version https://git-lfs\.github\.com/"),
+    ),
+    Stranger(
+        "a pointer of git-annex",
+        "the file itself is not here yet: git annex get",
+        _text(rb"(\.\./)*(/?\.git)?/annex/objects/\S+\s*$"),
+    ),
+    Stranger(
+        "an error message of a store",
+        "it says why the log was not sent; mend that, and download again",
+        _text(rb"(<\?xml[^>]*>\s*)?<Error>"),
+    ),
+    Stranger("an XML document", "give the log", _text(rb"<\?xml\b")),
+    Stranger(
+        "a list of parameters",
+        "it holds settings, not a flight: give the log",
+        _text(
+            rb"(#[^\n]*\n)*(((\d+\t){2})?[A-Z][A-Z0-9_]{2,15}[ ,\t]+-?[0-9.]+(e[+-]?\d+)?(\t\d+)?\s*\n){3}"
+        ),
+    ),
+    Stranger(
+        "the settings of a flight controller (CLI diff or dump)",
+        "it holds settings, not a flight: give the .bbl file",
+        _text(rb"(#[^\n]*\n|\s)*# (diff|dump|version|status|Betaflight /|INAV/|EmuFlight /|Rotorflight /)"),
+    ),
+    Stranger(
+        "a plan of QGroundControl",
+        "it is a plan, not a flight: give the log",
+        _text(rb'\{[^\0]{0,4096}"fileType"\s*:\s*"Plan"'),
+    ),
+    Stranger(
+        "firmware of a flight controller",
+        "give the log",
+        _text(rb'\{[^\0]{0,4096}"board_id"|:[0-9A-F]{6}0[0-5][0-9A-F]+\r?\n:'),
+    ),
+    Stranger("firmware of a flight controller", "give the log", _begins(b"DfuSe", b"UF2\n"), "firmware"),
+    Stranger("an e-mail", "save its attachment", _text(rb"(from|received|return-path|mime-version): ")),
+    Stranger("a document in RTF", SAVE_CSV, _text(rb"\{\\rtf")),
+    Stranger(
+        "statements of SQL",
+        "export the table as CSV, names in the first line",
+        _text(rb"(--[^\n]*\n|\s)*(create table|insert into|begin transaction|pragma )"),
+    ),
+    Stranger("a link to a web page", "open it, and download the log", _text(rb"\[InternetShortcut\]")),
+    Stranger("a key or certificate", "give the log", _text(rb"-----BEGIN ")),
+    Stranger(
+        "a copy of a symbolic link", "copy the file that it points to", _begins(b"XSym\n", b"!<symlink>")
+    ),
+    Stranger("a property list of macOS", "give the log", _begins(b"bplist00"), "document"),
+    Stranger(
+        "observations of a GPS receiver (RINEX)",
+        "the autopilot's own log holds the positions, too",
+        _text(rb"[^\n]{40,60}(RINEX VERSION|COMPACT RINEX)"),
+    ),
+    Stranger(
+        "a track of a flight recorder (IGC)",
+        "the autopilot's own log holds more",
+        _text(rb"A[A-Z0-9]{3}[^\n]*\n(H[^\n]*\n)*H[FOP]DTE"),
+    ),
+    Stranger("a track of a sports watch (FIT)", "give the log", lambda head: head[8:12] == b".FIT", "track"),
+    Stranger("a dump of memory after a crash of ArduPilot", "give the log", _text(rb"ArduPilot crash_dump")),
+    Stranger("a Python pickle", "with pandas: DataFrame.to_parquet('log.parquet')", _is_pickle),
+    Stranger(
+        "a table in Feather, Avro or ORC",
+        "with pandas: DataFrame.to_parquet('log.parquet')",
+        _begins(b"ARROW1\0\0", b"Obj\x01avro", b"Obj\x01\x04\x14avro", b"ORC"),
+    ),
+    Stranger(
+        "a ROS bag of a version before 2.0",
+        "rosbag fix old.bag new.bag, of ROS 1, turns it into one",
+        _begins(b"#ROSBAG V0", b"#ROSBAG V1", b"#ROSRECORD"),
+    ),
+    Stranger(
+        "an MCAP file that was copied as text, which changed its line ends",
+        "copy it in binary mode",
+        _begins(b"\x89MCAP0\n", b"\x89MCAP0\r\r\n"),
     ),
     Stranger("a plan of waypoints", "it is a plan, not a flight: give the log", _text(rb"QGC WPL \d+")),
     Stranger(
@@ -176,10 +277,6 @@ STRANGERS = (
         _text(rb"rosbag2_bagfile_information:"),
     ),
 )
-
-
-_TEXT_MARKS = (b"\xff\xfe", b"\xfe\xff", b"\xef\xbb\xbf")
-_NOT_IN_TEXT = bytes(set(range(32)) - set(b"\a\b\t\n\v\f\r\x1b"))
 
 
 def stranger(head: bytes) -> Stranger | None:
@@ -195,11 +292,6 @@ def kind_of(head: bytes) -> str:
     if known is not None and known.kind:
         return known.kind
     return TEXT if is_text(head) else ""
-
-
-def is_text(head: bytes) -> bool:
-    """Whether these bytes are text: no control characters but those of texts, or a mark of Unicode."""
-    return head.startswith(_TEXT_MARKS) or head.translate(None, _NOT_IN_TEXT) == head
 
 
 def packing_of(head: bytes) -> str:

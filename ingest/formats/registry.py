@@ -17,8 +17,10 @@ from flysid.errors import FormatError, UsageError
 from flysid.flight import Flight
 from flysid.ingest.formats.base import WHOLE_BATCH_BYTES, Format, Limits, collect
 from flysid.ingest.formats.blame import blaming
-from flysid.ingest.formats.opening import OpenLog, members_of, open_log, own_name
+from flysid.ingest.formats.common.packed_names import own_name
+from flysid.ingest.formats.opening import OpenLog, members_of, open_log
 from flysid.ingest.formats.recognised import stranger
+from flysid.ingest.formats.refusals import refuse
 from flysid.ingest.formats.rosbag2.side_files import READ
 from flysid.mirror import log_at
 from flysid.offers import rows
@@ -83,37 +85,13 @@ def detect(head: bytes, name: str) -> Format:
             return likely  # the usual case: no other reader is imported
     confidence, best = _most_likely(head, name)
     if confidence < PLAUSIBLE:
-        raise _refuse_unknown(head, name)
+        raise refusal_of(head, name)
     return best
 
 
-def _refuse_unknown(head: bytes, name: str) -> FormatError:
-    """What to say of a file that no format recognises."""
-    from flysid.ingest.formats.common.capture import is_capture
-
-    if is_capture(head):
-        return FormatError(
-            f"a network capture without MAVLink or navdata in its first {len(head):,} bytes",
-            path=name,
-            byte=0,
-            hint="where it begins later, --format tlog or navdata; read are unencrypted UDP and TCP, over "
-            "Ethernet, raw IP, loopback or Linux cooked capture",
-        )
-    lower = name.lower()
-    kinds = [fmt.title for fmt in all_formats().values() if lower.endswith(fmt.suffixes)]
-    if kinds:
-        return FormatError(
-            f"not a flight log that flysid knows, though named like {kinds[0]}",
-            path=name,
-            byte=0,
-            hint="check that the download or copy finished, and that it is a log",
-        )
-    return FormatError(
-        "not a flight log that flysid knows",
-        path=name,
-        byte=0,
-        hint="formats read: " + ", ".join(f.title for f in all_formats().values()),
-    )
+def refusal_of(head: bytes, name: str) -> FormatError:
+    """The error of a file that no format recognises: what is wrong with it, and what to do."""
+    return refuse(head, name, list(all_formats().values()), lambda other: _most_likely(other, name))
 
 
 def format_of(log: OpenLog, limits: Limits) -> Format:
@@ -187,7 +165,7 @@ def read(
     file = _file(path)
     with blaming(file), open_log(sole_log(file), limits) as log:
         fmt = format_of(log, limits)
-        return log.told(collect(log.view, log.name, fmt, limits))
+        return log.told(collect(log.view, log.name, fmt, limits, log.rest_for(fmt)))
 
 
 def _file(path: str | Path) -> Path:

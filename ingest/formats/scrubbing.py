@@ -18,6 +18,7 @@ from flysid.errors import UsageError
 from flysid.files import new_file, writing_to
 from flysid.flight import field_scale
 from flysid.ingest.formats.base import Format, Limits
+from flysid.ingest.formats.common.packed_names import packed_as
 from flysid.ingest.formats.common.scrub_rules import (
     UNREADABLE,
     Fix,
@@ -28,7 +29,7 @@ from flysid.ingest.formats.common.scrub_rules import (
     has_fix,
     places,
 )
-from flysid.ingest.formats.opening import open_log, packed_as
+from flysid.ingest.formats.opening import open_log
 from flysid.ingest.formats.registry import all_formats, format_of, sole_log
 from flysid.stretch import FloatArray
 
@@ -94,7 +95,7 @@ def scrub_log(
         )
     if out.exists() and not force:
         raise UsageError("the target exists", path=out, hint="choose another with -o, or add --force")
-    with open_log(sole_log(log)) as opened:
+    with open_log(sole_log(log), alone=True) as opened:
         fmt = format_of(opened, limits)
         if fmt.name not in scrubbers():
             raise UsageError(

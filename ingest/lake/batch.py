@@ -214,7 +214,7 @@ def ingest_one(job: Job, data: Path, limits: Limits, replace: bool, vehicle_in: 
     try:
         with open_log(job.path, limits) as log:
             state = locate(job.path)[0].stat()
-            if (len(log.view), state.st_mtime_ns) != (job.size, job.modified_ns):
+            if (log.size, state.st_mtime_ns) != (job.size, job.modified_ns):
                 return Result(job.path, reason="changed while it was being read; is it still being written?")
             fmt = format_of(log, limits)
             source = Source(log.name, fmt.name, job.size, job.sha256)

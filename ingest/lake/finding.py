@@ -23,17 +23,19 @@ from pathlib import Path
 
 from flysid.errors import FormatError, UsageError
 from flysid.ingest.formats.blame import blamed, blaming
+from flysid.ingest.formats.common.packed_names import PACKED_SUFFIXES, own_name
 from flysid.ingest.formats.common.zip_members import read_archive
-from flysid.ingest.formats.opening import PACKED_SUFFIXES, begins_archive, head_of, names_log, own_name
+from flysid.ingest.formats.opening import begins_archive, folder_of, head_of, names_log, recording_at
 from flysid.ingest.formats.recognised import TEXT, kind_of, packing_of, stranger
-from flysid.ingest.formats.registry import confidence_of, known_suffixes
+from flysid.ingest.formats.recordings.finding import present
+from flysid.ingest.formats.recordings.names import METADATA, ending_of, listed, part_named
+from flysid.ingest.formats.registry import confidence_of, known_suffixes, refusal_of
 from flysid.ingest.formats.rosbag2.side_files import ALL as SIDE_SUFFIXES
 from flysid.ingest.lake.workers import Bounds, Lost, read_bounded
 from flysid.manifest import DATA_FILE, about_run
 
 GLOB_MARKS = frozenset("*?[")
 ANYBODYS_SUFFIXES = (".log", ".txt")  # any program's notes end so, too
-UNKNOWN = "binary data that no reader knows"
 LOG = "log"
 NO_LOGS = "archive without logs"
 NOTHING = "no flight log in there"
@@ -138,6 +140,11 @@ def part_of(name: str, names: Container[str]) -> str:
     return ""
 
 
+def may_be_part(name: str, names: Container[str]) -> bool:
+    """Whether a file may be one of a recording of several, or the list of them: its contents tell."""
+    return part_named(name) is not None or name == METADATA or (ending_of(name) != "" and METADATA in names)
+
+
 @dataclass
 class Found:
     """What has been found so far, each path once."""
@@ -183,6 +190,9 @@ class _LogSearch:
             self._walk(path, found)
         elif _is_archive(path):
             self._open(path, found)
+        elif part_named(path.name):
+            self._open(path, found)
+            found = found if found.paths else Found({path: None})
         else:
             found.paths[path] = None
         if not found.paths and not found.unread:
@@ -215,7 +225,8 @@ class _LogSearch:
             folders[:] = sorted(name for name in folders if not name.startswith("."))
             for name in sorted(files):
                 path = Path(parent, name)
-                if kind := part_of(name, files) or judge_name(name):
+                kind = part_of(name, files) or judge_name(name)
+                if kind and not (kind == LOG and may_be_part(name, files)):
                     found.sort_in(path, kind)
                 elif os.path.isfile(path):
                     self._open(path, found)
@@ -237,8 +248,10 @@ def judge_file(path: Path) -> Found:
     Raises FormatError and OSError where it cannot be read.
     """
     found = Found()
-    if begins_archive(path):
+    if path.is_file() and begins_archive(path):
         _judge_members(found, path)
+        return found
+    if _judge_recording(found, path):
         return found
     name, head = head_of(path)
     if not head and path.stat().st_size > 0:
@@ -246,6 +259,25 @@ def judge_file(path: Path) -> Found:
     else:
         judge_head(found, path, name, head)
     return found
+
+
+def _judge_recording(found: Found, path: Path) -> bool:
+    """Sort in a file that is part of a recording, with its first file, and whether it is such a one."""
+    if path.name == METADATA:
+        folder = folder_of(path)
+        first_listed = next(
+            filter(None, (present(entry, folder.files) for entry in listed(folder.metadata))), ""
+        )
+        if first_listed:
+            found.pass_over(path, f"part of {first_listed}")
+        return first_listed != ""
+    if judge_name(path.name) != LOG or not ending_of(path.name):
+        return False
+    first = recording_at(path)[0][0]
+    found.paths[first] = None
+    if path != first:
+        found.pass_over(path, f"part of {first.name}")
+    return True
 
 
 def _judge_members(found: Found, path: Path) -> None:
@@ -257,7 +289,11 @@ def _judge_members(found: Found, path: Path) -> None:
             with blaming():
                 if member.fault:
                     found.fail(inside, member.fault)
-                elif kind := part_of(name, archive.members) or judge_name(inside.name):
+                elif kind := part_of(name, archive.members):
+                    found.pass_over(inside, kind)
+                elif _judge_recording(found, inside):
+                    continue
+                elif kind := judge_name(inside.name):
                     found.sort_in(inside, kind)
                 else:
                     judge_head(found, inside, *head_of(inside))
@@ -282,5 +318,12 @@ def judge_head(found: Found, path: Path, name: str, head: bytes) -> None:
         found.pass_over(path, kind)
     else:
         known = stranger(head)
-        told = f"this is {known.title}, not a log; try: {known.hint}" if known else UNKNOWN
-        found.fail(path, told)
+        if known is None:
+            found.fail(path, _advice(refusal_of(head, name)))
+        else:
+            found.fail(path, f"this is {known.title}, not a log; try: {known.hint}")
+
+
+def _advice(error: FormatError) -> str:
+    """What a list says of an error whose file it names itself."""
+    return f"{error.message}; try: {error.hint}"

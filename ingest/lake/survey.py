@@ -27,7 +27,7 @@ from flysid.flight import (
 from flysid.flightwriter import float_values, int_values
 from flysid.ingest.align.resample import Span
 from flysid.ingest.excitation.enough import FLY_MORE, MIN_DURATION_S, least_hz, too_short_alone
-from flysid.ingest.formats.base import Limits, StreamPart, source_of
+from flysid.ingest.formats.base import Limits, StreamPart
 from flysid.ingest.formats.opening import open_log
 from flysid.ingest.formats.registry import format_of
 from flysid.ingest.lake.flown import Kept, changes, within
@@ -178,7 +178,7 @@ def survey(path: Path, limits: Limits | None = None) -> Survey:
                 kept.setdefault(part.stream, []).append(found)
 
         summary = exhaust(log.read(fmt, limits), look_at)
-        source = source_of(log.view, log.name, fmt)
+        source = log.source(fmt)
     streams = {summary.renamed.get(key, key): count for key, count in streams.items()}
     rows = {key: count.rows for key, count in streams.items()}
     tables = {key: pa.concat_tables(parts, promote_options="default") for key, parts in kept.items()}

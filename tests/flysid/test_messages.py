@@ -178,9 +178,9 @@ FILES = [
     (
         "a.tlog",
         b"hello world\n" * 100,
-        "not a flight log that flysid knows, though named like MAVLink telemetry (.tlog, raw, pcap)",
+        "text, where MAVLink telemetry (.tlog, raw, pcap) is expected: its first line is 'hello world'",
     ),
-    ("a.csv", b"t,u,y\n", "not a flight log that flysid knows, though named like table in text (.csv, .tsv)"),
+    ("a.csv", b"t,u,y\n", "one line of text: 't,u,y'"),
     ("a.bin", bytes(5000), "nothing but zeros (a.bin, byte 0) Try: copy it from the vehicle again"),
     (
         "a.ulg",

@@ -64,9 +64,13 @@ def mcap_file(
     compression: CompressionType = CompressionType.ZSTD,
     chunked: bool = True,
     chunk_size: int = 4096,
+    recorded: bool = True,
     **options: Any,
 ) -> bytes:
-    """A finished MCAP file with the messages of all topics in order of log time."""
+    """A finished MCAP file with the messages of all topics in order of log time.
+
+    `recorded`: whether the recorder notes its own time, too; else log times are 0.
+    """
     out = io.BytesIO()
     writer = Writer(out, chunk_size=chunk_size, compression=compression, use_chunking=chunked, **options)
     writer.start(profile="test", library="flysid tests")
@@ -76,7 +80,7 @@ def mcap_file(
         channel = writer.register_channel(topic.name, topic.encoding, schema)
         queue += [(when, channel, payload) for when, payload in topic.messages]
     for number, (when, channel, payload) in enumerate(sorted(queue, key=lambda m: m[0])):
-        writer.add_message(channel, when, payload, when, number)
+        writer.add_message(channel, when if recorded else 0, payload, when, number)
     writer.finish()  # type: ignore[no-untyped-call]
     return out.getvalue()
 

@@ -348,3 +348,12 @@ def fit_line(x: IntArray, y: IntArray) -> tuple[int, float, int]:
     offset = float(np.median(residual))
     spread = float(np.median(np.abs(residual - offset)))
     return y0 + round(offset) - round(slope * x0), slope, round(spread)
+
+
+def last_good(values: IntArray, is_bad: BoolArray) -> IntArray:
+    """Every bad value replaced by the last good one before it, or by the first good one."""
+    if not is_bad.any() or is_bad.all():
+        return values
+    index = np.maximum.accumulate(np.where(is_bad, -1, np.arange(len(values))))
+    filled: IntArray = values[np.where(index < 0, int(np.argmin(is_bad)), index)]
+    return filled

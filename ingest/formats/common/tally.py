@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 from flysid.flight import Damage, Region
 
@@ -67,3 +69,37 @@ class Tally:
             out_of_order=dict(self.out_of_order),
             reasons=dict(self._reasons),
         )
+
+
+def joined(found: Sequence[tuple[int, Damage]]) -> Damage:
+    """The damage of files that are one log: of each its bytes and its damage, in order.
+
+    Places count through all files, as if they were one.
+    """
+    starts = [sum(size for size, _ in found[:k]) for k in range(len(found))]
+    every = [damage for _, damage in found]
+    regions = [
+        replace(region, start=start + region.start, end=start + region.end)
+        for start, damage in zip(starts, every, strict=True)
+        for region in damage.regions
+    ]
+    return Damage(
+        bytes_skipped=sum(damage.bytes_skipped for damage in every),
+        regions=tuple(regions[: Damage.MAX_REGIONS]),
+        region_count=sum(damage.region_count for damage in every),
+        bad_checksums=sum(damage.bad_checksums for damage in every),
+        truncated=any(damage.truncated for damage in every),
+        undecoded=_added([damage.undecoded for damage in every]),
+        time_outliers=_added([damage.time_outliers for damage in every]),
+        sequence_gaps=_added([damage.sequence_gaps for damage in every]),
+        dropouts=_added([damage.dropouts for damage in every]),
+        out_of_order=_added([damage.out_of_order for damage in every]),
+        reasons={name: why for damage in reversed(every) for name, why in damage.reasons.items()},
+    )
+
+
+def _added(counts: Sequence[Mapping[str, int]]) -> dict[str, int]:
+    total: Counter[str] = Counter()
+    for some in counts:
+        total.update(some)
+    return dict(total)

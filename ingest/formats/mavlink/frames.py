@@ -14,7 +14,7 @@ An unknown id cannot be checked: such a frame is accepted only where a checked o
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from enum import IntEnum
 
@@ -203,6 +203,7 @@ class Scanner:
     Attributes
     ----------
     foreign : frames that another dialect may know: of unknown ids, or right but for the seed.
+    private : messages that this log's own dialect defines under numbers of this one, and their seeds.
     """
 
     crc_extra: npt.NDArray[np.int16]
@@ -216,6 +217,7 @@ class Scanner:
     unstamped: int = 0
     unknown: dict[tuple[int, int, int], int] = field(default_factory=dict)
     foreign: int = 0
+    private: Mapping[int, int] = field(default_factory=dict)
     _lost_at: int | None = None
     _reason: str = ""
     _expected: int = -1
@@ -251,10 +253,10 @@ class Scanner:
         self._expected = -1
         if head is not None and self._is_known(head.message):
             self.bad_checksums += 1
-            self.foreign += holds_with_some_seed(buffer, q, head)
+            self.foreign += seed_of(buffer, q, head) >= 0
             self._reason = "bad checksum"
             self._expected = batch.base + head.end
-        elif head is not None and self._is_confirmed(buffer, head.end):
+        elif head is not None and (self._is_private(buffer, q, head) or self._is_confirmed(buffer, head.end)):
             key = (*divmod(_sender(buffer, q), 256), head.message)
             self.unknown[key] = self.unknown.get(key, 0) + 1
             self.foreign += 1
@@ -309,6 +311,9 @@ class Scanner:
 
     def _is_valid(self, buffer: Buffer, q: int, head: Header) -> bool:
         return is_valid(buffer, q, head, int(self.crc_extra[head.message]))
+
+    def _is_private(self, buffer: Buffer, q: int, head: Header) -> bool:
+        return head.message in self.private and is_valid(buffer, q, head, self.private[head.message])
 
     def _is_confirmed(self, buffer: Buffer, position: int) -> bool:
         """Does a checked frame follow exactly, perhaps after more unknown ones?"""
@@ -365,13 +370,17 @@ def is_valid(buffer: Buffer, q: int, head: Header, seed: int) -> bool:
     return bool(fastcrc.crc16.mcrf4xx(bytes(buffer[q + 1 : head.crc_at]) + bytes([seed])) == stated)
 
 
-def holds_with_some_seed(buffer: Buffer, q: int, head: Header) -> bool:
-    """True where the CRC would hold if the message had another layout; by chance once in 256."""
+def seed_of(buffer: Buffer, q: int, head: Header) -> int:
+    """The seed with which the CRC of a frame holds: that of its layout; -1 for none.
+
+    A frame that damage changed has one by chance, once in 256.
+    """
     import fastcrc
 
     stated = int.from_bytes(buffer[head.crc_at : head.crc_at + 2], "little")
     crc = fastcrc.crc16.mcrf4xx(bytes(buffer[q + 1 : head.crc_at]))
-    return bool(((crc >> 8) ^ CRC_TABLE == stated).any())
+    fits = np.flatnonzero((crc >> 8) ^ CRC_TABLE == stated)
+    return int(fits[0]) ^ (crc & 0xFF) if len(fits) else -1
 
 
 def is_checked(buffer: Buffer, q: int, crc_extra: npt.NDArray[np.int16]) -> bool:

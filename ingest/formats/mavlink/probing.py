@@ -2,13 +2,30 @@
 
 from __future__ import annotations
 
-from functools import cache, lru_cache
+from collections import Counter
+from collections.abc import Mapping
+from functools import lru_cache
+
+import numpy as np
+import numpy.typing as npt
 
 from flysid.ingest.formats.base import HEAD_BYTES
 from flysid.ingest.formats.common.columns import as_array
-from flysid.ingest.formats.mavlink.dialect import DEFAULT, OTHERS, load_dialect
-from flysid.ingest.formats.mavlink.frames import MARKER, STAMP_BYTES, V1, V2, Chain, Scanner, plain_chain
+from flysid.ingest.formats.mavlink.dialect import DEFAULT, OTHERS, UNKNOWN, load_dialect
+from flysid.ingest.formats.mavlink.frames import (
+    MARKER,
+    STAMP_BYTES,
+    V1,
+    V2,
+    Chain,
+    Scanner,
+    is_valid,
+    plain_chain,
+    read_header,
+    seed_of,
+)
 
+LEAST_ALIKE = 3  # frames that hold with one seed by chance: once in 65,536 for each behind the first
 COMPILE_ABOVE_BYTES = 64 << 20  # the compiled walk takes 1 s to load and saves 14 ms a megabyte
 
 
@@ -58,22 +75,71 @@ def count_frames(head: bytes, stamp: int) -> tuple[int, int]:
     return len(frames), len(frames) - scanner.region_count - scanner.unstamped
 
 
-def make_scanner(dialect: str, stamp: int, size: int = 0) -> Scanner:
-    """A scanner for a log of `size` bytes: large ones are walked by compiled code."""
-    chain = _compiled_chain(dialect) if size > COMPILE_ABOVE_BYTES else _plain_chain(dialect)
-    return Scanner(load_dialect(dialect).crc_extra, stamp, chain)
+def make_scanner(
+    dialect: str, stamp: int, size: int = 0, private: Mapping[int, int] | None = None
+) -> Scanner:
+    """A scanner for a log of `size` bytes: large ones are walked by compiled code.
+
+    `private`: see `private_seeds`; these messages are as unknown as those of unknown ids.
+    """
+    numbers = frozenset(private or ())
+    chain = (_compiled_chain if size > COMPILE_ABOVE_BYTES else _plain_chain)(dialect, numbers)
+    return Scanner(_seeds_without(dialect, numbers), stamp, chain, private=private or {})
 
 
-@cache
-def _compiled_chain(dialect: str) -> Chain:
+@lru_cache(maxsize=16)
+def _seeds_without(dialect: str, numbers: frozenset[int]) -> npt.NDArray[np.int16]:
+    """The seeds of a dialect, less those of some messages."""
+    seeds = load_dialect(dialect).crc_extra
+    if not numbers:
+        return seeds
+    seeds = seeds.copy()
+    seeds[list(numbers)] = UNKNOWN
+    seeds.setflags(write=False)
+    return seeds
+
+
+@lru_cache(maxsize=16)
+def _compiled_chain(dialect: str, numbers: frozenset[int]) -> Chain:
     from flysid.ingest.formats.mavlink.kernel import compiled_chain
 
-    return compiled_chain(load_dialect(dialect).crc_extra)
+    return compiled_chain(_seeds_without(dialect, numbers))
 
 
-@cache
-def _plain_chain(dialect: str) -> Chain:
-    return plain_chain(load_dialect(dialect).crc_extra)
+@lru_cache(maxsize=16)
+def _plain_chain(dialect: str, numbers: frozenset[int]) -> Chain:
+    return plain_chain(_seeds_without(dialect, numbers))
+
+
+def knowing_scanner(sample: bytes, stamp: int, size: int) -> tuple[str, Scanner]:
+    """The dialect that knows most of a log that begins so, and a scanner for it."""
+    dialect = choose_dialect(sample, stamp)
+    return dialect, make_scanner(dialect, stamp, size, private_seeds(sample, stamp, dialect))
+
+
+def private_seeds(sample: bytes, stamp: int, dialect: str) -> Mapping[int, int]:
+    """Messages that a private dialect defines under a number of this one: their seeds, by number.
+
+    Such a message fails the checksum of the message that bears its number here, always, and holds with one
+    other seed, always. What damage leaves holds with a given seed once in 65,536.
+    """
+    known = load_dialect(dialect).crc_extra
+    seeds: dict[int, Counter[int]] = {}
+    shipped: set[int] = set()
+    for match in MARKER.finditer(sample):
+        q = match.start()
+        head = read_header(sample, q)
+        if head is None or head.message >= len(known) or known[head.message] == UNKNOWN:
+            continue
+        after = head.end + stamp
+        if head.message in shipped or (after < len(sample) and sample[after] not in (V1, V2)):
+            continue
+        if is_valid(sample, q, head, int(known[head.message])):
+            shipped.add(head.message)
+        elif (seed := seed_of(sample, q, head)) >= 0:
+            seeds.setdefault(head.message, Counter())[seed] += 1
+    most = {number: found.most_common(1)[0] for number, found in seeds.items() if number not in shipped}
+    return {number: seed for number, (seed, count) in most.items() if count >= LEAST_ALIKE}
 
 
 def choose_dialect(sample: bytes, stamp: int) -> str:

@@ -21,7 +21,7 @@ from flysid.errors import FormatError
 from flysid.flight import KEY, ClockMap, Damage
 from flysid.ingest.formats.base import HEAD_BYTES, Limits, Parts, StreamPart, Summary, release
 from flysid.ingest.formats.common.capture import is_capture
-from flysid.ingest.formats.common.clock import SECOND_NS, SIDE, UNIX_NS, BoolArray, IntArray, is_outlier
+from flysid.ingest.formats.common.clock import SECOND_NS, SIDE, UNIX_NS, IntArray, is_outlier, last_good
 from flysid.ingest.formats.common.columns import (
     ByteMatrix,
     RecordLayout,
@@ -36,9 +36,9 @@ from flysid.ingest.formats.mavlink.dialect import DEFAULT, Dialect, load_dialect
 from flysid.ingest.formats.mavlink.frames import LOOK_AHEAD, STAMP_BYTES, Frames, MessageId, Scanner
 from flysid.ingest.formats.mavlink.parameters import EXTENDED, NUMBERS, Encodings, with_values
 from flysid.ingest.formats.mavlink.probing import (
-    choose_dialect,
     count_frames,
     first_stamp_bytes,
+    knowing_scanner,
     make_scanner,
     may_chain,
     stamp_bytes,
@@ -105,9 +105,9 @@ def read(view: memoryview, name: str, limits: Limits) -> Parts:
         start = position
         frames, position = _next_frames(reader.scanner, view, start, limits)
         if start == 0 and reader.scanner.foreign:
-            dialect = choose_dialect(bytes(view[:PROBE_BYTES]), stamp)
-            if dialect != DEFAULT:
-                reader = _Reader(load_dialect(dialect), make_scanner(dialect, stamp, len(view)))
+            dialect, scanner = knowing_scanner(bytes(view[:PROBE_BYTES]), stamp, len(view))
+            if dialect != DEFAULT or scanner.private:
+                reader = _Reader(load_dialect(dialect), scanner)
                 frames, position = _next_frames(reader.scanner, view, start, limits)
         yield from _parts(reader, frames)
         release(view, start, position)
@@ -122,8 +122,8 @@ def _read_capture(view: memoryview, name: str, limits: Limits) -> Parts:
     reader = None
     for batch, base in capture.batches(view, limits.batch_bytes):
         if reader is None:
-            dialect = choose_dialect(bytes(batch.data[:PROBE_BYTES]), 0)
-            reader = _Reader(load_dialect(dialect), make_scanner(dialect, 0, len(view)), stamps="capture")
+            dialect, scanner = knowing_scanner(bytes(batch.data[:PROBE_BYTES]), 0, len(view))
+            reader = _Reader(load_dialect(dialect), scanner, stamps="capture")
         yield from _parts(reader, scan_batch(reader.scanner, batch, base))
     if reader is None:
         raise FormatError(
@@ -143,8 +143,7 @@ def frame_batches(view: memoryview, limits: Limits) -> Iterator[tuple[Frames, Di
     scanner = make_scanner(name, stamp, len(view))
     frames, position = _next_frames(scanner, view, 0, limits)
     if scanner.foreign:
-        name = choose_dialect(bytes(view[:PROBE_BYTES]), stamp)
-        scanner = make_scanner(name, stamp, len(view))
+        name, scanner = knowing_scanner(bytes(view[:PROBE_BYTES]), stamp, len(view))
         frames, position = _next_frames(scanner, view, 0, limits)
     yield frames, load_dialect(name), position
     while position < len(view):
@@ -217,24 +216,15 @@ def _arrival(reader: _Reader, frames: Frames) -> tuple[IntArray, IntArray, bool]
         return order, order, False
     stated = np.concatenate([reader.last_stamps, frames.stamp_us * 1000])
     missing = stated < 0
-    stated = _last_good(stated, missing)
+    stated = last_good(stated, missing)
     wrong = is_outlier(stated)
-    placing = _last_good(stated, wrong)[len(reader.last_stamps) :]
+    placing = last_good(stated, wrong)[len(reader.last_stamps) :]
     reader.bad_stamps += int((missing | wrong)[len(reader.last_stamps) :].sum())
     stated = stated[len(reader.last_stamps) :]
     reader.last_stamps = placing[-SIDE:].copy()
     low, high = reader.arrival_span or (int(placing[0]), int(placing[0]))
     reader.arrival_span = (min(low, int(placing.min())), max(high, int(placing.max())))
     return stated, placing, True
-
-
-def _last_good(values: IntArray, is_bad: BoolArray) -> IntArray:
-    """Every bad value replaced by the last good one before it, or by the first good one."""
-    if not is_bad.any() or is_bad.all():
-        return values
-    index = np.maximum.accumulate(np.where(is_bad, -1, np.arange(len(values))))
-    filled: IntArray = values[np.where(index < 0, int(np.argmin(is_bad)), index)]
-    return filled
 
 
 def _streams(frames: Frames) -> Iterator[tuple[Source, IntArray]]:
@@ -400,13 +390,27 @@ def _summary(reader: _Reader) -> Summary:
         undecoded=undecoded,
         time_outliers=outliers,
         out_of_order=late,
+        reasons=_private(reader),
         sequence_gaps={f"{who >> 8}.{who & 255}": n for who, n in sorted(reader.gaps.items())},
     )
     return Summary(damage, _clocks(reader), _info(reader))
 
 
+def _private(reader: _Reader) -> dict[str, str]:
+    """Why messages were not decoded whose number the dialect gives to another message."""
+    private = reader.scanner.private
+    return {
+        _key(reader, source): f"of a private dialect, in which {source[2]} is not "
+        f"{reader.dialect.message_name(source[2])}: its checksums hold with the seed {private[source[2]]}"
+        for source in sorted(reader.scanner.unknown)
+        if source[2] in private
+    }
+
+
 def _key(reader: _Reader, source: Source) -> str:
-    return f"{source[0]}.{source[1]}/{reader.dialect.message_name(source[2])}"
+    is_private = source[2] in reader.scanner.private
+    name = f"#{source[2]}" if is_private else reader.dialect.message_name(source[2])
+    return f"{source[0]}.{source[1]}/{name}"
 
 
 def _clocks(reader: _Reader) -> tuple[ClockMap, ...]:

@@ -9,5 +9,6 @@ FORMATS = (
         (".mcap",),
         "flysid.ingest.formats.mcap.reader",
         "flysid.ingest.formats.mcap.scrub",
+        joins=True,
     ),
 )

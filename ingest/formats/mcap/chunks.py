@@ -51,13 +51,17 @@ class Contents:
 
 @dataclass(frozen=True)
 class Block:
-    """Messages in one buffer: payloads data[at : at + size], times, places in Registry.channels (or -1)."""
+    """Messages in one buffer: payloads data[at : at + size], times, places in Registry.channels (or -1).
+
+    `published`: how many have the time of their publishing, as the recorder noted none of its own.
+    """
 
     data: Bytes
     at: Index
     size: Index
     channel: Index
     log_ns: Index
+    published: int = 0
 
 
 def check_bounds(head: ChunkHead, limits: Limits) -> None:
@@ -179,7 +183,10 @@ def bind(data: bytes | memoryview, found: Contents, registry: Registry) -> Block
             continue  # its messages stay unbound, and are counted as such
     channel[done:] = registry.bound[numbers[done:]]
     size = head["size"].astype(np.int64) - 22
-    return Block(buffer, found.messages + MESSAGE_HEAD_BYTES, size, channel, head["log"].astype(np.int64))
+    bare = (head["log"] == 0) & (head["sent"] != 0)
+    log_ns = np.where(bare, head["sent"], head["log"]).astype(np.int64)
+    at = found.messages + MESSAGE_HEAD_BYTES
+    return Block(buffer, at, size, channel, log_ns, int(np.count_nonzero(bare)))
 
 
 def _expand_zstd(packed: memoryview, size: int) -> bytes:

@@ -68,6 +68,7 @@ class McapReader:
         self.view = view
         self.registry = Registry()
         self.info: dict[str, str] = {}
+        self.published = 0  # messages that have the time of their publishing only
         self.place = 0
         self._limits = limits
         self._tally = tally
@@ -143,6 +144,7 @@ class McapReader:
             except StopIteration as stop:
                 return int(stop.value)
             self._seen += len(block.at)
+            self.published += block.published
             yield block
 
     def _read_summary(self) -> None:

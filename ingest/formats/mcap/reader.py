@@ -2,14 +2,14 @@
 
 The stream key is the topic. `time_ns` is the message's own stamp where it has one (`header.stamp`, `stamp`,
 `timestamp`), else the log time; which of them is in the schema metadata as `time_source`. The log time is
-`recv_ns`.
+`recv_ns`. A recorder that left it at 0 is believed in its publish time.
 A topic whose layout changes goes on under `topic~2`. Topics without a known layout are named in the damage.
 Messages are gathered over chunks to batches, then decoded topic by topic.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -17,12 +17,13 @@ import numpy as np
 from flysid.errors import FormatError
 from flysid.ingest.formats.base import Limits, Parts, StreamPart, Summary, release, sniff_magic
 from flysid.ingest.formats.common.gather import Bytes
-from flysid.ingest.formats.common.tally import Tally
+from flysid.ingest.formats.common.tally import Tally, joined
 from flysid.ingest.formats.mcap.chunks import Block
 from flysid.ingest.formats.mcap.container import McapReader
 from flysid.ingest.formats.mcap.records import MAGIC, Registry
 from flysid.ingest.formats.messages.topic import ZERO_PAGE, Messages
 from flysid.ingest.formats.messages.topics import BATCH_BYTES, Topics
+from flysid.showing import counted
 
 
 @dataclass
@@ -71,21 +72,26 @@ def read(view: memoryview, name: str, limits: Limits) -> Parts:
     ------
     FormatError : there is not one message in the file, nor the end that an empty log would have.
     """
-    tally = Tally()
-    reader = McapReader(view, limits, tally)
-    topics = Topics(tally)
-    batch = _Batch()
-    released = 0
-    for block in reader.blocks():
-        batch.add(block)
-        if batch.payload >= min(limits.batch_bytes, BATCH_BYTES):
-            yield from _decode(batch, reader.registry, topics, tally)
-            batch = _Batch()
-            release(view, released, reader.place)
-            released = reader.place
-    yield from _decode(batch, reader.registry, topics, tally)
-    damage = tally.freeze()
-    if not topics and damage.lossy and not reader.registry.channels:
+    return read_files((view,), name, limits)
+
+
+def read_files(views: Sequence[memoryview], name: str, limits: Limits) -> Parts:
+    """As `read`, of a recording that was split over several files."""
+    damages = []
+    info: dict[str, str] = {}
+    has_channels = False
+    published = 0
+    topics = Topics(Tally())
+    for number, view in enumerate(views):
+        topics.tally = Tally()
+        reader = McapReader(view, limits, topics.tally)
+        yield from _gathered(view, number, reader, topics, limits)
+        damages.append((len(view), topics.tally.freeze()))
+        info |= reader.info
+        published += reader.published
+        has_channels |= bool(reader.registry.channels)
+    damage = joined(damages)
+    if not topics and damage.lossy and not has_channels:
         why = damage.regions[0] if damage.regions else None
         raise FormatError(
             "no message in this MCAP file can be read" + (f": {why.reason}" if why else ""),
@@ -93,16 +99,45 @@ def read(view: memoryview, name: str, limits: Limits) -> Parts:
             byte=why.start if why else 0,
             hint="check that this is an MCAP file, and that the download or copy finished",
         )
-    return Summary(damage, topics.clocks(), {**reader.info, **topics.notes()})
+    notes = topics.notes()
+    if published:
+        bare = f"{counted(published, 'message')} without a log time: the time of publishing stands for it"
+        notes["clock_note"] = "; ".join(filter(None, (bare, notes.get("clock_note", ""))))
+    return Summary(damage, topics.clocks(), {**info, **notes})
 
 
-def _decode(batch: _Batch, registry: Registry, topics: Topics, tally: Tally) -> Iterator[StreamPart]:
+def _gathered(
+    view: memoryview, number: int, reader: McapReader, topics: Topics, limits: Limits
+) -> Iterator[StreamPart]:
+    """Parts of one file, by its number: files number their channels for themselves."""
+    batch = _Batch()
+    released = 0
+    for block in reader.blocks():
+        batch.add(block)
+        if batch.payload >= min(limits.batch_bytes, BATCH_BYTES):
+            yield from _decode(batch, number, reader.registry, topics)
+            batch = _Batch()
+            release(view, released, reader.place)
+            released = reader.place
+    yield from _decode(batch, number, reader.registry, topics)
+
+
+def _decode(batch: _Batch, file: int, registry: Registry, topics: Topics) -> Iterator[StreamPart]:
     """Parts of a batch."""
     for number, messages in batch.by_channel():
         if number < 0:
-            tally.undecode("(channel without definition)", len(messages.at))
+            topics.tally.undecode("(channel without definition)", len(messages.at))
         else:
-            yield from topics.decode(number, registry.channels[number], messages)
+            yield from topics.decode((file, number), registry.channels[number], messages)
+
+
+def listen(view: memoryview, limits: Limits) -> Iterator[tuple[str, int]]:
+    """Topic and time of recording of each message of a file."""
+    reader = McapReader(view, limits, Tally())
+    for block in reader.blocks():
+        for channel, log_ns in zip(block.channel.tolist(), block.log_ns.tolist(), strict=True):
+            if channel >= 0:
+                yield reader.registry.channels[channel].topic, log_ns
 
 
 def sniff(head: bytes, name: str) -> float:

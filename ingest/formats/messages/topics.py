@@ -25,10 +25,13 @@ BATCH_BYTES = 8 << 20  # larger ones touch new memory for every message, which c
 
 
 class Topics:
-    """Decoders by key (a channel's number, or the channel itself), and the stream keys they have taken."""
+    """Decoders by key (a channel's number, or the channel itself), and the stream keys they have taken.
+
+    `tally` counts what is not decoded; of a log of several files, each has its own.
+    """
 
     def __init__(self, tally: Tally) -> None:
-        self._tally = tally
+        self.tally = tally
         self._topics: dict[Hashable, Topic] = {}
         self._streams: dict[str, pa.Schema] = {}
 
@@ -40,10 +43,10 @@ class Topics:
         topic = self._topics.get(key)
         if topic is None:
             if len(self._topics) >= MAX_TOPICS:
-                self._tally.undecode(f"(topics beyond {MAX_TOPICS})", len(messages.at))
+                self.tally.undecode(f"(topics beyond {MAX_TOPICS})", len(messages.at))
                 return
             topic = self._topics[key] = Topic(channel)
-        yield from topic.decode(messages, self._tally, self._streams)
+        yield from topic.decode(messages, self.tally, self._streams)
 
     def clocks(self) -> tuple[ClockMap, ...]:
         """Log time against the messages' own stamps."""
@@ -53,7 +56,7 @@ class Topics:
         """What to know of a flight on two clocks: topics without a stamp have the time of recording."""
         topics = [topic for topic in self._topics.values() if topic.rows]
         lags = [lag for topic in topics for lag in topic.lags]
-        bare = sorted(topic.channel.topic for topic in topics if topic.is_unstamped)
+        bare = sorted({topic.channel.topic for topic in topics if topic.is_unstamped})
         if not bare or not lags:
             return {}
         names = first_of(bare, NAMED)

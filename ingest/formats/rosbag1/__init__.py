@@ -9,5 +9,6 @@ FORMATS = (
         (".bag",),
         "flysid.ingest.formats.rosbag1.reader",
         "flysid.ingest.formats.rosbag1.scrub",
+        joins=True,
     ),
 )

@@ -8,11 +8,11 @@ bag has no checksums outside bzip2 chunks, a damaged value inside a message is r
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 from flysid.errors import FormatError
-from flysid.ingest.formats.base import Limits, Parts, Summary, sniff_magic
-from flysid.ingest.formats.common.tally import Tally
+from flysid.ingest.formats.base import Limits, Parts, StreamPart, Summary, sniff_magic
+from flysid.ingest.formats.common.tally import Tally, joined
 from flysid.ingest.formats.messages.channel import Channel, Schema
 from flysid.ingest.formats.messages.topics import Message, Topics, gather
 from flysid.ingest.formats.rosbag1.records import (
@@ -65,18 +65,42 @@ def read(view: memoryview, name: str, limits: Limits) -> Parts:
     ------
     FormatError : there is not one record in the file.
     """
-    tally = Tally()
-    reader = BagReader(view, limits, tally)
-    topics = Topics(tally)
-    yield from gather(_messages(view, reader, tally), topics, limits.batch_bytes, view, lambda: reader.place)
-    if not reader.seen:
+    return read_files((view,), name, limits)
+
+
+def read_files(views: Sequence[memoryview], name: str, limits: Limits) -> Parts:
+    """As `read`, of a recording that was split over several files."""
+    damages = []
+    seen = 0
+    topics = Topics(Tally())
+    for view in views:
+        tally = topics.tally = Tally()
+        reader = BagReader(view, limits, tally)
+        yield from _gathered(view, reader, topics, limits)
+        damages.append((len(view), tally.freeze()))
+        seen += reader.seen
+    if not seen:
         raise FormatError(
             "no record in this bag can be read",
             path=name,
             byte=0,
             hint="check that the download or copy finished",
         )
-    return Summary(tally.freeze(), topics.clocks(), topics.notes())
+    return Summary(joined(damages), topics.clocks(), topics.notes())
+
+
+def _gathered(view: memoryview, reader: BagReader, topics: Topics, limits: Limits) -> Iterator[StreamPart]:
+    """Parts of one file."""
+    messages = _messages(view, reader, topics.tally)
+    yield from gather(messages, topics, limits.batch_bytes, view, lambda: reader.place)
+
+
+def listen(view: memoryview, limits: Limits) -> Iterator[tuple[str, int]]:
+    """Topics and times of recording of the messages of a file."""
+    tally = Tally()
+    for message in _messages(view, BagReader(view, limits, tally), tally):
+        if message.channel is not None:
+            yield message.channel.topic, message.log_ns
 
 
 def _messages(view: memoryview, reader: BagReader, tally: Tally) -> Iterator[Message]:

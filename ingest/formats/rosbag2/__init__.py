@@ -9,5 +9,6 @@ FORMATS = (
         (".db3", ".db3.zstd"),
         "flysid.ingest.formats.rosbag2.reader",
         "flysid.ingest.formats.rosbag2.scrub",
+        joins=True,
     ),
 )

@@ -3,26 +3,28 @@
 Stream keys, clocks and columns are those of an MCAP file with the same topics. Tables used: `topics` (id,
 name, type, serialization format), `messages` (topic, time of recording in ns, CDR bytes) and, in bags since
 ROS 2 Iron, `message_definitions` (type, encoding, text). Older bags hold no definitions: those of ROS 2
-Humble are taken from the optional library rosbags, which also translates IDL. A folder of several files is as
-many flights; its metadata.yaml is not needed. Messages compressed one by one are known by the magic of zstd.
+Humble are taken from the optional library rosbags, which also translates IDL. Several files
+of one recording are one log: see `recordings`. Messages compressed one by one are known by the magic of zstd.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from flysid.errors import FormatError
-from flysid.ingest.formats.base import Limits, Parts, Summary
+from flysid.ingest.formats.base import Limits, Parts, StreamPart, Summary
 from flysid.ingest.formats.common.compression import ZSTD_MAGIC, CompressionError, unpack_message
-from flysid.ingest.formats.common.tally import Tally
+from flysid.ingest.formats.common.tally import Tally, joined
 from flysid.ingest.formats.messages.channel import Channel, Schema
 from flysid.ingest.formats.messages.topics import Message, Topics, gather
 from flysid.ingest.formats.rosbag2.ros_types import find_definition
 from flysid.ingest.formats.rosbag2.sqlite_pages import MAGIC
 from flysid.ingest.formats.rosbag2.sqlite_tables import Row, Tables
+from flysid.showing import first_of
 
 MAX_CHANNELS = 1 << 16
+MOST_NAMED = 5
 MARK = b"CREATE TABLE messages"
 
 
@@ -39,18 +41,48 @@ def read(view: memoryview, name: str, limits: Limits) -> Parts:
     ------
     FormatError : it holds no row of messages, and no table that could.
     """
-    tally = Tally()
-    topics = Topics(tally)
-    bag = Bag(view, limits, tally)
-    yield from gather(bag.messages(), topics, limits.batch_bytes, view, lambda: bag.tables.place)
-    bag.tables.settle(tally)
-    if not bag.rows and "messages" not in bag.tables:
+    return read_files((view,), name, limits)
+
+
+def read_files(views: Sequence[memoryview], name: str, limits: Limits) -> Parts:
+    """As `read`, of a bag that was split over several files."""
+    damages = []
+    info: dict[str, str] = {}
+    is_bag = False
+    tables: list[str] = []
+    topics = Topics(Tally())
+    for view in views:
+        topics.tally = Tally()
+        bag = Bag(view, limits, topics.tally)
+        yield from _gathered(view, bag, topics, limits)
+        bag.tables.settle(topics.tally)
+        damages.append((len(view), topics.tally.freeze()))
+        info |= bag.info
+        is_bag |= bool(bag.rows) or "messages" in bag.tables
+        tables += bag.tables.names
+    if not is_bag:
         raise FormatError(
-            "no table of messages in this SQLite file",
+            "no table of messages in this SQLite file"
+            + (f", which holds {first_of(tables, MOST_NAMED)}" if tables else ""),
             path=name,
-            hint="check that this is a ROS 2 bag, and that the download or copy finished",
+            byte=0,
+            hint="it is a database of another program: give the bag"
+            if tables
+            else "check that this is a ROS 2 bag, and that the download or copy finished",
         )
-    return Summary(tally.freeze(), topics.clocks(), {**bag.info, **topics.notes()})
+    return Summary(joined(damages), topics.clocks(), {**info, **topics.notes()})
+
+
+def _gathered(view: memoryview, bag: Bag, topics: Topics, limits: Limits) -> Iterator[StreamPart]:
+    """Parts of one file."""
+    yield from gather(bag.messages(), topics, limits.batch_bytes, view, lambda: bag.tables.place)
+
+
+def listen(view: memoryview, limits: Limits) -> Iterator[tuple[str, int]]:
+    """Topic and time of recording of each message of a file."""
+    for message in Bag(view, limits, Tally()).messages():
+        if message.channel is not None:
+            yield message.channel.topic, message.log_ns
 
 
 class Bag:

@@ -36,6 +36,11 @@ class Tables:
             if kind == "table" and isinstance(name, str) and isinstance(root, int) and isinstance(sql, str):
                 self._roots.setdefault(name, (root, _column_names(sql)))
 
+    @property
+    def names(self) -> list[str]:
+        """The names of the tables that the file's schema defines."""
+        return list(self._roots)
+
     def __contains__(self, name: str) -> bool:
         return name in self._roots
 

@@ -18,6 +18,7 @@ import flysid
 from flysid.flight import Flight, field_unit
 from flysid.ingest.formats.base import Limits, collect
 from flysid.ingest.formats.registry import FORMATS
+from tests.command import call
 from tests.samplelogs import ros
 from tests.samplelogs.mcap import Topic, json_topic, mcap_file, ros1_topic, ros2_topic
 
@@ -230,6 +231,20 @@ def test_small_batches_give_the_same_tables() -> None:
     np.testing.assert_equal(
         rows_of(read(raw, Limits(batch_bytes=2000))["/mixed"]), rows_of(read(raw)["/mixed"])
     )
+
+
+@pytest.mark.parametrize("chunked", [True, False])
+def test_messages_without_a_log_time_have_that_of_their_publishing(chunked: bool, tmp_path: Path) -> None:
+    topic = json_topic("/a", {"properties": {"k": {"type": "integer"}}}, [{"k": k} for k in range(80)])
+    (tmp_path / "a.mcap").write_bytes(mcap_file([topic], chunked=chunked, recorded=False))
+    flight = flysid.read(tmp_path / "a.mcap")
+    whole = read(mcap_file([topic], chunked=chunked))
+    assert flight.tables["/a"].equals(whole.tables["/a"])
+    assert np.diff(flight.tables["/a"]["time_ns"].to_numpy()).min() == 10**7
+    assert "80 messages without a log time: the time of publishing stands for it" in flight.info["clock_note"]
+    assert "clock_note" not in whole.info
+    done = call("doctor", "a.mcap", cwd=tmp_path)
+    assert "the time of publishing stands for it" in " ".join(done.stderr.split())
 
 
 def test_front_door(tmp_path: Path) -> None:

@@ -24,6 +24,7 @@ from flysid.ingest.formats.mavlink import reader as tlog
 from flysid.ingest.formats.mavlink.dialect import load_dialect
 from flysid.ingest.formats.mavlink.frames import Scanner, plain_chain
 from flysid.ingest.formats.registry import FORMATS
+from tests.command import call
 from tests.ingest.formats.things import apart
 from tests.samplelogs.tlog import EPOCH_US, build, frame, sender, stamped
 
@@ -480,3 +481,58 @@ def test_telemetry_of_px4_knows_the_vehicle_by_the_number_that_its_ulog_has() ->
     flight = read(log_of([frame(vehicle, message) for message in (beat, about)] + flying(vehicle, 5)))
     assert flight.info["firmware"] == "1.13.3"
     assert vehicle_of(flight.info) == f"px4 {number.hex()}"
+
+
+# --------------------------------------------------------------------------------- private dialects
+
+
+def reseeded(packed: bytes, seed: int) -> bytes:
+    """A v2 frame of a dialect whose layout of this message has another seed."""
+    import fastcrc
+
+    crc = fastcrc.crc16.mcrf4xx(packed[1:-2] + bytes([seed]))
+    return packed[:-2] + struct.pack("<H", crc)
+
+
+def with_private(share: float, seed: int, rng: random.Random) -> tuple[bytes, int]:
+    """Attitudes, and among them messages under a shipped number in a layout of one's own; how many."""
+    mav = sender()
+    out = []
+    private = 0
+    for k in range(400):
+        micros = EPOCH_US + 20_000 * k
+        attitude = mav.attitude_encode(5000 + 20 * k, 0.1, 0.5, -1, 0, 0, 0)
+        out.append(stamped(micros, frame(mav, attitude)))
+        if rng.random() < share:
+            own = mav.wind_encode(rng.random(), rng.random(), rng.random())
+            out.append(stamped(micros + 9, reseeded(frame(mav, own), seed)))
+            private += 1
+    return b"".join(out), private
+
+
+@pytest.mark.parametrize("share", [0.1, 1.0])
+def test_a_private_message_under_a_shipped_number_is_no_damage(share: float, tmp_path: Path) -> None:
+    """Seeds are drawn anew in every run; a failure names its own."""
+    number = random.SystemRandom().randrange(1 << 40)
+    rng = random.Random(number)
+    seed = rng.choice([k for k in range(256) if k != 1])  # 1 is WIND's own
+    blob, private = with_private(share, seed, rng)
+    flight = read(blob)
+    assert flight.tables["1.1/ATTITUDE"].num_rows == 400, number
+    assert (flight.damage.bytes_skipped, flight.damage.bad_checksums) == (0, 0), number
+    assert flight.damage.undecoded == {"1.1/#168": private}, number
+    assert f"168 is not WIND: its checksums hold with the seed {seed}" in flight.damage.reasons["1.1/#168"]
+    (tmp_path / "a.tlog").write_bytes(blob)
+    done = call("doctor", "a.tlog", cwd=tmp_path)
+    assert "bytes lost" not in done.stdout + done.stderr
+    assert "of a private dialect" in " ".join(done.stderr.split())
+
+
+def test_damage_is_not_taken_for_a_private_message() -> None:
+    rng = random.Random(3)
+    blob = bytearray(build())
+    for _ in range(30):
+        blob[rng.randrange(len(blob))] ^= 1 << rng.randrange(8)
+    damage = read(bytes(blob)).damage
+    assert damage.bytes_skipped > 0
+    assert not damage.reasons

@@ -1,0 +1,1 @@
+"""Recordings of several files, which a recorder split by size or time."""

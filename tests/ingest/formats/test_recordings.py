@@ -1,0 +1,235 @@
+"""A recording that its recorder split over several files is one log, wherever the files lie."""
+
+from __future__ import annotations
+
+import gzip
+import json
+import random
+import shutil
+import zipfile
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import pytest
+
+import flysid
+from tests.command import call
+from tests.samplelogs import mcap, rosbag, rosbag2
+
+FIRST_NS = 1_700_000_000 * 10**9
+STEP_NS = 10**7
+Messages = Sequence[int]
+"""Numbers of messages: number k is recorded STEP_NS * k after the first."""
+
+
+def bag_of(numbers: Messages) -> bytes:
+    """A ROS 1 bag."""
+    chunk = rosbag.chunk(
+        b"".join([rosbag.connection(0), rosbag.connection(1), *(rosbag.message(k % 2, k) for k in numbers)])
+    )
+    head = rosbag.record(
+        b" " * 300, op=b"\x03", index_pos=bytes(8), conn_count=bytes(4), chunk_count=bytes(4)
+    )
+    at = (len(rosbag.MAGIC) + len(head) + len(chunk)).to_bytes(8, "little")
+    head = rosbag.record(b" " * 300, op=b"\x03", index_pos=at, conn_count=bytes(4), chunk_count=bytes(4))
+    return rosbag.MAGIC + head + chunk
+
+
+def database_of(numbers: Messages) -> bytes:
+    """A file of a ROS 2 bag."""
+    messages = [
+        (topic, FIRST_NS + STEP_NS * k, raw) for k in numbers for topic, _, raw in [rosbag2.payload(k % 200)]
+    ]
+    return rosbag2.database(rosbag2.TOPICS, messages)
+
+
+def mcap_of(numbers: Messages) -> bytes:
+    """An MCAP file."""
+    schema = {"properties": {"k": {"type": "integer"}}}
+    rows = [json.dumps({"k": k}).encode() for k in numbers]
+    times = [FIRST_NS + STEP_NS * k for k in numbers]
+    topic = mcap.Topic(
+        "/a", "json", "s", "jsonschema", json.dumps(schema).encode(), list(zip(times, rows, strict=True))
+    )
+    return mcap.mcap_file([topic], chunk_size=300)
+
+
+MAKERS: dict[str, Callable[[Messages], bytes]] = {".bag": bag_of, ".db3": database_of, ".mcap": mcap_of}
+PARTS = [range(0, 40), range(40, 77), range(77, 120)]
+ENDINGS = pytest.mark.parametrize("ending", MAKERS)
+
+
+def lay(folder: Path, stem: str, ending: str, parts: Sequence[Messages] = PARTS) -> list[Path]:
+    """The files of a recording, numbered from 0."""
+    folder.mkdir(parents=True, exist_ok=True)
+    paths = [folder / f"{stem}_{k}{ending}" for k in range(len(parts))]
+    for path, numbers in zip(paths, parts, strict=True):
+        path.write_bytes(MAKERS[ending](numbers))
+    return paths
+
+
+def metadata(paths: Sequence[Path], counts: Sequence[int] = ()) -> str:
+    """What a ROS 2 recorder writes when it is closed; of each file its messages where `counts` are given."""
+    lines = ["rosbag2_bagfile_information:", "  version: 5", "  message_count: 120", "  relative_file_paths:"]
+    lines += [f"    - {path.name}" for path in paths]
+    lines += ["  files:"] if counts else []
+    for path, count in zip(paths, counts, strict=False):
+        lines += [f"  - path: {path.name}", "    starting_time:", "      nanoseconds_since_epoch: 1"]
+        lines += [f"    message_count: {count}"]
+    return "\n".join(lines) + "\n"
+
+
+def rows_of(path: Path) -> int:
+    return flysid.read(path).rows
+
+
+@ENDINGS
+def test_split_files_are_one_flight_to_every_verb(ending: str, tmp_path: Path) -> None:
+    parts = lay(tmp_path / "logs", "flight", ending)
+    (tmp_path / "whole").mkdir()
+    whole = tmp_path / "whole" / f"whole{ending}"
+    whole.write_bytes(MAKERS[ending](range(120)))
+    for part in parts:
+        flight = flysid.read(part)
+        assert flight.rows == rows_of(whole) == 120
+        assert flight.info["files"] == ", ".join(path.name for path in parts)
+        assert not flight.damage.lossy
+    alike = flysid.read(whole)
+    assert {name: table.num_rows for name, table in flight.tables.items()} == {
+        name: table.num_rows for name, table in alike.tables.items()
+    }
+    assert all(flight.tables[name].equals(alike.tables[name]) for name in alike.tables)
+    done = call("ingest", "logs", "-o", "data", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    (facts,) = flysid.open(tmp_path / "data").facts
+    assert (facts.log, facts.rows) == (parts[0].name, 120)
+    assert f"part of {parts[0].name} (2): {parts[1].name}, {parts[2].name}" in done.stderr
+    assert facts.sha256 == flight.source.sha256
+    for given in (["logs"], [f"logs/{path.name}" for path in parts], [f"logs/{parts[2].name}"]):
+        seen = call("doctor", *given, "--json", cwd=tmp_path)
+        assert seen.returncode == 0, seen.stderr
+        assert len(json.loads(seen.stdout)["logs"]) == 1
+    again = call("ingest", f"logs/{parts[1].name}", "-o", "data", cwd=tmp_path)
+    assert "unchanged" in again.stdout + again.stderr
+    shown = call("show", f"logs/{parts[1].name}", cwd=tmp_path)
+    assert shown.returncode == 0, shown.stderr
+
+
+@ENDINGS
+def test_numbered_flights_are_never_joined(ending: str, tmp_path: Path) -> None:
+    """A pause longer than any inside, an overlap, another order, a number left out: each is a flight."""
+    cases = {
+        "pause": [range(200, 240), range(245, 280)],
+        "overlap": [range(300, 340), range(320, 380)],
+        "order": [range(440, 480), range(400, 440)],
+    }
+    for name, parts in cases.items():
+        for path, numbers in zip(lay(tmp_path / "logs", name, ending, parts), parts, strict=True):
+            assert rows_of(path) == len(numbers), name
+    gap = lay(tmp_path / "logs", "gap", ending)
+    gap[1].unlink()
+    assert [rows_of(gap[0]), rows_of(gap[2])] == [40, 43]
+    done = call("ingest", "logs", "-o", "data", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert len(flysid.open(tmp_path / "data").facts) == 8
+
+
+@pytest.mark.parametrize("ending", [".db3", ".mcap"])
+@pytest.mark.parametrize("absent", [0, 1, 2])
+def test_a_file_that_the_list_names_and_that_is_gone_is_a_loss(
+    ending: str, absent: int, tmp_path: Path
+) -> None:
+    parts = lay(tmp_path / "logs", "bag", ending)
+    (tmp_path / "logs" / "metadata.yaml").write_text(metadata(parts, [len(part) for part in PARTS]))
+    parts[absent].unlink()
+    done = call("ingest", "logs", "-o", "data", cwd=tmp_path)
+    assert done.returncode == 3, done.stderr
+    (facts,) = flysid.open(tmp_path / "data").facts
+    assert facts.rows == 120 - len(PARTS[absent])
+    assert f"{parts[absent].name}: metadata.yaml lists it, and it is not there" in done.stderr
+    left = next(path for path in parts if path.exists())
+    assert flysid.read(left).damage.undecoded == {parts[absent].name: len(PARTS[absent])}
+    assert f"part of {left.name}" in done.stderr
+    assert "metadata.yaml" in done.stderr
+
+
+@pytest.mark.parametrize("ending", [".db3", ".mcap"])
+def test_a_recorders_own_folder_needs_no_list(ending: str, tmp_path: Path) -> None:
+    parts = lay(tmp_path / "bag", "bag", ending)
+    parts[1].unlink()
+    flight = flysid.read(parts[2])
+    assert flight.rows == 120 - len(PARTS[1])
+    assert flight.damage.undecoded == {parts[1].name: 1}
+    assert "it is not there" in flight.damage.reasons[parts[1].name]
+
+
+def test_a_list_that_is_old_or_of_another_bag_joins_nothing_and_loses_nothing(tmp_path: Path) -> None:
+    parts = lay(tmp_path / "old", "bag", ".db3")
+    (tmp_path / "old" / "metadata.yaml").write_text(metadata(parts[:2]))
+    assert rows_of(parts[0]) == rows_of(parts[2]) == 120
+    (tmp_path / "other").mkdir()
+    alone = tmp_path / "other" / "flight.db3"
+    shutil.copy(parts[0], alone)
+    (tmp_path / "other" / "metadata.yaml").write_text(metadata(parts))
+    flight = flysid.read(alone)
+    assert (flight.rows, flight.damage.lossy) == (40, False)
+    assert call("ingest", "other", "-o", "data", cwd=tmp_path).returncode == 0
+
+
+@ENDINGS
+def test_parts_lie_packed_and_in_archives_too(ending: str, tmp_path: Path) -> None:
+    parts = lay(tmp_path / "logs", "flight", ending)
+    with zipfile.ZipFile(tmp_path / "logs.zip", "w", zipfile.ZIP_DEFLATED) as archive:
+        for path in parts:
+            archive.write(path, f"monday/{path.name}")
+    for path in parts[1:]:
+        path.with_name(path.name + ".gz").write_bytes(gzip.compress(path.read_bytes()))
+        path.unlink()
+    assert rows_of(parts[0]) == 120
+    assert rows_of(tmp_path / "logs.zip" / "monday" / parts[1].name) == 120
+    done = call("ingest", "logs.zip", "logs", "-o", "data", cwd=tmp_path)
+    same = f"skipped: logs/{parts[0].name}: the same content as logs.zip/monday/{parts[0].name}"
+    assert same in done.stderr
+    assert [facts.rows for facts in flysid.open(tmp_path / "data").facts] == [120]
+
+
+@ENDINGS
+def test_an_empty_or_foreign_part_is_named_and_costs_no_other(ending: str, tmp_path: Path) -> None:
+    for number, blob in enumerate((b"", b"no log at all\n" * 20)):
+        parts = lay(tmp_path / str(number), "bag", ending)
+        (tmp_path / str(number) / "metadata.yaml").write_text(metadata(parts))
+        parts[1].write_bytes(blob)
+        if ending == ".bag":
+            assert rows_of(parts[0]) == len(PARTS[0])
+            continue
+        flight = flysid.read(parts[0])
+        assert flight.rows == 120 - len(PARTS[1])
+        assert set(flight.damage.undecoded) == {parts[1].name}
+
+
+def test_dated_bags_of_one_prefix_are_recordings_of_their_own(tmp_path: Path) -> None:
+    names = ["imu_2026-05-04-10-00-00_0", "imu_2026-05-04-10-00-01_1", "imu_2026-05-04-12-00-00_0"]
+    for name, numbers in zip(names, [range(40), range(40, 80), range(9000, 9040)], strict=True):
+        (tmp_path / f"{name}.bag").write_bytes(bag_of(numbers))
+    assert [rows_of(tmp_path / f"{name}.bag") for name in names] == [80, 80, 40]
+    (tmp_path / f"{names[0]}.bag").unlink()
+    lacking = flysid.read(tmp_path / f"{names[1]}.bag")
+    assert lacking.rows == 40
+    assert lacking.damage.undecoded == {"imu_*_0.bag": 1}
+    (tmp_path / "alone").mkdir()
+    alone = shutil.copy(tmp_path / f"{names[1]}.bag", tmp_path / "alone")
+    assert not flysid.read(alone).damage.lossy
+
+
+def test_recordings_cut_at_random_are_whole_again(tmp_path: Path) -> None:
+    """Seeds are drawn anew in every run; a failure names its own."""
+    seed = random.SystemRandom().randrange(1 << 40)
+    rng = random.Random(seed)
+    for trial in range(12):
+        ending = rng.choice(list(MAKERS))
+        cuts = sorted(rng.sample(range(2, 118), rng.randint(1, 6)))
+        bounds = list(zip([0, *cuts], [*cuts, 120], strict=True))
+        if any(stop - start < 2 for start, stop in bounds):
+            continue
+        parts = lay(tmp_path / str(trial), "x", ending, [range(*bound) for bound in bounds])
+        assert rows_of(rng.choice(parts)) == 120, (seed, trial)
