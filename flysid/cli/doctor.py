@@ -176,10 +176,11 @@ def lines(surveys: Mapping[Path, Survey]) -> Iterator[str]:
 
 def row(found: Survey) -> tuple[str, ...]:
     """One log as the cells of a table, without its name."""
+    from flysid.facts.vehicle import label_of
     from flysid.ingest.lake.survey import verdict
 
     return (
-        found.info.get("vehicle") or found.info.get("autopilot") or "-",
+        label_of(found.info),
         found.info.get("firmware") or "-",
         clock_text(found.duration_s),
         *(rate_cell(found.role(role)[1]) for role in ROLES_SHOWN.values()),

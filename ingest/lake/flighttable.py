@@ -21,7 +21,7 @@ import pyarrow as pa
 
 from flysid.catalogue import FlightFacts
 from flysid.errors import PlaceError, UsageError
-from flysid.ingest.align.vehicle import vehicle_of
+from flysid.facts.vehicle import vehicle_of
 from flysid.manifest import check_id
 from flysid.place import Place
 
