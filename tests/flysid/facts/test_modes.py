@@ -1,4 +1,4 @@
-"""Flight modes have names: by kind of vehicle, by firmware, by release; a number without one says whose it is."""
+"""Flight modes have names: by vehicle, by firmware, by release. A number without one names its vehicle."""
 
 from __future__ import annotations
 
