@@ -88,7 +88,7 @@ def row(flight: FlightFacts) -> tuple[str, ...]:
         clock_text(flight.duration_s),
         str(len(flight.streams)),
         f"{flight.rows:,}",
-        "yes" if flight.lossy else "-",
+        "yes" if flight.lost else "-",
     )
 
 
@@ -109,6 +109,7 @@ def as_document(flight: FlightFacts) -> dict[str, Any]:
         "duration_s": flight.duration_s,
         "records": flight.rows,
         "lossy": flight.lossy,
+        "losses": flight.losses,
         "info": dict(flight.info),
         "streams": dict(flight.streams),
     }

@@ -17,11 +17,11 @@ from flysid.cli.addresses import SOURCE
 from flysid.cli.bounds import COUNT
 from flysid.cli.checks import Words
 from flysid.cli.display import Display
-from flysid.cli.losses import losses
 from flysid.cli.ls import clock_text
 from flysid.cli.output import align_columns, printable, say
 from flysid.cli.source import opened_flights, reading_options
 from flysid.errors import StoreError, UsageError
+from flysid.facts.losses import loss_lines, repeat_lines
 from flysid.flight import BOOT, RECEIVED, TIME
 from flysid.showing import counted
 
@@ -227,11 +227,8 @@ def flight_text(manifest: Manifest, modes: Sequence[str] = ()) -> str:
     facts += [("date", when) for when in dates(manifest.clocks)]
     facts += [("modes", ", ".join(modes))] if modes else []
     facts += [(k, v) for k, v in sorted(manifest.info.items()) if v]
-    facts += [("lost", line) for line in losses(manifest.damage)]
-    facts += [
-        ("gaps", f"{counted(count, 'message')} of {name} never arrived")
-        for name, count in sorted(manifest.damage.sequence_gaps.items())
-    ]
+    facts += [("lost", line) for line in loss_lines(manifest.damage)]
+    facts += [("repeats", line) for line in repeat_lines(manifest.damage)]
     rows = [("STREAM", "ROWS", "RATE", "COLUMNS", "TIME FROM")]
     rows += [
         (

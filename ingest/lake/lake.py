@@ -138,7 +138,7 @@ class Lake(Shown):
                 label_of(f.info),
                 f"{f.duration_s:.0f}",
                 f"{f.rows:,}",
-                "yes" if f.lossy else "-",
+                "yes" if f.lost else "-",
             )
             for f in self.facts
         ]
