@@ -223,6 +223,7 @@ def as_document(path: Path, found: Survey) -> dict[str, Any]:
         "size_bytes": found.source.size_bytes,
         "info": dict(found.info),
         "duration_s": found.duration_s,
+        "flown_s": found.flown.seconds,
         "usable_s": found.usable_s,
         "rates_hz": {role: dict([found.role(role)]) if found.role(role)[0] else {} for role in ROLES},
         "streams": {key: count.rows for key, count in found.streams.items()},

@@ -107,7 +107,7 @@ def _dropped(damage: Damage) -> Sequence[str]:
     """What the recorder itself says that it lost."""
     return [
         f"{count:,} ms dropped" if kind == "ms" else f"{counted(count, kind.removesuffix('s'))} dropped"
-        for kind, count in damage.dropouts.items()
+        for kind, count in sorted(damage.dropouts.items(), key=lambda item: item[0] == "ms")
         if count
     ]
 
