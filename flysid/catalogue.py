@@ -15,13 +15,14 @@ from pathlib import Path
 import msgspec
 
 from flysid.errors import StoreError
+from flysid.facts.losses import lost_words
 from flysid.files import write_atomically
 from flysid.flight import message_of
 from flysid.foreign import inner_path
 from flysid.manifest import FLIGHTS, Manifest, Stamp, check_data_folder, read_manifest, stamps
 
 CATALOGUE_FILE = ".catalogue"
-CATALOGUE_VERSION = 1
+CATALOGUE_VERSION = 2
 
 
 class FlightFacts(msgspec.Struct, frozen=True, array_like=True):
@@ -41,6 +42,7 @@ class FlightFacts(msgspec.Struct, frozen=True, array_like=True):
     layout : digest of the filled streams' keys and columns, and of which of several of one message has most
         rows: recipes find the same sources in all flights of one layout.
     stamp : of the manifest that this was read from.
+    losses : what the log lacks, in words, also what was lost before it was written; "" where nothing is.
     """
 
     id: str
@@ -57,6 +59,12 @@ class FlightFacts(msgspec.Struct, frozen=True, array_like=True):
     streams: Mapping[str, int]
     layout: str
     stamp: Stamp
+    losses: str = ""
+
+    @property
+    def lost(self) -> bool:
+        """Whether the log lacks anything."""
+        return self.lossy or bool(self.losses)
 
 
 class _Catalogue(msgspec.Struct, frozen=True, array_like=True):
@@ -112,6 +120,7 @@ def facts_of(manifest: Manifest, stamp: Stamp) -> FlightFacts:
         streams={s.stream: s.rows for s in manifest.streams},
         layout=hashlib.sha256(msgspec.msgpack.encode(layout)).hexdigest()[:16],
         stamp=stamp,
+        losses=lost_words(manifest.damage),
     )
 
 

@@ -64,6 +64,9 @@ class Damage:
     undecoded : records per stream that are framed well but have no known layout.
     time_outliers : records per stream whose time was rejected.
     sequence_gaps : messages lost before the log was written, per source, by sequence number.
+    silence_gaps : the same in multiples of 256, likely lost in silences: the number has eight bits.
+    repeats : messages that came again byte for byte, per source, as a router's loop sends them; one of each
+        is kept.
     dropouts : what the recorder itself says it lost, e.g. {"records": 12, "ms": 140}.
     out_of_order : records per stream whose time runs backwards; kept.
     reasons : why records of a stream in `undecoded` could not be decoded, where the reader knows.
@@ -85,6 +88,8 @@ class Damage:
     undecoded: Mapping[str, int] = field(default_factory=dict)
     time_outliers: Mapping[str, int] = field(default_factory=dict)
     sequence_gaps: Mapping[str, int] = field(default_factory=dict)
+    silence_gaps: Mapping[str, int] = field(default_factory=dict)
+    repeats: Mapping[str, int] = field(default_factory=dict)
     dropouts: Mapping[str, int] = field(default_factory=dict)
     out_of_order: Mapping[str, int] = field(default_factory=dict)
     reasons: Mapping[str, str] = field(default_factory=dict)

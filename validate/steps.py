@@ -10,7 +10,7 @@ from typing import Any
 from flysid.dataset import Dataset
 from flysid.errors import DataError, RecipeError
 from flysid.escaping import picture_text
-from flysid.ingest.align.modes import COPTER, PLANE, PX4
+from flysid.facts.modes import all_names
 from flysid.ingest.align.recipe import load_recipe
 from flysid.ingest.lake.lake import Lake
 from flysid.model.step_response import StepResponse, step_response
@@ -106,8 +106,7 @@ def commanded_by_sticks(data: Dataset, modes: Sequence[str]) -> tuple[Dataset, t
     ------
     DataError : nothing was flown in such a mode.
     """
-    known = {*COPTER.values(), *PLANE.values(), *PX4.values()}
-    outer = known.difference(modes) if modes else set()
+    outer = all_names().difference(modes) if modes else frozenset()
     kept = [s for s in data.segments if s.marks.get("mode") not in outer]
     flown = dict.fromkeys(str(s.marks["mode"]) for s in data.segments if s.marks.get("mode") in outer)
     if not kept:

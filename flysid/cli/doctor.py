@@ -28,11 +28,11 @@ from flysid.cli.output import (
 from flysid.cli.source import date_order_option, format_option, time_unit_option
 from flysid.cli.trust import Own
 from flysid.errors import UsageError
+from flysid.facts.losses import lost_words, repeat_lines
 from flysid.progress import tell
 from flysid.showing import WIDTH, counted, first_of, fold
 
 if TYPE_CHECKING:
-    from flysid.flight import Damage
     from flysid.ingest.lake.survey import Survey
 
 HEADINGS = ("VEHICLE", "FIRMWARE", "TIME", "ATT", "CMD", "VEL", "MOVED", "LOST", "VERDICT")
@@ -176,15 +176,16 @@ def lines(surveys: Mapping[Path, Survey]) -> Iterator[str]:
 
 def row(found: Survey) -> tuple[str, ...]:
     """One log as the cells of a table, without its name."""
+    from flysid.facts.vehicle import label_of
     from flysid.ingest.lake.survey import verdict
 
     return (
-        found.info.get("vehicle") or found.info.get("autopilot") or "-",
+        label_of(found.info),
         found.info.get("firmware") or "-",
         clock_text(found.duration_s),
         *(rate_cell(found.role(role)[1]) for role in ROLES_SHOWN.values()),
         found.excited(),
-        "yes" if lost_text(found.damage) else "0",
+        "yes" if lost_words(found.damage) else "0",
         verdict(found)[0].partition(": ")[0],
     )
 
@@ -193,9 +194,10 @@ def remarks(found: Survey) -> Iterator[str]:
     """What was lost, what the verdict rests on, and what to try."""
     from flysid.ingest.lake.survey import verdict
 
-    lost = lost_text(found.damage)
+    lost = lost_words(found.damage)
     if lost:
         yield f"lost: {lost}"
+    yield from repeat_lines(found.damage)
     words, advice = verdict(found)
     short, _, rest = words.partition(": ")
     if rest or advice:
@@ -205,32 +207,6 @@ def remarks(found: Survey) -> Iterator[str]:
 def rate_cell(rate_hz: float) -> str:
     """A rate in Hz, or "-" where nothing is logged."""
     return f"{rate_hz:.0f}" if rate_hz >= 9.5 else f"{rate_hz:.1f}" if rate_hz > 0 else "-"
-
-
-def lost_text(damage: Damage) -> str:
-    """Losses in a few words: in the file, then before it was written; "" where there are none."""
-    parts = []
-    if damage.bytes_skipped:
-        parts.append(f"{counted(damage.bytes_skipped, 'byte')} in {counted(damage.region_count, 'place')}")
-    if damage.truncated:
-        parts.append("end cut off")
-    undecoded = sum(damage.undecoded.values())
-    outliers = sum(damage.time_outliers.values())
-    on_the_link = sum(damage.sequence_gaps.values())
-    for count, words in (
-        (damage.bad_checksums, counted(damage.bad_checksums, "bad checksum")),
-        (undecoded, f"{undecoded:,} not decoded"),
-        (outliers, counted(outliers, "rejected time")),
-        (on_the_link, f"{on_the_link:,} on the link"),
-    ):
-        if count:
-            parts.append(words)
-    parts += [
-        f"{count:,} ms dropped" if kind == "ms" else f"{counted(count, kind.removesuffix('s'))} dropped"
-        for kind, count in damage.dropouts.items()
-        if count
-    ]
-    return ", ".join(parts)
 
 
 def as_document(path: Path, found: Survey) -> dict[str, Any]:
@@ -247,11 +223,13 @@ def as_document(path: Path, found: Survey) -> dict[str, Any]:
         "size_bytes": found.source.size_bytes,
         "info": dict(found.info),
         "duration_s": found.duration_s,
+        "flown_s": found.flown.seconds,
         "usable_s": found.usable_s,
         "rates_hz": {role: dict([found.role(role)]) if found.role(role)[0] else {} for role in ROLES},
         "streams": {key: count.rows for key, count in found.streams.items()},
         "moved": found.excited(),
         "lossy": found.damage.lossy,
+        "losses": lost_words(found.damage),
         "damage": msgspec.to_builtins(found.damage),
         "verdict": words,
         "advice": advice,

@@ -157,5 +157,6 @@ def as_document(result: Result) -> dict[str, Any]:
         "streams": len(flight.streams),
         "duration_s": flight.duration_s,
         "lossy": flight.lossy,
+        "losses": flight.losses,
     }
     return document if result.unchanged else {**document, "damage": msgspec.to_builtins(result.damage)}

@@ -79,17 +79,16 @@ def _suggest(data: Path, selection: Selection, display: Display, as_json: bool, 
 
 def row(flight: FlightFacts) -> tuple[str, ...]:
     """One flight as the cells of a table."""
-    from flysid.ingest.align.vehicle import NAME
+    from flysid.facts.vehicle import label_of
 
-    vehicle = flight.info.get(NAME) or flight.info.get("vehicle") or flight.info.get("autopilot") or "-"
     return (
         flight.id,
         flight.format,
-        vehicle,
+        label_of(flight.info),
         clock_text(flight.duration_s),
         str(len(flight.streams)),
         f"{flight.rows:,}",
-        "yes" if flight.lossy else "-",
+        "yes" if flight.lost else "-",
     )
 
 
@@ -110,6 +109,7 @@ def as_document(flight: FlightFacts) -> dict[str, Any]:
         "duration_s": flight.duration_s,
         "records": flight.rows,
         "lossy": flight.lossy,
+        "losses": flight.losses,
         "info": dict(flight.info),
         "streams": dict(flight.streams),
     }

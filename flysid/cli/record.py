@@ -16,6 +16,8 @@ from flysid.cli.bounds import AT_LEAST_ONE, POSITIVE
 from flysid.cli.output import ExitCode, say
 from flysid.cli.trust import Own, Setting
 from flysid.errors import UsageError
+from flysid.facts.link import LinkLoss
+from flysid.facts.losses import link_words
 from flysid.showing import counted
 
 if TYPE_CHECKING:
@@ -155,10 +157,14 @@ def told(peer: dict[str, Any]) -> list[str]:
     """What a peer sent, a line for each system; then what was no frame and what was refused."""
     lines = []
     for row in peer["systems"]:
-        lost = row["lost_by_sequence"] + row["lost_in_silence_about"]
-        share = f"{100 * lost / (lost + row['frames']):.2g} %" if lost else "none"
+        loss = LinkLoss(
+            frames=row["frames"] - row["repeated"],
+            lost=row["lost_by_sequence"],
+            hidden=row["lost_in_silence_about"],
+            repeated=row["repeated"],
+        )
         sender = f"system {row['system']}, component {row['component']}"
-        lines.append(f"{sender}: {counted(row['frames'], 'frame')}, lost by the link: {share}")
+        lines.append(f"{sender}: {counted(row['frames'], 'frame')}, {link_words(loss)}")
     if peer["bytes_that_are_no_frame"]:
         lines.append(f"{counted(peer['bytes_that_are_no_frame'], 'byte')} of no frame")
     lines += [f"refused, {reason}: {counted(n, 'frame')}" for reason, n in peer["refused"].items()]

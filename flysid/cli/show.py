@@ -17,11 +17,11 @@ from flysid.cli.addresses import SOURCE
 from flysid.cli.bounds import COUNT
 from flysid.cli.checks import Words
 from flysid.cli.display import Display
-from flysid.cli.losses import losses
 from flysid.cli.ls import clock_text
 from flysid.cli.output import align_columns, printable, say
 from flysid.cli.source import opened_flights, reading_options
 from flysid.errors import StoreError, UsageError
+from flysid.facts.losses import loss_lines, repeat_lines
 from flysid.flight import BOOT, RECEIVED, TIME
 from flysid.showing import counted
 
@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from flysid.manifest import Manifest, StreamEntry
 
 STATISTICS = ("MIN", "MEAN", "MAX", "MISSING")
+UNKNOWN_FLOWN = "unknown: the log states neither arming nor landing"
 HEADINGS = ("COLUMN", "TYPE", "UNIT", "SCALE", *STATISTICS, "VALUES")
 
 
@@ -86,7 +87,11 @@ def command(
         elif track:
             _print_track(log)
         elif stream is None:
-            click.echo(flight_json(log.manifest) if as_json else flight_text(log.manifest, mode_times(log)))
+            click.echo(
+                flight_json(log.manifest)
+                if as_json
+                else flight_text(log.manifest, mode_times(log), flown_words(log))
+            )
             if as_json:
                 return
             if len(log.manifest.streams) == 1:
@@ -134,6 +139,17 @@ def mode_times(log: StoredLog) -> list[str]:
         end_ns = after.time_ns if after and lasts else ends.get(change.boot, change.time_ns)
         flown[change.text] = flown.get(change.text, 0.0) + max(0, end_ns - change.time_ns) * 1e-9
     return [f"{name} {clock_text(seconds)}" for name, seconds in flown.items()]
+
+
+def flown_words(log: StoredLog) -> str:
+    """How long the vehicle was in the air; "" where the tables are damaged or gone."""
+    from flysid.ingest.lake.flown import flown_of
+
+    try:
+        seconds = flown_of(log).seconds
+    except StoreError:
+        return ""
+    return UNKNOWN_FLOWN if seconds is None else clock_text(seconds)
 
 
 def _print_fields(log: StoredLog) -> None:
@@ -215,7 +231,7 @@ def stream_json(entry: StreamEntry) -> str:
     return json.dumps(msgspec.to_builtins(entry), indent=1)
 
 
-def flight_text(manifest: Manifest, modes: Sequence[str] = ()) -> str:
+def flight_text(manifest: Manifest, modes: Sequence[str] = (), flown: str = "") -> str:
     """Source, facts, losses and streams of a flight."""
     source = manifest.source
     facts = [
@@ -225,13 +241,11 @@ def flight_text(manifest: Manifest, modes: Sequence[str] = ()) -> str:
         ("duration", f"{clock_text(manifest.duration_s)} in {counted(len(manifest.clocks), 'boot')}"),
     ]
     facts += [("date", when) for when in dates(manifest.clocks)]
+    facts += [("flown", flown)] if flown else []
     facts += [("modes", ", ".join(modes))] if modes else []
     facts += [(k, v) for k, v in sorted(manifest.info.items()) if v]
-    facts += [("lost", line) for line in losses(manifest.damage)]
-    facts += [
-        ("gaps", f"{counted(count, 'message')} of {name} never arrived")
-        for name, count in sorted(manifest.damage.sequence_gaps.items())
-    ]
+    facts += [("lost", line) for line in loss_lines(manifest.damage)]
+    facts += [("repeats", line) for line in repeat_lines(manifest.damage)]
     rows = [("STREAM", "ROWS", "RATE", "COLUMNS", "TIME FROM")]
     rows += [
         (

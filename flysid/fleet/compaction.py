@@ -21,9 +21,9 @@ import pyarrow.parquet as pq
 
 from flysid.catalogue import FlightFacts
 from flysid.errors import StoreError
+from flysid.facts.vehicle import vehicle_of
 from flysid.files import slug
 from flysid.flight import message_of, stem_of
-from flysid.ingest.align.vehicle import vehicle_of
 from flysid.ingest.lake.flighttable import Commit, facts_in, last_commit, rows_of, select
 from flysid.manifest import MANIFEST_FILE, Manifest, parse_manifest
 from flysid.mirror import GENERATION, home_of

@@ -23,9 +23,9 @@ import msgspec
 
 from flysid.catalogue import FlightFacts
 from flysid.errors import PlaceError, StoreError
+from flysid.facts.vehicle import vehicle_named
 from flysid.fleet.lakes import DUPLICATES, QUARANTINE
 from flysid.fleet.publish import find_committed, publish
-from flysid.ingest.align.vehicle import vehicle_named
 from flysid.ingest.formats.base import Limits
 from flysid.ingest.formats.opening import begins_archive, begins_database
 from flysid.ingest.formats.rosbag2.side_files import READ

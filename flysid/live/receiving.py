@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from flysid.facts.link import LinkLoss
 from flysid.ingest.formats.mavlink.frames import read_header
 from flysid.live.batches import Arrival, gather
 from flysid.live.framing import Cut, Framer
@@ -178,7 +179,6 @@ class Receiver:
 
     def facts(self) -> dict[str, Any]:
         """What has come so far, per link, peer and system; see docs/recording.md."""
-        senders = self.ledger.senders
         refused = dict(self.guard.refused) if self.guard else {}
         links = []
         for number, link in enumerate(self.links):
@@ -190,7 +190,7 @@ class Receiver:
                     "silent_s": self._silent_s(number),
                     "buffer_bytes": link.buffer,
                     "dropped_by_host": link.dropped() if link.fileno() >= 0 else None,
-                    "peers": [_peer_facts(peer, senders, refused) for peer in peers],
+                    "peers": [_peer_facts(peer, self.ledger, refused) for peer in peers],
                 }
             )
         return {
@@ -198,7 +198,7 @@ class Receiver:
             "updated_s": round(time.time(), 3),
             "host_clock_steps": self.clock_steps,
             "signing": None if self.guard is None else {"unsigned": self.guard.unsigned},
-            "senders_without_a_row": int(senders[0]["frames"]),
+            "senders_without_a_row": int(self.ledger.senders[0]["frames"]),
             "links": links,
             "warnings": self.warnings(),
         }
@@ -222,7 +222,7 @@ class Receiver:
         said += [
             f"the clock of this host was set by {step['step_s']:+.3g} s" for step in list(self.clock_steps)
         ]
-        return said + stepped_clocks(senders) + doubled_systems(senders, names)
+        return said + stepped_clocks(self.ledger) + doubled_systems(senders, names)
 
 
 def warm_up() -> None:
@@ -237,14 +237,16 @@ def warm_up() -> None:
     Ledger().enter(0, frame, np.array([0]), sizes, sizes)
 
 
-def stepped_clocks(senders: Any) -> list[str]:
+def stepped_clocks(ledger: Ledger) -> list[str]:
     """Vehicles that were started anew, or whose clock jumped."""
     said = []
-    for row in senders:
-        for count, what in ((row["boots"], "was started anew"), (row["clock_steps"], "set its clock")):
+    for row, sender in enumerate(ledger.senders[1:], 1):
+        loss = ledger.loss(row)
+        name = f"system {sender['system']}.{sender['component']}"
+        for count, what in ((loss.boots, "was started anew"), (loss.clock_steps, "set its clock")):
             if count:
                 times = "" if count == 1 else f", {count} times"
-                said.append(f"system {row['system']}.{row['component']} {what}{times}")
+                said.append(f"{name} {what}{times}")
     return said
 
 
@@ -268,31 +270,34 @@ def doubled_systems(senders: Any, names: dict[int, str]) -> list[str]:
     return said
 
 
-def _peer_facts(peer: Peer, senders: Any, refused: dict[tuple[int, str], int]) -> dict[str, Any]:
-    rows = senders[1:][senders[1:]["peer"] == peer.number]
+def _peer_facts(peer: Peer, ledger: Ledger, refused: dict[tuple[int, str], int]) -> dict[str, Any]:
+    senders = ledger.senders
+    rows = [row for row in range(1, len(senders)) if senders[row]["peer"] == peer.number]
     return {
         "peer": peer.name,
         "datagrams": peer.datagrams,
         "bytes_that_are_no_frame": peer.rejected_bytes,
         "bad_checksums": peer.bad_checksums,
         "refused": {reason: count for (number, reason), count in refused.items() if number == peer.number},
-        "systems": [
-            {
-                "system": int(row["system"]),
-                "component": int(row["component"]),
-                "frames": int(row["frames"]),
-                "bytes": int(row["bytes"]),
-                "signed": int(row["signed"]),
-                "lost_by_sequence": int(row["lost"]),
-                "lost_in_silence_about": int(row["lost_in_silence"]),
-                "silences": int(row["silences"]),
-                "silent_s": round(int(row["silent_us"]) * 1e-6, 3),
-                "late": int(row["late"]),
-                "boots": int(row["boots"]),
-                "clock_steps": int(row["clock_steps"]),
-                "first_s": round(int(row["first_us"]) * 1e-6, 6),
-                "last_s": round(int(row["last_us"]) * 1e-6, 6),
-            }
-            for row in rows
-        ],
+        "systems": [_sender_facts(senders[row], ledger.loss(row)) for row in rows],
+    }
+
+
+def _sender_facts(row: Any, loss: LinkLoss) -> dict[str, Any]:
+    return {
+        "system": int(row["system"]),
+        "component": int(row["component"]),
+        "frames": int(row["frames"]),
+        "bytes": int(row["bytes"]),
+        "signed": int(row["signed"]),
+        "repeated": loss.repeated,
+        "lost_by_sequence": loss.lost,
+        "lost_in_silence_about": loss.hidden,
+        "silences": loss.silences,
+        "silent_s": round(loss.silent_us * 1e-6, 3),
+        "late": loss.late,
+        "boots": loss.boots,
+        "clock_steps": loss.clock_steps,
+        "first_s": round(int(row["first_us"]) * 1e-6, 6),
+        "last_s": round(int(row["last_us"]) * 1e-6, 6),
     }

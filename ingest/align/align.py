@@ -20,6 +20,7 @@ from flysid.dataset import Dataset, Segment, Signal
 from flysid.datasetfile import write_dataset
 from flysid.errors import DataError, RecipeError
 from flysid.extras import Extra, extra
+from flysid.facts.vehicle import vehicle_of
 from flysid.flight import Flight
 from flysid.ingest.align import resample
 from flysid.ingest.align.allowed import CHOOSE_AGAIN
@@ -31,7 +32,6 @@ from flysid.ingest.align.recipe import Recipe, SignalSpec, load_recipe
 from flysid.ingest.align.report import AlignReport, FlightReport, SignalReport
 from flysid.ingest.align.resample import RecordedSignal, Span
 from flysid.ingest.align.signals import FlightLog, Loaded, Log, find_source, load_signal, missing
-from flysid.ingest.align.vehicle import vehicle_of
 from flysid.showing import counted
 from flysid.stretch import FloatArray
 

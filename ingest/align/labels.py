@@ -8,7 +8,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
+import pyarrow as pa
 
+from flysid.facts.modes import holds_modes, mode_texts
 from flysid.flight import BOOT, TIME
 from flysid.ingest.align.recipe import Label
 from flysid.ingest.align.resample import Span
@@ -72,7 +74,7 @@ def labels_of(labels: Sequence[Label], log: Log) -> Mapping[int, Labels]:
             continue
         name = source[0].fields[0]
         table = log.table(source[1], [TIME, BOOT, base_column(name, log.columns(source[1]))])
-        texts = texts_of(column_values(table, name), names_of(table, source[1], name, log.info))
+        texts = _texts(table, source[1], name, log.info)
         boots = np.asarray(table[BOOT].to_numpy())
         times = np.asarray(table[TIME].to_numpy(), dtype=np.int64)
         for boot in np.unique(boots):
@@ -80,6 +82,14 @@ def labels_of(labels: Sequence[Label], log: Log) -> Mapping[int, Labels]:
             rows = rows[np.argsort(times[rows], kind="stable")]
             found.setdefault(int(boot), []).append(_steps(label, times[rows], [texts[i] for i in rows]))
     return {boot: Labels(tuple(steps)) for boot, steps in found.items()}
+
+
+def _texts(table: pa.Table, stream: str, name: str, info: Mapping[str, str]) -> list[str]:
+    """The words of a column: modes as every verb names them, other values by the log's enumeration."""
+    values = column_values(table, name)
+    if holds_modes(stream, name) and values.dtype.kind in "iuf":
+        return mode_texts(values, stream, name, info)
+    return texts_of(values, names_of(table, stream, name, info))
 
 
 def _steps(label: Label, t_ns: IntArray, values: Sequence[str]) -> Steps:

@@ -11,7 +11,7 @@ import numpy.typing as npt
 import pyarrow as pa
 
 from flysid.errors import RecipeError
-from flysid.ingest.align.modes import mode_names
+from flysid.facts.modes import mode_names
 
 BoolArray = npt.NDArray[np.bool_]
 Value = int | float | str

@@ -17,8 +17,8 @@ from pathlib import Path
 
 from flysid.catalogue import FlightFacts, catalogue, facts_of
 from flysid.errors import FlysidError, FormatError, WriteError
+from flysid.facts.vehicle import vehicle_named
 from flysid.flight import Damage, Source
-from flysid.ingest.align.vehicle import vehicle_named
 from flysid.ingest.formats.base import Limits
 from flysid.ingest.formats.blame import blamed
 from flysid.ingest.formats.opening import identify, locate, open_log, readable

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from flysid.errors import UsageError
-from flysid.ingest.align.modes import COPTERS
-from flysid.ingest.align.vehicle import NAME, serial_of, vehicle_of
+from flysid.facts.modes import family_of
+from flysid.facts.vehicle import NAME, serial_of, vehicle_of
 from flysid.ingest.lake.events import settings
 from flysid.ingest.lake.lake import Lake
 from flysid.ingest.lake.stretches import Stretches, parse_part
@@ -136,7 +136,7 @@ def _state(lake: Lake) -> dict[str, dict[str, list[str]]]:
             s.name: f"{s.value:g}" for s in settings(log) if s.name in OWN and not isinstance(s.value, str)
         }
         kind = info.get("vehicle", "").lower()
-        if kind in COPTERS[1:]:  # a log on board says "copter" of every kind
+        if family_of(kind) == "copter" != kind:  # a log on board says "copter" of every kind
             said["kind"] = kind
         for fact, value in said.items():
             found.setdefault(fact, {}).setdefault(value, []).append(log.facts.id)

@@ -8,18 +8,12 @@ from typing import Any
 
 import numpy as np
 
+from flysid.facts.modes import COLUMNS, mode_texts
 from flysid.flight import BOOT, TIME, matching_streams
 from flysid.flightwriter import float_values, int_values
-from flysid.ingest.align.modes import mode_names
 from flysid.ingest.align.signals import Log
 from flysid.ingest.align.things import find_stream
 
-MODES = (
-    ("MODE", "ModeNum"),
-    ("MODE", "Mode"),
-    ("vehicle_status", "nav_state"),
-    ("HEARTBEAT", "custom_mode"),
-)
 MESSAGES = (("MSG", "Message"), ("STATUSTEXT", "text"), ("messages", "text"))
 PARAMETERS = (
     ("PARM", "Name", "Value"),
@@ -62,21 +56,19 @@ def events(log: Log) -> list[Event]:
 
 
 def mode_changes(log: Log) -> list[Event]:
-    """The first mode of every boot, and each change after it. Numbers without a known name stay numbers."""
-    for message, column in MODES:
+    """The first mode of every boot, and each change after it."""
+    for message, column in COLUMNS:
         stream = find_stream(message, log.rows)
         if stream is None or column not in log.columns(stream):
             continue
         table = log.table(stream, [BOOT, TIME, column])
         boots = int_values(table[BOOT])
         values = float_values(table[column])
-        names = mode_names(stream, column, log.info)
-        starts = np.flatnonzero((np.diff(values, prepend=values[0]) != 0) | (np.diff(boots, prepend=-1) != 0))
+        _, first, of = np.unique(values, return_index=True, return_inverse=True)
+        words = np.array(mode_texts(values[first], stream, column, log.info), dtype=object)[of]
+        starts = np.flatnonzero((words != np.roll(words, 1)) | (np.diff(boots, prepend=-1) != 0))
         times = int_values(table[TIME])
-        return [
-            Event(int(boots[i]), int(times[i]), "mode", names.get(int(values[i]), str(int(values[i]))))
-            for i in starts
-        ]
+        return [Event(int(boots[i]), int(times[i]), "mode", str(words[i])) for i in starts if words[i]]
     return []
 
 

@@ -21,7 +21,7 @@ import pyarrow as pa
 
 from flysid.catalogue import FlightFacts
 from flysid.errors import PlaceError, UsageError
-from flysid.ingest.align.vehicle import vehicle_of
+from flysid.facts.vehicle import vehicle_of
 from flysid.manifest import check_id
 from flysid.place import Place
 
@@ -40,6 +40,7 @@ SCHEMA = pa.schema(
         ("stream_rows", pa.list_(pa.int64())),
         ("rows", pa.int64()),
         ("lost", pa.bool_()),
+        ("losses", pa.string()),
         ("log", pa.string()),
         ("format", pa.string()),
         ("size_bytes", pa.int64()),
@@ -80,7 +81,8 @@ def _row(facts: FlightFacts) -> dict[str, Any]:
         "streams": list(facts.streams),
         "stream_rows": list(facts.streams.values()),
         "rows": facts.rows,
-        "lost": facts.lossy,
+        "lost": facts.lost,
+        "losses": facts.losses,
         "log": facts.log,
         "format": facts.format,
         "size_bytes": facts.size_bytes,
@@ -110,6 +112,7 @@ def facts_in(rows: pa.Table) -> tuple[FlightFacts, ...]:
             duration_s=row["duration_s"],
             rows=row["rows"],
             lossy=row["lost"],
+            losses=row.get("losses") or "",
             start_utc_ns=None if start is None else start * 1000,
             info=json.loads(row["info"]),
             streams=dict(zip(row["streams"], row["stream_rows"], strict=True)),
@@ -216,6 +219,8 @@ def _merge(place: Place, rows: pa.Table) -> None:
     table = open_table(place)
     if table is None:
         table = _made(place.at(TABLE))
+    held = {column.name for column in table.schema().fields}  # a lake of an earlier release has fewer
+    rows = rows.select([name for name in rows.column_names if name in held])
     (
         table.merge(
             source=rows,

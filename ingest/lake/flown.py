@@ -1,29 +1,46 @@
 """How much of a log was flown, by the conditions of the shipped recipes: armed, airborne, radio link up.
 
+Only what the log states counts. A log that states neither arming nor landing was flown for an unknown time,
+and a state counts only while something was measured: parameters are stamped with the time at which they were
+read, minutes before the log began.
+
 Of the streams that conditions ask for only the changes are kept, so that a log of any size stays small.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
 import pyarrow as pa
 
-from flysid.flight import BOOT, TIME, ClockMap, message_of
+from flysid.flight import BOOT, TIME, message_of, stem_of
+from flysid.flightwriter import int_values
 from flysid.ingest.align.conditions import condition_spans
-from flysid.ingest.align.recipe import Condition, load_recipe, shipped_recipes
+from flysid.ingest.align.recipe import Condition, Source, load_recipe, shipped_recipes
 from flysid.ingest.align.resample import Span
+from flysid.ingest.align.signals import Log
 from flysid.ingest.align.values import base_column
+from flysid.ingest.lake.events import MESSAGES, PARAMETERS
+
+DEFINITIONS = ("FMT", "FMTU", "UNIT", "MULT", "VER", "EV", "events")
+STATED = frozenset([*DEFINITIONS, *(name for name, *_ in (*MESSAGES, *PARAMETERS))])
+"""Messages of which a row may be stamped long before the log began, or long after it."""
+
+IN_THE_AIR = ("armed", "airborne")
+"""Names of the conditions that say whether a vehicle flies; a radio link, say, does not."""
+ARMED_BY_FLAGS = Condition("armed", (Source("slow", ("flightModeFlags",)),), has_bits=1)
+"""Betaflight and INAV: the first of the flags in every release."""
 
 
 @cache
 def _conditions() -> tuple[Condition, ...]:
     """Those of shipped recipes that are about every flight; of one name the first with a source counts."""
     found = (c for name in shipped_recipes() for c in load_recipe(name).conditions)
-    return tuple(c for c in found if not c.required and not c.channels)
+    whole = tuple(replace(c, margin_s=0.0) for c in found if not c.required and not c.channels)
+    return *whole, ARMED_BY_FLAGS
 
 
 @cache
@@ -58,12 +75,65 @@ class Kept:
     def table(self, stream: str, columns: Sequence[str]) -> pa.Table:
         return self.tables[stream].select(list(columns))
 
-    def flown(self, clocks: Sequence[ClockMap]) -> tuple[dict[int, tuple[Span, ...]], tuple[str, ...]]:
-        """Boot -> when all conditions hold, and what is to be said of those that never do."""
-        allowed = condition_spans(_conditions(), self)
-        whole = {clock.boot: (clock.first_ns, clock.last_ns) for clock in clocks}
-        flown = {boot: within(allowed.spans.get(boot, (span,)), span) for boot, span in whole.items()}
-        return flown, allowed.never
+
+@dataclass(frozen=True)
+class Flown:
+    """When a log was flown.
+
+    Attributes
+    ----------
+    spans : boot -> when all conditions hold; None where the log states none of them.
+    never : of each condition that never holds, what the log has instead.
+    """
+
+    spans: Mapping[int, tuple[Span, ...]] | None = None
+    never: tuple[str, ...] = ()
+
+    @property
+    def seconds(self) -> float | None:
+        """Vehicle time in the air; None where it is unknown."""
+        if self.spans is None:
+            return None
+        return 1e-9 * sum(last - first for spans in self.spans.values() for first, last in spans)
+
+
+def flown(log: Log, measured: Mapping[int, Span]) -> Flown:
+    """When a log was flown.
+
+    Parameters
+    ----------
+    measured : boot -> from when to when anything was measured, ns; see `is_measured`.
+    """
+    never = condition_spans(_conditions(), log).never
+    stated = condition_spans([c for c in _conditions() if c.name in IN_THE_AIR], log).spans
+    if not stated:
+        return Flown(None, never)
+    return Flown({boot: within(stated.get(boot, ()), span) for boot, span in measured.items()}, never)
+
+
+def flown_of(log: Log) -> Flown:
+    """When a log was flown whose tables can be read."""
+    measured: dict[int, Span] = {}
+    for stream in filter(is_measured, log.rows):
+        if log.rows[stream] < 2:
+            continue
+        table = log.table(stream, [BOOT, TIME])
+        boots, times = int_values(table[BOOT]), int_values(table[TIME])
+        for boot in np.unique(boots).tolist():
+            inside = times[boots == boot]
+            widen(measured, boot, (int(inside.min()), int(inside.max())))
+    return flown(log, measured)
+
+
+def is_measured(stream: str) -> bool:
+    """Whether a stream holds what was measured, not parameters, definitions, messages or events."""
+    return stem_of(message_of(stream)).partition("#")[0] not in STATED
+
+
+def widen(spans: dict[int, Span], boot: int, span: Span) -> None:
+    """Let the span of a boot reach over another."""
+    first, last = spans.get(boot, span)
+    spans[boot] = min(first, span[0]), max(last, span[1])
 
 
 def within(spans: Iterable[Span], limits: Span) -> tuple[Span, ...]:

@@ -14,13 +14,13 @@ import pyarrow as pa
 from flysid.catalogue import FlightFacts, catalogue
 from flysid.dataset import Dataset
 from flysid.errors import DataError, RecipeError, UsageError
+from flysid.facts.vehicle import label_of
 from flysid.flight import Flight
 from flysid.ingest.align.align import Aligned, align, align_to_file
 from flysid.ingest.align.allowed import Allowed
 from flysid.ingest.align.recipe import Recipe, load_recipe, shipped_recipes
 from flysid.ingest.align.report import AlignReport
 from flysid.ingest.align.signals import find_source, serves
-from flysid.ingest.align.vehicle import NAME
 from flysid.ingest.lake.stretches import Stretches
 from flysid.manifest import (
     DATA_FILE,
@@ -135,10 +135,10 @@ class Lake(Shown):
             (
                 f.id,
                 f.format,
-                f.info.get(NAME) or f.info.get("vehicle") or f.info.get("autopilot") or "-",
+                label_of(f.info),
                 f"{f.duration_s:.0f}",
                 f"{f.rows:,}",
-                "yes" if f.lossy else "-",
+                "yes" if f.lost else "-",
             )
             for f in self.facts
         ]

@@ -30,7 +30,7 @@ from flysid.ingest.excitation.enough import FLY_MORE, MIN_DURATION_S, least_hz, 
 from flysid.ingest.formats.base import Limits, StreamPart
 from flysid.ingest.formats.opening import open_log
 from flysid.ingest.formats.registry import format_of
-from flysid.ingest.lake.flown import Kept, changes, within
+from flysid.ingest.lake.flown import Flown, Kept, changes, flown, is_measured, widen, within
 from flysid.parts import exhaust
 
 ROLES: Mapping[str, tuple[str, ...]] = {
@@ -113,9 +113,7 @@ class Survey:
 
     Attributes
     ----------
-    flown : boot -> when the conditions of shipped recipes hold, as far as the log tells; None where nobody
-        looked.
-    never : of each condition that never holds, what the log has instead.
+    flown : when the vehicle was in the air, as far as the log tells.
     """
 
     source: Source
@@ -123,22 +121,21 @@ class Survey:
     damage: Damage
     clocks: tuple[ClockMap, ...]
     info: Mapping[str, str]
-    flown: Mapping[int, tuple[Span, ...]] | None = None
-    never: tuple[str, ...] = ()
+    flown: Flown = Flown()  # noqa: RUF009 - frozen
 
     @property
     def usable_s(self) -> float:
-        """Vehicle time that shipped recipes can use: armed and airborne, as far as the log tells."""
-        if self.flown is None:
-            return self.duration_s
-        return 1e-9 * sum(b - a for spans in self.flown.values() for a, b in spans)
+        """Vehicle time that shipped recipes can use: in the air; all of it where that is unknown."""
+        seconds = self.flown.seconds
+        return self.duration_s if seconds is None else seconds
 
     def usable_of(self, stream: str) -> float:
         """The part of `usable_s` from a stream's first row to its last: a log may cease to hold it."""
         logged = {boot: (first, last) for boot, (_, first, last) in self.streams[stream].spans.items()}
-        if self.flown is None:
+        spans = self.flown.spans
+        if spans is None:
             return 1e-9 * sum(last - first for first, last in logged.values())
-        both = (span for boot, limits in logged.items() for span in within(self.flown.get(boot, ()), limits))
+        both = (span for boot, limits in logged.items() for span in within(spans.get(boot, ()), limits))
         return 1e-9 * sum(b - a for a, b in both)
 
     @property
@@ -182,9 +179,13 @@ def survey(path: Path, limits: Limits | None = None) -> Survey:
     streams = {summary.renamed.get(key, key): count for key, count in streams.items()}
     rows = {key: count.rows for key, count in streams.items()}
     tables = {key: pa.concat_tables(parts, promote_options="default") for key, parts in kept.items()}
-    flown, never = Kept(source.name, rows, summary.info, tables).flown(summary.clocks)
+    measured: dict[int, Span] = {}
+    for key, count in streams.items():
+        for boot, (_, first, last) in count.spans.items() if is_measured(key) and count.rows > 1 else ():
+            widen(measured, boot, (first, last))
+    found = flown(Kept(source.name, rows, summary.info, tables), measured)
     ordered = dict(sorted(streams.items()))
-    return Survey(source, ordered, summary.damage, summary.clocks, summary.info, flown, never)
+    return Survey(source, ordered, summary.damage, summary.clocks, summary.info, found)
 
 
 def survey_or_reason(path: Path, limits: Limits | None = None) -> Survey | str:
@@ -247,16 +248,17 @@ def verdict(found: Survey) -> tuple[str, str]:
         return "unusable: no attitude and no velocity", advice
     if found.duration_s < MIN_DURATION_S:
         return f"too short: {found.duration_s:.0f} s", FLY_MORE
-    if found.never:
-        return f"excluded: {found.never[0]}", "fly, or remove the condition from a recipe of your own"
-    if found.usable_s < MIN_DURATION_S:
+    if found.flown.never:
+        return f"excluded: {found.flown.never[0]}", "fly, or remove the condition from a recipe of your own"
+    if found.usable_s < MIN_DURATION_S and found.flown.seconds is not None:
         return f"too short: flown for {found.usable_s:.0f} s", FLY_MORE
     kind = found.source.format
     if not attitude and not velocity and rates_hz < least_hz("rates", kind):
         return f"too slow: body rates at {rates_hz:.3g} Hz", advice
     usable_s = found.usable_of(attitude or velocity or rates)
     name = "attitude " if attitude else "velocity " if velocity else ""
-    logged = f"{name}logged for {usable_s:.0f} of {found.usable_s:.0f} s flown"
+    whole = "logged" if found.flown.seconds is None else "flown"
+    logged = f"{name}logged for {usable_s:.0f} of {found.usable_s:.0f} s {whole}"
     if usable_s < MIN_DURATION_S:
         return f"too short: {logged}", FLY_MORE
     short = too_short_alone(usable_s)

@@ -11,12 +11,12 @@ import numpy as np
 
 from flysid.catalogue import FlightFacts
 from flysid.errors import DataError
+from flysid.facts.vehicle import vehicle_of
 from flysid.fleet.models.common_grid import Sampling
 from flysid.fleet.models.differences import FlightPart, JudgedChannel, Test, judge, judge_channel
 from flysid.fleet.models.flag_words import Finding, Smallest, finding, short_names, sizes, smallest
 from flysid.fleet.models.gather import Gathered
 from flysid.ingest.align.recipe import Recipe
-from flysid.ingest.align.vehicle import vehicle_of
 from flysid.model.threads import on_one_thread
 from flysid.version import __version__
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from flysid.errors import DataError, FlysidError, RecipeError
+from flysid.facts.vehicle import vehicle_of
 from flysid.fleet.models.band import ComplexArray
 from flysid.fleet.models.common_grid import Sampling, choose_sampling, spread
 from flysid.fleet.models.differences import FlightPart
@@ -16,7 +17,6 @@ from flysid.fleet.models.triangle_store import Objects, TriangleRow, TriangleSto
 from flysid.fleet.models.triangles import Triangle, triangle_of
 from flysid.ingest.align.align import align, segments_of
 from flysid.ingest.align.recipe import Recipe
-from flysid.ingest.align.vehicle import vehicle_of
 from flysid.ingest.lake.lake import Lake, StoredLog, mirror
 from flysid.ingest.lake.workers import Bounds, Lost, run_bounded
 from flysid.model.threads import on_one_thread

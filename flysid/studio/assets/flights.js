@@ -64,7 +64,7 @@ export async function showFlights(main, query, stay) {
     const found = await get("flights", { q: find.value, most: 200 });
     select.textContent = "";
     found.flights.forEach((one) => {
-      const about = [clock(one.duration_s), date(one.start_utc_ns), one.info.vehicle || one.info.autopilot, one.info.firmware, one.lossy ? "damaged" : ""];
+      const about = [clock(one.duration_s), date(one.start_utc_ns), one.info.vehicle || one.info.autopilot, one.info.firmware, one.losses ? "with losses" : ""];
       select.append(el("option", { value: one.id, selected: one.id === wanted }, one.log + " \u00b7 " + about.filter(Boolean).join(" \u00b7 ")));
     });
     if (found.count > found.flights.length) { select.append(el("option", { disabled: true }, "and " + (found.count - found.flights.length) + " more: search")); }
@@ -80,7 +80,7 @@ export async function showFlights(main, query, stay) {
     facts.textContent = [
       flight.format, size(flight.size_bytes), flight.rows.toLocaleString("en") + " records", clock(flight.duration_s),
       date(flight.start_utc_ns) && date(flight.start_utc_ns) + " UTC", flight.info.vehicle || flight.info.autopilot, flight.info.firmware,
-      flight.clocks.length > 1 ? flight.clocks.length + " boots" : "", flight.lossy ? "damaged: flysid show names what was lost" : "",
+      flight.clocks.length > 1 ? flight.clocks.length + " boots" : "", flight.losses ? "lost: " + flight.losses : "",
     ].filter(Boolean).join(" \u00b7 ");
     listFields();
     listPairs();

@@ -19,6 +19,7 @@ import numpy.typing as npt
 import pyarrow as pa
 
 from flysid.errors import FormatError
+from flysid.facts.modes import family_by_parameters
 from flysid.flight import KEY, ClockMap, Damage
 from flysid.ingest.formats.base import Limits, Parts, StreamPart, Summary, release
 from flysid.ingest.formats.common.clock import SECOND_NS, IntArray, UtcFit
@@ -34,10 +35,10 @@ SYSTEM = 1
 GPS_EPOCH_NS = 315_964_800 * SECOND_NS
 LEAP_SECONDS = ((1_483_228_800, 18), (1_435_708_800, 17), (1_341_100_800, 16), (1_230_768_000, 15), (0, 14))
 MAX_NS = (1 << 63) - 1
-TELLING = frozenset({"UNIT", "MULT", "FMTU", "MSG", "DSF"})
+TELLING = frozenset({"UNIT", "MULT", "FMTU", "MSG", "PARM", "DSF"})
 TIME_COLUMNS = frozenset({"TimeUS", "TimeMS", "T", "Time", "GMS", "GWk", "Week", "Wk"})
 FIRMWARE = re.compile(
-    r"(?:ArduPilot |APM:)?(?:Ardu)?(Copter|Plane|Rover|Sub|Blimp|Tracker)\s+V?(\d[\w.\-]*)", re.I
+    r"(?:ArduPilot |APM:)?(?:Ardu)?(Copter|Plane|Rover|Sub|Blimp|Tracker)2?\s+V?(\d[\w.\-]*)", re.I
 )
 
 
@@ -62,6 +63,7 @@ class _Reader:
     row: int = 0
     gps_zero: list[int] = field(default_factory=list)
     info: dict[str, str] = field(default_factory=dict)
+    parameters: set[str] = field(default_factory=set)
 
 
 def read(view: memoryview, name: str, limits: Limits) -> Parts:
@@ -156,6 +158,14 @@ def _learn(reader: _Reader, definition: Definition, matrix: ByteMatrix) -> None:
         reader.dropped = max(reader.dropped, int(records["Dp"].max()))
     elif definition.name == "MSG" and "Message" in names and "firmware" not in reader.info:
         reader.info.update(firmware_in([_text(text) for text in records["Message"][:200].tolist()]))
+    elif definition.name == "PARM" and "Name" in names and "vehicle" not in reader.info:
+        reader.parameters.update(map(_text, set(records["Name"].tolist())))
+
+
+def vehicle_facts(info: dict[str, str], parameters: set[str]) -> dict[str, str]:
+    """What is known of the vehicle: a log that names none was written by the firmware with its parameters."""
+    family = "" if info.get("vehicle") else family_by_parameters(parameters)
+    return {"autopilot": "ardupilot", **({"vehicle": family} if family else {}), **info}
 
 
 def firmware_in(texts: list[str]) -> dict[str, str]:
@@ -303,7 +313,7 @@ def _summary(reader: _Reader) -> Summary:
         dropouts={"messages": reader.dropped} if reader.dropped else {},
     )
     padding = {"padding_bytes": str(walker.padding)} if walker.padding else {}
-    return Summary(damage, _clocks(reader), {"autopilot": "ardupilot", **reader.info, **padding})
+    return Summary(damage, _clocks(reader), {**vehicle_facts(reader.info, reader.parameters), **padding})
 
 
 def by_stream(counts: dict[Source, int], items: list[Definition]) -> dict[str, int]:

@@ -41,6 +41,7 @@ from flysid.ingest.formats.dataflash.reader import (
     firmware_in,
     note_utc,
     stated_time,
+    vehicle_facts,
 )
 
 FMT_LINE = re.compile(rb"(?:^|\n)FMT, ?\d+, ?\d+, ?\w+, ?\w+, ?\w")
@@ -78,6 +79,7 @@ class _TextReader:
     gps_zero: list[int] = field(default_factory=list)
     row: int = 0
     info: dict[str, str] = field(default_factory=dict)
+    parameters: set[str] = field(default_factory=set)
 
 
 @dataclass
@@ -252,6 +254,8 @@ def _learn(reader: _TextReader, definition: Definition, columns: list[Column]) -
             reader.units.of_message[int(number)] = (str(units), str(factors))
     elif definition.name == "MSG" and "Message" in named and "firmware" not in reader.info:
         reader.info.update(firmware_in([str(text) for text in named["Message"][:200]]))
+    elif definition.name == "PARM" and "Name" in named and "vehicle" not in reader.info:
+        reader.parameters.update(map(str, named["Name"]))
 
 
 def _letter(identity: object) -> str:
@@ -348,4 +352,4 @@ def _summary(reader: _TextReader) -> Summary:
         out_of_order=by_stream(reader.time.out_of_order, reader.definitions.items),
     )
     clocks = reader.time.fit().clocks() or (ClockMap(0, 0, max(0, reader.row - 1)),)
-    return Summary(damage, clocks, {"autopilot": "ardupilot", **reader.info})
+    return Summary(damage, clocks, vehicle_facts(reader.info, reader.parameters))

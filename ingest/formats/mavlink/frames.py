@@ -90,6 +90,20 @@ class Frames:
     def __len__(self) -> int:
         return len(self.start)
 
+    def checksums(self) -> IntArray:
+        """(n,) of header and content, as the frames state them."""
+        at = self.payload + self.length
+        return self.buffer[at].astype(np.int64) | self.buffer[at + 1].astype(np.int64) << 8
+
+    def where(self, kept: npt.NDArray[np.bool_]) -> Frames:
+        """Some of the frames."""
+        columns = (self.start, self.message, self.payload, self.length)
+        numbers = (self.system, self.component, self.sequence)
+        stamps = None if self.stamp_us is None else self.stamp_us[kept]
+        return Frames(
+            self.buffer, *(each[kept] for each in columns), *(each[kept] for each in numbers), stamps
+        )
+
 
 @dataclass(frozen=True)
 class Header:

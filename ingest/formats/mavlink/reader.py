@@ -18,6 +18,7 @@ import numpy.typing as npt
 import pyarrow as pa
 
 from flysid.errors import FormatError
+from flysid.facts.link import NO_CLOCK, FrameRows, SequenceCounter
 from flysid.flight import KEY, ClockMap, Damage
 from flysid.ingest.formats.base import HEAD_BYTES, Limits, Parts, StreamPart, Summary, release
 from flysid.ingest.formats.common.capture import is_capture
@@ -49,6 +50,8 @@ MAX_STREAMS = 2000
 AUTOPILOT_INVALID = 8
 TIME_FIELDS = {"time_boot_ms": 1_000_000, "time_boot_us": 1000, "time_usec": 1000, "time_us": 1000}
 BOOT_FIELDS = ("time_boot_ms", "time_boot_us")
+BOOT_CLOCKS = {MessageId.SYSTEM_TIME: 8, 30: 0, 32: 0, 33: 0}
+"""Where messages state the milliseconds since boot; the others are ATTITUDE and the two positions."""
 MAX_NS = (1 << 63) - 1
 
 
@@ -81,8 +84,7 @@ class _Reader:
     schemas: dict[Source, pa.Schema] = field(default_factory=dict)
     admitted: set[Source] = field(default_factory=set)
     surplus: int = 0
-    last_sequence: dict[int, int] = field(default_factory=dict)
-    gaps: dict[int, int] = field(default_factory=dict)
+    counters: dict[int, SequenceCounter] = field(default_factory=dict)
     last_stamps: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
     bad_stamps: int = 0
     row: int = 0
@@ -161,11 +163,11 @@ def _next_frames(scanner: Scanner, view: memoryview, start: int, limits: Limits)
 
 def _parts(reader: _Reader, frames: Frames) -> Iterator[StreamPart]:
     """The tables of one batch."""
+    frames = _without_repeats(reader, frames) if len(frames) else frames
     if not len(frames):
         return
     arrival, placing, has_utc = _arrival(reader, frames)
     groups = _admit(reader, dict(_streams(frames)))
-    _count_gaps(reader, frames)
     clocked: dict[Source, Clocked] = {}
     for source, rows in groups.items():
         layout = reader.dialect.layout(source[2])
@@ -255,22 +257,32 @@ def _dense(values: IntArray) -> tuple[IntArray, IntArray]:
     return present, place[values]
 
 
-def _count_gaps(reader: _Reader, frames: Frames) -> None:
-    """Messages missing per sender by the 8-bit sequence number; repeats and late frames are no gap."""
+def _without_repeats(reader: _Reader, frames: Frames) -> Frames:
+    """The frames that came for the first time; what each sender lost is counted with them."""
     senders = _senders(frames)
     order = np.argsort(senders.astype(np.uint16), kind="stable")
-    who = senders[order]
-    sequence = frames.sequence[order].astype(np.int64)
-    first = np.flatnonzero(np.diff(who, prepend=-1))
-    steps = np.diff(sequence, prepend=0) % 256
-    for i, sender in zip(first.tolist(), who[first].tolist(), strict=True):
-        steps[i] = (int(sequence[i]) - reader.last_sequence.get(sender, int(sequence[i]) - 1)) % 256
-    lost = np.add.reduceat(np.where((steps > 1) & (steps < 128), steps - 1, 0), first)
-    last = sequence[np.append(first[1:], len(who)) - 1]
-    for sender, count, number in zip(who[first].tolist(), lost.tolist(), last.tolist(), strict=True):
-        reader.last_sequence[sender] = number
-        if count:
-            reader.gaps[sender] = reader.gaps.get(sender, 0) + count
+    edges = np.flatnonzero(np.diff(senders[order], prepend=-1))
+    fresh = np.ones(len(frames), dtype=bool)
+    clocks = _boot_clocks(frames)
+    sums = frames.checksums()
+    for rows in np.split(order, edges[1:]):
+        counter = reader.counters.setdefault(int(senders[rows[0]]), SequenceCounter())
+        stamps = None if frames.stamp_us is None else frames.stamp_us[rows]
+        numbers = frames.sequence[rows].astype(np.int64)
+        fresh[rows], _ = counter.count(FrameRows(numbers, stamps, sums[rows], clocks[rows]))
+    return frames if fresh.all() else frames.where(fresh)
+
+
+def _boot_clocks(frames: Frames) -> IntArray:
+    """(n,) milliseconds since boot that frames state; `NO_CLOCK` for those that state none."""
+    found = np.full(len(frames), NO_CLOCK, dtype=np.int64)
+    for message, at in BOOT_CLOCKS.items():
+        rows = np.flatnonzero(frames.message == message)
+        if len(rows):
+            left = np.clip(frames.length[rows] - at, 0, 4)
+            content = gather(frames.buffer, frames.payload[rows] + at, left, 4)
+            found[rows] = content.view("<u4").reshape(-1)
+    return found
 
 
 def _time_field(layout: RecordLayout) -> str | None:
@@ -391,7 +403,9 @@ def _summary(reader: _Reader) -> Summary:
         time_outliers=outliers,
         out_of_order=late,
         reasons=_private(reader),
-        sequence_gaps={f"{who >> 8}.{who & 255}": n for who, n in sorted(reader.gaps.items())},
+        sequence_gaps=_by_sender(reader, "lost"),
+        silence_gaps=_by_sender(reader, "hidden"),
+        repeats=_by_sender(reader, "repeated"),
     )
     return Summary(damage, _clocks(reader), _info(reader))
 
@@ -405,6 +419,12 @@ def _private(reader: _Reader) -> dict[str, str]:
         for source in sorted(reader.scanner.unknown)
         if source[2] in private
     }
+
+
+def _by_sender(reader: _Reader, what: str) -> dict[str, int]:
+    """One count of every sender's link, by "system.component"; those without any are left out."""
+    counts = {who: getattr(counter.loss, what) for who, counter in sorted(reader.counters.items())}
+    return {f"{who >> 8}.{who & 255}": count for who, count in counts.items() if count}
 
 
 def _key(reader: _Reader, source: Source) -> str:

@@ -16,8 +16,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import flysid
+from flysid.facts.vehicle import vehicle_of
 from flysid.flight import Flight, field_scale, field_unit
-from flysid.ingest.align.vehicle import vehicle_of
 from flysid.ingest.formats.base import Limits, collect
 from flysid.ingest.formats.common.columns import as_array
 from flysid.ingest.formats.mavlink import reader as tlog

@@ -11,8 +11,8 @@ from click.testing import CliRunner
 import flysid
 from flysid.cli import root
 from flysid.errors import UsageError
+from flysid.facts.vehicle import vehicle_of
 from flysid.flight import Source
-from flysid.ingest.align.vehicle import vehicle_of
 from flysid.ingest.formats.base import Parts, StreamPart, Summary
 from flysid.ingest.lake.chosen_flights import Selection, require_one_vehicle, select, vehicles
 from flysid.ingest.lake.lake import Lake

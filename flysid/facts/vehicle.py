@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 
-from flysid.ingest.align.modes import COPTERS, PLANES
+from flysid.facts.modes import family_of
 
 NAME = "vehicle_name"
 """The fact that names the vehicle: whoever ingested the log said so."""
@@ -40,9 +40,14 @@ def vehicle_of(info: Mapping[str, str]) -> str:
     autopilot = info.get("autopilot", "")
     family = "ardupilot" if autopilot.startswith("ardupilot") else autopilot
     kind = info.get("vehicle", "").lower()
-    kind = "copter" if kind in COPTERS else "plane" if kind in PLANES else kind
+    kind = family_of(kind) or kind
     serial = serial_of(info)
     return " ".join(word for word in (family, "" if serial else kind, serial) if word)
+
+
+def label_of(info: Mapping[str, str]) -> str:
+    """A flight's vehicle in a list: its name, else its kind, else its autopilot; "-" where none is known."""
+    return info.get(NAME) or info.get("vehicle") or info.get("autopilot") or "-"
 
 
 def serial_of(info: Mapping[str, str]) -> str:
