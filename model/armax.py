@@ -11,6 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from flysid.dataset import Dataset
+from flysid.model.flight_offsets import with_own_constants
 from flysid.model.linear.difference_equation import FittedLinear
 from flysid.model.linear.pem_fit import ARMAX_NOISES, fit_prediction_error
 from flysid.model.linear.settings import Auto, PolynomialSettings
@@ -39,6 +40,7 @@ class ARMAX(PolynomialSettings):
 
     @on_one_thread
     @once(fit_key)
+    @with_own_constants
     def fit(self, train: Dataset, validation: Dataset | None = None) -> FittedLinear:
         """Choose orders, fit by prediction error.
 

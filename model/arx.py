@@ -19,6 +19,7 @@ import numpy as np
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import FitError, UsageError
 from flysid.model.arguments import check_rows
+from flysid.model.flight_offsets import with_own_constants
 from flysid.model.freerun import Difference
 from flysid.model.gram import LeastSquares
 from flysid.model.linear.data import CHOICE_ROWS, Parts, Scaling, as_tuple, judging_window
@@ -60,6 +61,7 @@ class ARX(PolynomialSettings):
 
     @on_one_thread
     @once(fit_key)
+    @with_own_constants
     def fit(self, train: Source, validation: Dataset | None = None) -> FittedLinear:
         """Choose orders and fit.
 

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 
 from flysid.dataset import Dataset
 from flysid.errors import UsageError
+from flysid.model.flight_offsets import with_own_constants
 from flysid.model.linear.difference_equation import FittedLinear
 from flysid.model.linear.pem_fit import BJ_NOISES, fit_prediction_error
 from flysid.model.linear.settings import Auto, PolynomialSettings
@@ -41,6 +42,7 @@ class BJ(PolynomialSettings):
 
     @on_one_thread
     @once(fit_key)
+    @with_own_constants
     def fit(self, train: Dataset, validation: Dataset | None = None) -> FittedLinear:
         """Choose orders, fit by prediction error.
 

@@ -24,6 +24,7 @@ import numpy as np
 
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, FitError, UsageError
+from flysid.model.flight_offsets import with_own_constants
 from flysid.model.iv_orders import orders_by_reference, words_of
 from flysid.model.linear.data import CHOICE_ROWS, Parts, judging_window
 from flysid.model.linear.difference_equation import FittedLinear
@@ -59,6 +60,7 @@ class IV(PolynomialSettings):
     reference: Sequence[str] = field(default=(), kw_only=True)
 
     @on_one_thread
+    @with_own_constants
     def fit(self, train: Source, validation: Dataset | None = None) -> FittedLinear:
         """Choose delays and orders (on the first 200,000 samples of a dataset on disk), fit.
 

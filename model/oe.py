@@ -14,6 +14,7 @@ from typing import ClassVar
 
 from flysid.dataset import Dataset
 from flysid.model.detrend import TRENDS
+from flysid.model.flight_offsets import with_own_constants
 from flysid.model.linear.data import Parts
 from flysid.model.linear.difference_equation import FittedLinear
 from flysid.model.linear.oe_search import search
@@ -44,6 +45,7 @@ class OE(PolynomialSettings):
 
     @on_one_thread
     @once(fit_key)
+    @with_own_constants
     def fit(self, train: Dataset, validation: Dataset | None = None) -> FittedLinear:
         """Choose delays and orders, refine.
 

@@ -17,6 +17,7 @@ from flysid.dataset import Dataset
 from flysid.errors import DataError, FitError, UsageError
 from flysid.model.arguments import is_count
 from flysid.model.arx import ARX
+from flysid.model.flight_offsets import with_own_constants
 from flysid.model.last_gates import LINEAR_ENOUGH, shortfall
 from flysid.model.linear.data import Parts
 from flysid.model.linear.difference_equation import FittedLinear
@@ -32,6 +33,7 @@ from flysid.model.narx.term_search import (
     proven,
     prune,
 )
+from flysid.model.own_constants import FlightOffsets
 from flysid.model.selection import clearly_better
 from flysid.model.shared import fit_key, once
 from flysid.model.threads import on_one_thread
@@ -53,6 +55,8 @@ class PolyNARX:
         what `ARX` chooses comes out, parameter for parameter, and its first note says so.
     most_terms : nonlinear terms at most.
     nk_hint : delays that "auto" tries besides its own, one per input.
+    flight_offsets : a constant of every flight beside the model, see `flysid.model.flight_offsets`: "auto"
+        where flights differ beyond chance, True or False to force.
 
     Source: Leontaritis & Billings (1985); Piroddi & Spinelli (2003), selection by the simulation error.
 
@@ -68,9 +72,11 @@ class PolyNARX:
     nk: int | Sequence[int] | Auto = "auto"
     most_terms: int = 10
     nk_hint: Sequence[int] = ()
+    flight_offsets: FlightOffsets = "auto"
 
     @on_one_thread
     @once(fit_key)
+    @with_own_constants
     def fit(self, train: Dataset, validation: Dataset | None = None) -> FittedPolyNARX | FittedLinear:
         """Start from linear models, add terms, leave out those that say nothing, refine.
 

@@ -10,7 +10,7 @@ import numpy as np
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError
 from flysid.model.base import Fitted
-from flysid.model.start import Timed, run_from_window, start_window
+from flysid.model.start import Timed, drifting_of, run_from_window, start_window
 
 LEVEL = 0.01
 """Relative difference in mean square that nobody would pay an order for."""
@@ -67,7 +67,7 @@ def free_run_errors(models: Mapping[str, FreeRunning], check: Dataset) -> dict[s
     """Mean squared free-run errors of blocks of a part of the data, in variances of the outputs.
 
     All models start alike: each estimates its first lags from the same window of measured samples, which is
-    left out.
+    left out. Where one leaves out the constants of flights, so do all.
 
     Raises
     ------
@@ -85,13 +85,14 @@ def judge_free_runs(models: Mapping[str, FreeRunning], check: Dataset) -> dict[s
         raise DataError(f"no segment has {FEWEST} samples beside those that start the models")
     scale = np.std(np.concatenate([s.y[w:] for s, w in scored]), axis=0)
     scale = np.where(scale > 0.0, scale, 1.0)
+    drifting = drifting_of(models.values())
     found = {}
     for name, model in models.items():
         squares = []
         lost = False
         (low, high) = model.output_limits
         for s, window in scored:
-            run = run_from_window(model, s, window)[window:]
+            run = run_from_window(model, s, window, drifting)[window:]
             lost = lost or bool(((run <= low) | (run >= high) | ~np.isfinite(run)).any())
             gaps = np.nan_to_num((s.y[window:] - run) / scale, nan=LOST, posinf=LOST, neginf=-LOST)
             squares.append(np.mean(np.clip(gaps, -LOST, LOST) ** 2, axis=1))

@@ -69,7 +69,7 @@ def digest(data: Dataset) -> bytes:
     """Of all that a fit sees of a dataset."""
     found = hashlib.blake2b(repr((data.dt_s, data.inputs, data.outputs)).encode(), digest_size=16)
     for segment in data.segments:
-        found.update(repr((segment.u.shape, segment.y.shape)).encode())
+        found.update(repr((segment.u.shape, segment.y.shape, segment.flight)).encode())
         found.update(np.ascontiguousarray(segment.u).data)
         found.update(np.ascontiguousarray(segment.y).data)
     return found.digest()

@@ -43,7 +43,8 @@ class Record:
 class OutputOrders:
     """Orders of one output: na, and per input nb coefficients from lag nk on.
 
-    `drift`: every segment has an offset and a drift of its own, instead of one offset for all.
+    `drift`: every segment has an offset and a drift of its own, instead of one offset for all; `level`: a
+    constant of its own at the input.
     """
 
     na: int
@@ -51,6 +52,12 @@ class OutputOrders:
     nk: tuple[int, ...]
     offset: bool = True
     drift: bool = False
+    level: bool = False
+
+    @property
+    def own_lines(self) -> int:
+        """How many columns every segment has of its own: none, a constant's, a constant's and a drift's."""
+        return 2 if self.drift else int(self.level)
 
     @property
     def depth(self) -> int:
@@ -178,23 +185,32 @@ class OutputError:
     def _nuisance(self, a: FloatArray, rows: int) -> FloatArray:
         """Orthonormal basis of what every record may hold besides the forced response."""
         space = free_space(a, rows)
-        if not self.orders.drift:
+        count = self.orders.own_lines
+        if not count:
             return space
-        both = np.zeros((rows, space.shape[1] + 2))
-        both[: len(space), 2:] = space
-        both[:, :2] = lines(rows)
+        both = np.zeros((rows, space.shape[1] + count))
+        both[: len(space), count:] = space
+        both[:, :count] = self._own_columns(a, rows)
         if not np.isfinite(both).all():
             return np.full_like(both, np.nan)
         q, r = np.linalg.qr(both)
         kept: FloatArray = q[:, np.abs(np.diag(r)) > 1e-9]
         return kept
 
+    def _own_columns(self, a: FloatArray, rows: int) -> FloatArray:
+        """(rows, count) of length one: a constant and a line, or what a constant at the input does."""
+        if self.orders.drift:
+            return lines(rows)
+        driven = apply_filter(ONE, a, np.ones(rows))
+        with np.errstate(invalid="ignore", over="ignore"):
+            return np.asarray((driven / np.linalg.norm(driven))[:, None])
+
     def _drift(self, a: FloatArray, error: FloatArray) -> FloatArray:
         """The lines' part of what is projected out of an error."""
         space = free_space(a, len(error))
-        line = without(space, lines(len(error)))
-        weights = np.linalg.lstsq(line, error, rcond=1e-9)[0]
-        found: FloatArray = lines(len(error)) @ weights
+        own = self._own_columns(a, len(error))
+        weights = np.linalg.lstsq(without(space, own), error, rcond=1e-9)[0]
+        found: FloatArray = own @ weights
         return found
 
     def cost(self, theta: FloatArray) -> float:
@@ -224,7 +240,7 @@ class OutputError:
         # the free run from the best state: what the residual is measured against
         response = np.zeros_like(forced)
         response[first:] = residual + record.y[first:]
-        if orders.drift:  # the lines are none of the model's doing
+        if orders.own_lines:  # they are none of the model's doing
             response[first:] += self._drift(transfer.a, error)
         rows = slice(first, len(forced))
         through = apply_filter(ONE, transfer.a, response)

@@ -10,12 +10,14 @@ a linear model, which knows its derivatives; finite differences for others). All
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 import numpy as np
 
 from flysid.dataset import FloatArray, Segment
+from flysid.model.own_constants import shapes
 from flysid.model.polynomials import VANISHING
 from flysid.showing import Table, as_html, counted, first_lines
 
@@ -29,6 +31,9 @@ START_SHARE = 0.05
 STEPS = 4
 _DROWNED = 0.3  # spread of a free run for want of its start that noise hides
 _HELPS = 0.8  # of the spread, or less, where more samples help
+_SHIFT = 0.01  # of the outputs' range: a constant's effect on a run is a difference of two
+_SEEN = 0.1  # of a constant, or less, that shows in a run: it cannot be told from the start
+_CONSTANT_STEPS = 2
 _FLAT = 1e-7  # cosine between the residual and what a start can still move
 
 
@@ -208,8 +213,65 @@ class FreeRuns:
         return run_from_window(self, segment, window)
 
 
-def run_from_window(model: Runs, segment: Segment, window: int) -> FloatArray:
-    """(N, n_y) simulation of a segment whose first `window` samples only give the starting state."""
+def run_from_window(
+    model: Timed, segment: Segment, window: int, drifting: tuple[bool, ...] | None = None
+) -> FloatArray:
+    """(N, n_y) simulation of a segment whose first `window` samples only give the starting state.
+
+    Parameters
+    ----------
+    drifting : the segment has a constant or a drift of its own beside the model, see `own_part`; None: where
+        the model says that flights have one.
+    """
+    drifting = drifting or drifting_of([model])
+    if drifting is None:
+        return plain_run(model, segment, window)
+    own = own_part(model, segment, window, drifting)
+    return plain_run(model, without(segment, own), window) + own
+
+
+def drifting_of(models: Iterable[object]) -> tuple[bool, ...] | None:
+    """Which outputs drift where models leave out the constants of flights; None where none of them does."""
+    own = [known for model in models if (known := getattr(model, "flight_offsets", None)) is not None]
+    return own[0].drifting if own else None
+
+
+def without(segment: Segment, own: FloatArray) -> Segment:
+    """The segment with its outputs less what it has of its own, (N, n_y)."""
+    return replace(segment, y=segment.y - own)
+
+
+def own_part(model: Timed, segment: Segment, window: int, drifting: tuple[bool, ...]) -> FloatArray:
+    """(N, n_y) what a segment's outputs have beside a model's free run, by least squares over all of it.
+
+    Constants, or drifts of the outputs in `drifting`; 0 where one changes nothing, because the model takes it
+    up in its start.
+    """
+    n_y = segment.y.shape[1]
+    size = np.where(np.ptp(segment.y, axis=0) > 0.0, np.ptp(segment.y, axis=0), 1.0)
+    shape = shapes(drifting, len(segment), model.dt_s)
+    unit = size / np.maximum(np.abs(shape).max(axis=0), np.finfo(float).tiny)
+    numbers = np.zeros(n_y)
+    if len(segment) <= window:
+        return np.zeros(segment.y.shape)
+    for _ in range(_CONSTANT_STEPS):
+        run = _run_beside(model, segment, window, shape * numbers)
+        changed = [_run_beside(model, segment, window, shape * (numbers + d)) for d in np.diag(_SHIFT * unit)]
+        slopes = np.stack([((c - run)[window:] / size).ravel() for c in changed], axis=1) / _SHIFT
+        miss = ((segment.y - run)[window:] / size).ravel()
+        seen = np.linalg.norm(slopes, axis=0) > _SEEN * math.sqrt(len(slopes) / n_y)
+        if not (np.isfinite(slopes).all() and np.isfinite(miss).all() and seen.any()):
+            break
+        numbers[seen] += np.linalg.lstsq(slopes[:, seen], miss, rcond=None)[0] * unit[seen]
+    return shape * numbers
+
+
+def _run_beside(model: Runs, segment: Segment, window: int, own: FloatArray) -> FloatArray:
+    return plain_run(model, without(segment, own), window) + own
+
+
+def plain_run(model: Runs, segment: Segment, window: int) -> FloatArray:
+    """`run_from_window` of a segment that has nothing of its own beside the model."""
     with np.errstate(over="ignore", invalid="ignore"):  # what breaks the laws is counted, not warned of
         if isinstance(model, StartsItself):
             return model.run_from_measured(segment.u, segment.y[:window])

@@ -18,10 +18,12 @@ from flysid.dataset import Dataset, FloatArray
 from flysid.errors import FitError, UsageError
 from flysid.model.arguments import check_inputs
 from flysid.model.detrend import Trend, check_trend, detrend
+from flysid.model.flight_offsets import with_own_constants
 from flysid.model.linear.data import CHOICE_ROWS, Parts, as_tuple, judging_window
 from flysid.model.linear.output_error import find_delays
 from flysid.model.linear.settings import check_hint
 from flysid.model.linear.stability import unstable_words
+from flysid.model.own_constants import FlightOffsets
 from flysid.model.selection import block_errors
 from flysid.model.shared import fit_key, once
 from flysid.model.simulation_error import OutputOrders
@@ -72,6 +74,8 @@ class StateSpace:
     trend : "remove" takes a straight line out of every segment's signals first; see `detrend`.
     stable : an unstable estimate has its poles mirrored into the unit circle, and all matrices are fitted
         again to the simulation error from there.
+    flight_offsets : a constant of every flight beside the model, see `flysid.model.flight_offsets`: "auto"
+        where flights differ beyond chance, True or False to force.
 
     Source: Chiuso (2007), Automatica 43 (PBSID); Van Overschee & De Moor (1996) for the others.
 
@@ -92,9 +96,11 @@ class StateSpace:
     nk_hint: Sequence[int] = ()
     trend: Trend = "none"
     stable: bool = False
+    flight_offsets: FlightOffsets = "auto"
 
     @on_one_thread
     @once(fit_key)
+    @with_own_constants
     def fit(self, train: Source, validation: Dataset | None = None) -> FittedStateSpace:
         """Choose, fit.
 

@@ -14,6 +14,7 @@ from typing import Any
 from flysid.dataset import Dataset
 from flysid.errors import FlysidError, UsageError
 from flysid.model.arx import ARX
+from flysid.model.flight_offsets import with_own_constants
 from flysid.model.last_gates import refuse, shortfall
 from flysid.model.linear.difference_equation import FittedLinear
 from flysid.model.one_rule import linear_choice
@@ -54,6 +55,8 @@ class TS(RuleSettings):
     states : 0: rules over lags of the outputs. A number: rules over so many states, the outputs included;
         na, nb, refine and stable are then left as they are. "auto": rules over lags, or over hidden states
         where these explain clearly more.
+    flight_offsets : a constant of every flight beside the model, see `flysid.model.flight_offsets`: "auto"
+        where flights differ beyond chance, True or False to force.
     ridge : weight on the difference of the rules, in shares of the error that is left, or "auto".
 
     Source: Takagi & Sugeno (1985), IEEE Trans. SMC 15; the search: `flysid.model.rules.learning`.
@@ -66,6 +69,7 @@ class TS(RuleSettings):
     """
 
     @on_one_thread
+    @with_own_constants
     def fit(self, train: Dataset, validation: Dataset | None = None) -> FittedTS:
         """Grow, refine and choose a model.
 

@@ -12,9 +12,11 @@ from typing import Literal
 
 from flysid.dataset import Dataset
 from flysid.model.base import Fitted
+from flysid.model.flight_offsets import with_own_constants
 from flysid.model.last_gates import LINEAR_ENOUGH, shortfall
 from flysid.model.linear.difference_equation import FittedLinear
 from flysid.model.one_rule import linear_choice, linear_rivals, same_orders
+from flysid.model.own_constants import FlightOffsets
 from flysid.model.rules.contest import Contest, advantage, block_errors, parts_to_compare_on, unproven
 from flysid.model.rules.contest import contest as contest_of_rules
 from flysid.model.rules.fitted import FittedTS
@@ -37,7 +39,7 @@ class BestTS:
 
     Parameters
     ----------
-    rules, antecedents, most_rules, nk_hint, nk_least, search : see `TS`.
+    rules, antecedents, most_rules, nk_hint, nk_least, search, flight_offsets : see `TS`.
 
     Examples
     --------
@@ -54,8 +56,10 @@ class BestTS:
     nk_hint: Sequence[int] = ()
     nk_least: Sequence[int] = ()
     search: SearchSettings = NORMAL
+    flight_offsets: FlightOffsets = "auto"
 
     @on_one_thread
+    @with_own_constants
     def fit(self, train: Dataset, validation: Dataset | None = None) -> Fitted:
         """Fit the model over lags, the other one where that may help, and linear ones; keep the best.
 

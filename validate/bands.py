@@ -18,7 +18,7 @@ from flysid.errors import FlysidError
 from flysid.model.base import Fitted
 from flysid.model.capabilities import FrequencyResponse, LinearModel
 from flysid.model.polynomials import Z95, ComplexArray
-from flysid.model.start import estimate_start
+from flysid.model.start import estimate_start, own_part, without
 from flysid.validate.responses import responses
 
 if TYPE_CHECKING:
@@ -107,12 +107,19 @@ def _drawn_bands(
 
 
 def free_run_band(
-    model: Fitted, segment: Segment, start: int, sure: Uncertainty | None = None
+    model: Fitted,
+    segment: Segment,
+    start: int,
+    sure: Uncertainty | None = None,
+    drifting: tuple[bool, ...] | None = None,
 ) -> tuple[FloatArray, FloatArray] | None:
     """(lower, upper), (N - start, n_y) each, of the free run that scores are made of; None where not known.
 
-    Its first `start` samples give the starting state, as in `flysid.validate.trials`.
+    Its first `start` samples give the starting state. With `drifting`, the segment has a constant or a drift
+    of its own beside the model. Both as in `flysid.validate.trials`.
     """
+    own = np.zeros(segment.y.shape) if drifting is None else own_part(model, segment, start, drifting)
+    segment = without(segment, own)
     try:
         if sure is not None:
             low, high = sure.band_from_measured(segment.u, segment.y[:start])
@@ -123,4 +130,4 @@ def free_run_band(
             return None
     except (FlysidError, np.linalg.LinAlgError):
         return None
-    return low[start:], high[start:]
+    return (low + own)[start:], (high + own)[start:]

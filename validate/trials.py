@@ -15,7 +15,14 @@ import numpy as np
 from flysid.dataset import Dataset, FloatArray, Segment
 from flysid.errors import DataError, UsageError
 from flysid.model.base import Fitted
-from flysid.model.start import run_from_window, start_window
+from flysid.model.start import (
+    drifting_of,
+    own_part,
+    plain_run,
+    run_from_window,
+    start_window,
+    without,
+)
 
 FREE_RUN = "free_run"
 MIN_SCORED = 10
@@ -125,10 +132,11 @@ def run_trials(models: Mapping[str, Fitted], test: Dataset, horizon: str) -> tup
 def _run(models: Mapping[str, Fitted], test: Dataset, index: int, plan: Plan) -> StructureTrial:
     segment = test.segments[index]
     first = plan.first(len(segment))
+    drifting = drifting_of(models.values())
     outputs: dict[str, FloatArray] = {}
     diverged: dict[str, float] = {}
     for name, model in models.items():
-        yh, at = _model(model, segment, plan.horizon, first)
+        yh, at = _model(model, segment, plan.horizon, first, drifting)
         outputs[name], broken = _finite(yh, segment.y)
         at = broken if at is None else at
         if at is not None:
@@ -136,12 +144,19 @@ def _run(models: Mapping[str, Fitted], test: Dataset, index: int, plan: Plan) ->
     return StructureTrial(index, first, segment.y[first:], outputs, diverged)
 
 
-def _model(model: Fitted, segment: Segment, horizon: str, first: int) -> tuple[FloatArray, int | None]:
-    """The scored rows of the model's output, and the first of them at the output limits in free run."""
+def _model(
+    model: Fitted, segment: Segment, horizon: str, first: int, drifting: tuple[bool, ...] | None
+) -> tuple[FloatArray, int | None]:
+    """The scored rows of the model's output, and the first of them at the output limits in free run.
+
+    `drifting`: the segment has a constant or a drift of its own beside every model; None: it has none.
+    """
+    own = np.zeros(segment.y.shape) if drifting is None else own_part(model, segment, first, drifting)
+    segment = without(segment, own)
     if horizon != FREE_RUN:
-        return model.predict(segment.u, segment.y, int(horizon))[first:], None
-    yh = free_run(model, segment, first)
-    return yh, _diverged_at(model, yh)
+        return model.predict(segment.u, segment.y, int(horizon))[first:] + own[first:], None
+    yh = plain_run(model, segment, first)[first:]
+    return yh + own[first:], _diverged_at(model, yh)
 
 
 def free_run(model: Fitted, segment: Segment, start: int) -> FloatArray:

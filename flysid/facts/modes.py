@@ -15,6 +15,8 @@ from importlib.resources import files
 from math import isfinite
 from typing import Any
 
+from flysid.flight import message_of, stem_of
+
 NUMBERS = (
     ("MODE", "ModeNum"),
     ("MODE", "Mode"),

@@ -20,16 +20,24 @@ import numpy as np
 from flysid.dataset import FloatArray, Signal
 from flysid.errors import UsageError
 from flysid.filters import apply_filter
+from flysid.model import own_constants
 from flysid.model.arguments import as_columns, check_start
 from flysid.model.base import Rule, write_document
 from flysid.model.capabilities import Coefficient, FrequencyResponse
 from flysid.model.control_form import ControlForm, control_of_difference
-from flysid.model.documents import array_of, head_of, monic, signals_of, with_null
+from flysid.model.documents import (
+    array_of,
+    head_of,
+    monic,
+    signals_of,
+    with_null,
+)
 from flysid.model.freerun import Difference, far, saturate
 from flysid.model.linear.laws import always, is_stable, predict_ahead
 from flysid.model.linear.text import conclusion, describe
 from flysid.model.linear.uncertainty import coefficients_of, free_run_band, response_of
 from flysid.model.noise import k_step_ahead
+from flysid.model.own_constants import OwnConstants
 from flysid.model.polynomials import ComplexArray
 from flysid.model.start import FreeRuns
 
@@ -53,6 +61,7 @@ class FittedLinear(FreeRuns):
     scores : figures of the fit for people, e.g. {"validation free run RMSE": 0.02}.
     ma : (q + 1, n_y) monic moving average C of the noise per output, or None: C = 1.
     noise_parameters : how many coefficients of the noise model were estimated as the model's own.
+    flight_offsets : what flights had beside the model in training; None where all had the same.
     """
 
     structure: str
@@ -72,6 +81,7 @@ class FittedLinear(FreeRuns):
     scores: Mapping[str, float] = field(default_factory=dict)
     ma: FloatArray | None = None
     noise_parameters: int = 0
+    flight_offsets: OwnConstants | None = None
 
     @property
     def n_parameters(self) -> int:
@@ -265,6 +275,7 @@ class FittedLinear(FreeRuns):
             "covariance": with_null(self.covariance),
             "notes": list(self.notes),
             "scores": {k: float(v) for k, v in self.scores.items() if np.isfinite(v)},
+            **own_constants.as_document(self.flight_offsets),
         }
 
     def save(self, path: str | Path) -> None:
@@ -378,4 +389,5 @@ def from_dict(document: Mapping[str, Any]) -> FittedLinear:
         scores={str(k): float(v) for k, v in document["scores"].items()},
         ma=None if ma is None else monic(ma, "ma"),
         noise_parameters=int(document.get("noise_parameters", 0)),
+        flight_offsets=own_constants.from_document(document, n_y),
     )

@@ -12,6 +12,7 @@ from flysid.dataset import Dataset
 from flysid.errors import UsageError
 from flysid.model.arguments import check_inputs
 from flysid.model.detrend import Trend, check_trend, detrend
+from flysid.model.own_constants import FlightOffsets
 from flysid.model.stream import OnDisk, Source
 from flysid.showing import counted
 
@@ -34,6 +35,8 @@ class PolynomialSettings:
         (`flysid.ingest.excitation.dead_time`).
     trend : "remove" takes a straight line out of every segment's signals first; see `detrend`.
     stable : poles outside the unit circle are mirrored into it and B is fitted again; see `stability`.
+    flight_offsets : a constant of every flight beside the model, see `flysid.model.flight_offsets`: "auto"
+        where flights differ beyond chance, True or False to force.
     """
 
     na: int | Auto = "auto"
@@ -45,6 +48,7 @@ class PolynomialSettings:
     nk_hint: Sequence[int] = ()
     trend: Trend = "none"
     stable: bool = False
+    flight_offsets: FlightOffsets = "auto"
 
     trends: ClassVar[tuple[str, ...]] = ("none", "remove")
 

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from flysid.dataset import Dataset, FloatArray, Signal
+from flysid.model import own_constants
 from flysid.model.arguments import as_columns, as_record, check_start
 from flysid.model.base import Rule, write_document
 from flysid.model.capabilities import Coefficient
@@ -26,6 +27,7 @@ from flysid.model.narx.polynomial_terms import (
     table_of,
     term_name,
 )
+from flysid.model.own_constants import OwnConstants
 from flysid.model.polynomials import Z95
 from flysid.model.rules.recursion import companion
 from flysid.model.start import FreeRuns
@@ -87,6 +89,7 @@ class FittedPolyNARX(FreeRuns):
     units : origin and scale of every signal.
     n_init : the deepest lag.
     output_limits : the training range, widened by its width on both sides; the recursion is held there.
+    flight_offsets : what flights had beside the model in training; None where all had the same.
     """
 
     dt_s: float
@@ -98,6 +101,7 @@ class FittedPolyNARX(FreeRuns):
     covariance: FloatArray
     units: Units
     notes: tuple[str, ...] = ()
+    flight_offsets: OwnConstants | None = None
 
     structure = "polynarx"
 
@@ -286,6 +290,7 @@ class FittedPolyNARX(FreeRuns):
             "origin": self.units.origin.tolist(),
             "scale": self.units.scale.tolist(),
             "notes": list(self.notes),
+            **own_constants.as_document(self.flight_offsets),
         }
 
     def save(self, path: str | Path) -> None:
@@ -316,6 +321,7 @@ def from_dict(document: Mapping[str, Any]) -> FittedPolyNARX:
         covariance=covariance,
         units=Units(array_of(document, "origin", len(scale)), scale, len(outputs)),
         notes=tuple(str(note) for note in document["notes"]),
+        flight_offsets=own_constants.from_document(document, len(outputs)),
     )
 
 

@@ -14,6 +14,7 @@ import numpy as np
 
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import StoreError
+from flysid.model import own_constants
 from flysid.model.base import MAX_SIGNALS
 from flysid.model.documents import array_or_none, monic, points_from, signals_of
 from flysid.model.rules import edits, explanation, local_models, rule_uncertainty
@@ -110,6 +111,7 @@ def from_dict(document: Mapping[str, Any]) -> FittedTS:
         notes=tuple(str(note) for note in document["notes"]),
         noise=array_or_none(document["noise"]),
         operating_points=points_from(document.get("operating_points", ())),
+        flight_offsets=own_constants.from_document(document, len(layout.outputs)),
     )
     check(layout, model.parameters, model.noise)
     return model

@@ -18,10 +18,12 @@ import numpy as np
 from flysid.dataset import FloatArray, Signal
 from flysid.errors import UsageError
 from flysid.extras import Extra, extra
+from flysid.model import own_constants
 from flysid.model.arguments import as_columns, as_record, check_start
 from flysid.model.base import OperatingPoint, Rule, write_document
 from flysid.model.documents import head_of, points_as_json
 from flysid.model.noise import output_error_ahead
+from flysid.model.own_constants import OwnConstants
 from flysid.model.regressors import lagged_name
 from flysid.model.rules.free_run_error import widen
 from flysid.model.rules.kernel import Parameters, firing, free_run, predict
@@ -48,6 +50,7 @@ class RuleModel(FreeRuns):
     noise : (p + 1, n_y) monic autoregression of the free run's error per output, which predictions lean
         on; None: predictions regress on measured lags.
     operating_points : what the model does where its vehicle rests; () where it never does, or not asked.
+    flight_offsets : what flights had beside the model in training; None where all had the same.
     """
 
     dt_s: float
@@ -58,6 +61,7 @@ class RuleModel(FreeRuns):
     notes: tuple[str, ...]
     noise: FloatArray | None = None
     operating_points: tuple[OperatingPoint, ...] = ()
+    flight_offsets: OwnConstants | None = None
 
     @property
     def structure(self) -> str:
@@ -367,6 +371,7 @@ class RuleModel(FreeRuns):
             "noise": None if self.noise is None else self.noise.tolist(),
             "operating_points": points_as_json(self.operating_points),
             "notes": list(self.notes),
+            **own_constants.as_document(self.flight_offsets),
         }
 
     def save(self, path: str | Path) -> None:

@@ -8,6 +8,7 @@ from typing import Literal
 
 from flysid.errors import UsageError
 from flysid.model.arguments import is_count
+from flysid.model.own_constants import FlightOffsets
 
 QUARTERS = 4
 """Of a short record, each held out in turn."""
@@ -108,3 +109,4 @@ class RuleSettings:
     search: SearchSettings = NORMAL
     states: int | Literal["auto"] = 0
     ridge: float | Literal["auto"] = "auto"
+    flight_offsets: FlightOffsets = "auto"

@@ -19,16 +19,23 @@ import numpy as np
 
 from flysid.dataset import FloatArray, Signal
 from flysid.errors import UsageError
+from flysid.model import own_constants
 from flysid.model.arguments import as_columns, check_start
 from flysid.model.base import Rule, write_document
 from flysid.model.capabilities import FrequencyResponse
 from flysid.model.control_form import ControlForm, control_of_states, with_registers
-from flysid.model.documents import array_of, head_of, monic, signals_of
+from flysid.model.documents import (
+    array_of,
+    head_of,
+    monic,
+    signals_of,
+)
 from flysid.model.freerun import far, saturate
 from flysid.model.linear.laws import always, is_stable, predict_ahead
 from flysid.model.linear.text import gains_text
 from flysid.model.linear.uncertainty import free_run_band
 from flysid.model.noise import output_error_ahead
+from flysid.model.own_constants import OwnConstants
 from flysid.model.polynomials import ComplexArray, modes_of
 from flysid.model.start import FreeRuns
 from flysid.model.subspace.covariance_bands import response_of
@@ -53,6 +60,7 @@ class FittedStateSpace(FreeRuns):
         Not refined, it holds the distance to the refined estimate, too. Only what does not hang on the
         coordinates has a meaning: see `bands`.
     delays : samples by which every input is late before it enters; () for none.
+    flight_offsets : what flights had beside the model in training; None where all had the same.
     """
 
     dt_s: float
@@ -70,6 +78,7 @@ class FittedStateSpace(FreeRuns):
     delays: tuple[int, ...] = ()
     notes: tuple[str, ...] = ()
     scores: Mapping[str, float] = field(default_factory=dict)
+    flight_offsets: OwnConstants | None = None
 
     structure = "statespace"
 
@@ -295,6 +304,7 @@ class FittedStateSpace(FreeRuns):
             "covariance": self.covariance.tolist(),
             "notes": list(self.notes),
             "scores": {k: float(v) for k, v in self.scores.items() if np.isfinite(v)},
+            **own_constants.as_document(self.flight_offsets),
         }
 
     def save(self, path: str | Path) -> None:
@@ -374,6 +384,7 @@ def from_dict(document: Mapping[str, Any]) -> FittedStateSpace:
         covariance=_square(document.get("covariance", [])),
         notes=tuple(str(n) for n in document["notes"]),
         scores={str(k): float(v) for k, v in document["scores"].items()},
+        flight_offsets=own_constants.from_document(document, n_y),
     )
 
 

@@ -12,6 +12,7 @@ from markupsafe import Markup
 
 from flysid.dataset import FloatArray
 from flysid.extras import Extra, extra
+from flysid.model.start import drifting_of
 from flysid.validate.bands import free_run_band
 from flysid.validate.comparison import Comparison
 from flysid.validate.report.channel_data import Source
@@ -141,7 +142,8 @@ def _bands(
         if name in trial.diverged_s or any(np.allclose(run, other, atol=0.0) for other in banded):
             continue
         model = source.comparison.fitted[name]
-        make = partial(free_run_band, model, segment, trial.first, source.sure(name))
+        drifting = drifting_of(source.comparison.fitted.values())
+        make = partial(free_run_band, model, segment, trial.first, source.sure(name), drifting)
         band = extra(Extra.BANDS, make, None, f"{name} on {source.channel}")
         if band is not None:
             banded.append(run)
