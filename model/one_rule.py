@@ -7,7 +7,6 @@ one rule stands among the candidates for the baseline, and more rules never look
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,9 +14,11 @@ from flysid.dataset import Dataset
 from flysid.errors import FlysidError
 from flysid.model.arx import ARX
 from flysid.model.base import Estimator, Fitted
+from flysid.model.flight_offsets import with_own_constants
 from flysid.model.linear.difference_equation import FittedLinear
 from flysid.model.linear_choice import best_linear
 from flysid.model.oe import OE
+from flysid.model.own_constants import FlightOffsets
 from flysid.model.rules import learning, linear_starts
 from flysid.model.rules.fitted import FittedTS
 from flysid.model.rules.search_settings import NORMAL, RuleSettings, SearchSettings
@@ -42,6 +43,7 @@ class OneRule(RuleSettings):
 
     @on_one_thread
     @once(fit_key)
+    @with_own_constants
     def fit(self, train: Dataset, validation: Dataset | None = None) -> FittedTS:
         """Choose orders, or states, by the validation free run and refine on it.
 
@@ -54,18 +56,21 @@ class OneRule(RuleSettings):
         return learn(self, train, validation).model
 
 
-def over_lags(*, nk_hint: Sequence[int], nk_least: Sequence[int], search: SearchSettings) -> OneRule:
-    """One rule over lags."""
-    return OneRule(nk_hint=nk_hint, nk_least=nk_least, search=search)
+def over_lags(**asked: Any) -> OneRule:
+    """One rule over lags; settings as `TS`."""
+    return OneRule(**asked)
 
 
-def over_states(*, nk_hint: Sequence[int], search: SearchSettings) -> OneRule | None:
-    """One rule over states; None where the search leaves hidden states out."""
-    return OneRule(nk_hint=nk_hint, states="auto", search=search) if search.hidden_states else None
+def over_states(*, search: SearchSettings, **asked: Any) -> OneRule | None:
+    """One rule over states; settings as `TS`. None where the search leaves hidden states out."""
+    return OneRule(states="auto", search=search, **asked) if search.hidden_states else None
 
 
 def linear_rivals(
-    nk_hint: tuple[int, ...] = (), nk_least: tuple[int, ...] = (), search: SearchSettings = NORMAL
+    nk_hint: tuple[int, ...] = (),
+    nk_least: tuple[int, ...] = (),
+    search: SearchSettings = NORMAL,
+    flight_offsets: FlightOffsets = "auto",
 ) -> dict[str, Estimator]:
     """All that competes for the baseline, by label: linear structures, then one rule over lags, over states.
 
@@ -74,8 +79,14 @@ def linear_rivals(
     nk_hint : delays per input that they try besides their own.
     nk_least : below which one rule does not go.
     search : how long one rule is looked for; without hidden states there is none over states.
+    flight_offsets : as `flysid.ARX` takes it.
     """
-    given = {"nk_hint": nk_hint, "nk_least": nk_least, "search": search}
+    given = {
+        "flight_offsets": flight_offsets,
+        "nk_hint": nk_hint,
+        "nk_least": nk_least,
+        "search": search,
+    }
     rivals = {name: row.settings(given) for name, row in OWN.items() if row.competes}
     return {name: estimator for name, estimator in rivals.items() if estimator is not None}
 

@@ -11,12 +11,12 @@ from flysid.offers import import_name
 Kind = Literal["reference", "linear", "rules", "physics", "other"]
 Fitting = Literal["always", "usually", "on request"]
 Gate = Literal["nothing", "held value", "linear models"]
-SETTINGS = ("antecedents", "file", "nk_hint", "nk_least", "rules", "search", "seed")
+SETTINGS = ("antecedents", "file", "flight_offsets", "nk_hint", "nk_least", "rules", "search", "seed")
 """What a run can hand to a structure's settings.
 
-`antecedents` and `rules` as `flysid.TS` takes them; `file`, the path behind "LABEL:"; `nk_hint`, delays per
-input in samples that the data speak for; `nk_least`, those below which the data show no answer; `search`, a
-`flysid.SearchSettings`; `seed` of random starts.
+`antecedents`, `rules` and `flight_offsets` as `flysid.TS` takes them; `file`, the path behind "LABEL:";
+`nk_hint`, delays per input in samples that the data speak for; `nk_least`, those below which the data show no
+answer; `search`, a `flysid.SearchSettings`; `seed` of random starts.
 """
 
 

@@ -58,7 +58,7 @@ _STORED_RULES: Mapping[str, Any] = {
     "program": "flysid.export.from_rules:program_of_rules",
     "pieces": "flysid.model.in_pieces:rules_in_pieces",
 }
-_SEARCH = ("antecedents", "nk_hint", "rules", "search")
+_SEARCH = ("antecedents", "flight_offsets", "nk_hint", "rules", "search")
 
 OWN: Mapping[str, Structure] = {
     row.name: row
@@ -102,7 +102,7 @@ OWN: Mapping[str, Structure] = {
         _linear(
             "arx",
             "arx:ARX",
-            takes=("nk_hint",),
+            takes=("flight_offsets", "nk_hint"),
             fitted="always",
             competes=True,
             streams=True,
@@ -112,7 +112,7 @@ OWN: Mapping[str, Structure] = {
         _linear(
             "oe",
             "oe:OE",
-            takes=("nk_hint",),
+            takes=("flight_offsets", "nk_hint"),
             fitted="always",
             competes=True,
             words="output-error model",
@@ -121,7 +121,7 @@ OWN: Mapping[str, Structure] = {
         _linear(
             "armax",
             "armax:ARMAX",
-            takes=("nk_hint",),
+            takes=("flight_offsets", "nk_hint"),
             competes=True,
             words="ARMAX model",
             title="ARMAX model (its free run)",
@@ -129,7 +129,7 @@ OWN: Mapping[str, Structure] = {
         _linear(
             "bj",
             "bj:BJ",
-            takes=("nk_hint",),
+            takes=("flight_offsets", "nk_hint"),
             competes=True,
             words="Box-Jenkins model",
             title="Box-Jenkins model (its free run)",
@@ -138,7 +138,7 @@ OWN: Mapping[str, Structure] = {
             "statespace",
             estimator="flysid.model.statespace:StateSpace",
             rebuild="flysid.model.subspace.fitted_model:from_dict",
-            takes=("nk_hint",),
+            takes=("flight_offsets", "nk_hint"),
             competes=True,
             streams=True,
             words="state-space model",
@@ -147,7 +147,7 @@ OWN: Mapping[str, Structure] = {
         Structure(
             "linear_lags",
             build="flysid.model.one_rule:over_lags",
-            takes=("nk_hint", "nk_least", "search"),
+            takes=("flight_offsets", "nk_hint", "nk_least", "search"),
             kind="linear",
             competes=True,
             words="linear model over lags",
@@ -155,13 +155,19 @@ OWN: Mapping[str, Structure] = {
         Structure(
             "linear_ss",
             build="flysid.model.one_rule:over_states",
-            takes=("nk_hint", "search"),
+            takes=("flight_offsets", "nk_hint", "search"),
             kind="linear",
             competes=True,
             words="linear state-space model",
         ),
         _linear("fir", "fir:FIR", streams=True, title="Finite impulse response"),
-        _linear("iv", "iv:IV", takes=("nk_hint",), streams=True, title="Instrumental-variable model"),
+        _linear(
+            "iv",
+            "iv:IV",
+            takes=("flight_offsets", "nk_hint"),
+            streams=True,
+            title="Instrumental-variable model",
+        ),
         _linear(
             "tf",
             "transfer_function:TF",
@@ -191,7 +197,7 @@ OWN: Mapping[str, Structure] = {
             "polynarx",
             "flysid.model.narx.fitted_polynomial:from_dict",
             estimator="flysid.model.polynarx:PolyNARX",
-            takes=("nk_hint",),
+            takes=("flight_offsets", "nk_hint"),
             fitted="usually",
             cost=2.0,
             words="polynomial NARX model",

@@ -14,6 +14,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 from flysid.dataset import Dataset
+from flysid.model.flight_offsets import with_own_constants
+from flysid.model.own_constants import FlightOffsets
 from flysid.model.rules.fitted import FittedTS
 from flysid.model.rules.search_settings import NORMAL, SearchSettings
 from flysid.model.threads import on_one_thread
@@ -36,6 +38,8 @@ class TSStateSpace:
     nk_hint : delays that "auto" tries as well, one per input: the dead time that the log shows
         (`flysid.ingest.excitation.dead_time`).
     search : what the search weighs and how long it looks, see `SearchSettings`.
+    flight_offsets : a constant of every flight beside the model, see `flysid.model.flight_offsets`: "auto"
+        where flights differ beyond chance, True or False to force.
 
     Source: Takagi & Sugeno (1985), IEEE Trans. SMC 15, over states instead of lagged outputs.
 
@@ -55,8 +59,10 @@ class TSStateSpace:
     ridge: float | Literal["auto"] = "auto"
     nk_hint: Sequence[int] = ()
     search: SearchSettings = NORMAL
+    flight_offsets: FlightOffsets = "auto"
 
     @on_one_thread
+    @with_own_constants
     def fit(self, train: Dataset, validation: Dataset | None = None) -> FittedTS:
         """Realise linear models, grow rules, refine and choose.
 

@@ -77,7 +77,9 @@ class MemoryJob(ChannelJob[Dataset]):
             late = dead_times(train)
             delays = delays_of(late, train)
             started = time.perf_counter()
-            choice = choose_baseline(train, linear_rivals(*delays, SearchSettings.of(settings.effort)))
+            choice = choose_baseline(
+                train, linear_rivals(*delays, SearchSettings.of(settings.effort), settings.own_constants)
+            )
             fits = Fits(seconds={CHOICE: time.perf_counter() - started})
         wanted = estimators(settings, choice.label, delays)
         plan = FitPlan(tuple(wanted), turns)
@@ -132,7 +134,7 @@ def _of_a_fold(settings: FitSettings, fits: Fits, train: Dataset) -> dict[str, E
     """The run's models again, with the delays that this fold's training part speaks for."""
     delays = delays_of(dead_times(train), train)
     every = {
-        **linear_rivals(*delays, SearchSettings.of(settings.effort)),
+        **linear_rivals(*delays, SearchSettings.of(settings.effort), settings.own_constants),
         **estimators(settings, delays=delays),
     }
     return {label: estimator for label, estimator in every.items() if label in fits.models}

@@ -295,6 +295,8 @@ def fit_command(run: Run) -> str:
     words += [("--channel", name) for name in settings.channels]
     more: list[tuple[str, object]] = [("--models", ",".join(settings.models))] if settings.models else []
     more += [("--effort", settings.effort)] if settings.effort != FitSettings.effort else []
+    own = settings.flight_offsets
+    more += [("--flight-offsets", own)] if own != FitSettings.flight_offsets else []
     rotates = [] if settings.rotate else ["--no-rotate"]
     memory = [] if settings.memory_mb == FitSettings.memory_mb else [f"--memory {settings.memory_mb:g}"]
     return " ".join(

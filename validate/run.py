@@ -18,7 +18,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from importlib import metadata
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from flysid.dataset import Dataset
 from flysid.datasetfile import DatasetFile, open_dataset
@@ -34,6 +34,7 @@ from flysid.ingest.lake.stretches import Stretches
 from flysid.manifest import DATA_FILE
 from flysid.manifest import RUN_FILE as RUN_FILE
 from flysid.model.base import Fitted, load
+from flysid.model.own_constants import FlightOffsets
 from flysid.model.structures import leaders, row_of
 from flysid.place import is_address
 from flysid.showing import one_of
@@ -46,6 +47,7 @@ RUN_FORMAT = "flysid-run"
 RUN_VERSION = 1
 RECIPE_FILE = "recipe.toml"
 SENTENCES = ("aligned", "dead_times", "loops", "nonlinear")
+Constants = Literal["auto", "yes", "no"]
 LIBRARIES = ("numpy", "scipy", "numba", "pyarrow", "pymavlink", "mcap")
 
 
@@ -70,6 +72,8 @@ class FitSettings:
     selection : flights and stretches that the user chose.
     held : what is held out instead of a share by chance: flights, or parts of them
         (`flysid.ingest.lake.stretches.parse_part`).
+    flight_offsets : whether every flight has a constant of its own beside the models: "auto" where flights
+        differ, "yes" or "no" (`flysid.model.flight_offsets`).
     remark : stands above the title of every report on the run, e.g. "simulated flights".
     """
 
@@ -86,6 +90,12 @@ class FitSettings:
     selection: Selection = Selection()  # noqa: RUF009 - frozen
     held: tuple[str, ...] = ()
     remark: str = ""
+    flight_offsets: Constants = "auto"
+
+    @property
+    def own_constants(self) -> FlightOffsets:
+        """`flight_offsets` as structures take it."""
+        return {"auto": "auto", "yes": True, "no": False}[self.flight_offsets]  # type: ignore[return-value]
 
     @property
     def labels(self) -> tuple[str, ...]:

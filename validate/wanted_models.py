@@ -78,6 +78,7 @@ def _built(rows: list[Structure], settings: FitSettings, delays: Delays) -> Iter
     files = files_of(settings)
     given = {
         "antecedents": settings.antecedents or "auto",
+        "flight_offsets": settings.own_constants,
         "nk_hint": delays[0],
         "nk_least": delays[1],
         "rules": settings.rules,

@@ -33,7 +33,7 @@ from flysid.progress import part
 if TYPE_CHECKING:
     from flysid.ingest.lake.chosen_flights import Selection
     from flysid.split import By
-    from flysid.validate.run import ChannelRun, Run
+    from flysid.validate.run import ChannelRun, Constants, Run
 
 DATASET = ".parquet"
 SHARE = 0.3
@@ -122,6 +122,14 @@ _STREAMED = ", ".join(sorted(row.name for row in OWN.values() if row.streams and
     help="Effort of the search for rules.",
 )
 @click.option(
+    "--flight-offsets",
+    "flight_offsets",
+    default="auto",
+    show_default=True,
+    type=click.Choice(["auto", "yes", "no"]),
+    help="A constant of every flight beside the models: wind, trim, bias. auto: where flights differ.",
+)
+@click.option(
     "--holdout",
     cls=Setting,
     multiple=True,
@@ -175,6 +183,7 @@ def command(
     rules: int | str,
     antecedents: tuple[str, ...],
     effort: str,
+    flight_offsets: Constants,
     holdout: Held,
     by: By,
     seed: int,
@@ -218,6 +227,7 @@ def command(
         rotate,
         selection,
         holdout.parts,
+        flight_offsets=flight_offsets,
     )
     check_settings(settings)
     check_antecedents(antecedents, words, channels)
