@@ -77,9 +77,8 @@ class MemoryJob(ChannelJob[Dataset]):
             late = dead_times(train)
             delays = delays_of(late, train)
             started = time.perf_counter()
-            choice = choose_baseline(
-                train, linear_rivals(*delays, SearchSettings.of(settings.effort), settings.own_constants)
-            )
+            search = SearchSettings.of(settings.effort)
+            choice = choose_baseline(train, linear_rivals(*delays, search, settings.own_constants))
             fits = Fits(seconds={CHOICE: time.perf_counter() - started})
         wanted = estimators(settings, choice.label, delays)
         plan = FitPlan(tuple(wanted), turns)
