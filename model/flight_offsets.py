@@ -15,11 +15,12 @@ slow noise or a gust makes pieces of the same flight differ as much, or as the i
 from __future__ import annotations
 
 import functools
+import inspect
 from collections.abc import Callable, Mapping, Sequence
 from contextvars import ContextVar
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any, Protocol, TypeVar
+from typing import Any, ParamSpec, TypeVar
 
 import numpy as np
 
@@ -39,7 +40,6 @@ from flysid.model.simulation_error import (
     free_space,
     to_transfer,
 )
-from flysid.model.stream import Source
 from flysid.showing import significant
 
 PIECES = 4
@@ -53,15 +53,7 @@ ORDERS = (1, 2, 3)
 _within: ContextVar[bool] = ContextVar("flight_offsets_are_known", default=False)
 
 
-class OfFlights(Protocol):
-    """Settings of a structure that may give every flight a constant."""
-
-    @property
-    def flight_offsets(self) -> FlightOffsets: ...
-
-
-S = TypeVar("S", bound=OfFlights)
-D = TypeVar("D", bound=Source)
+P = ParamSpec("P")
 M = TypeVar("M")
 
 
@@ -142,27 +134,31 @@ def named_segments(data: Dataset, scaling: Scaling | None = None) -> list[tuple[
     ]
 
 
-def with_own_constants(fit: Callable[[S, D, Dataset | None], M]) -> Callable[[S, D, Dataset | None], M]:
-    """`fit` on data without the constants of flights, where these differ; the model then knows of them.
+def with_own_constants(fit: Callable[P, M]) -> Callable[P, M]:
+    """`fit(settings, train, validation=None)` on data without the constants of flights, where these differ.
 
-    With `flight_offsets=True` they are taken out even where they may be chance, with False never. What is
-    fitted within a fit is fitted to data that are without them already.
+    The model then knows of them. With `flight_offsets=True` they are taken out even where they may be chance,
+    with False never. What is fitted within a fit is fitted to data that are without them already.
     """
+    given = inspect.signature(fit)
 
     @functools.wraps(fit)
-    def fitted(settings: S, train: D, validation: Dataset | None = None) -> M:
-        wish = settings.flight_offsets
+    def fitted(*args: P.args, **kwargs: P.kwargs) -> M:
+        bound = given.bind(*args, **kwargs)
+        settings, train, *_ = bound.args
+        wish: FlightOffsets = settings.flight_offsets
         if wish not in (True, False, "auto"):
             raise UsageError(f"flight_offsets is {wish!r}", hint="use 'auto', True or False")
         if not isinstance(train, Dataset) or wish is False or _within.get() or not len(train):
-            return fit(settings, train, validation)
+            return fit(*args, **kwargs)
         offsets = find_offsets(train, always=wish is True)
         token = _within.set(True)
         try:
             if offsets is None:
-                return fit(settings, train, validation)
-            checked = None if validation is None else offsets.taken_out(validation)
-            model: Any = fit(settings, offsets.taken_out(train), checked)
+                return fit(*args, **kwargs)
+            parts = {name: bound.arguments.get(name) for name in ("train", "validation")}
+            bound.arguments |= {k: offsets.taken_out(d) for k, d in parts.items() if d is not None}
+            model: Any = fit(*bound.args, **bound.kwargs)
         finally:
             _within.reset(token)
         notes = (*model.notes, offsets.words(train))
