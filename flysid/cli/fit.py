@@ -65,10 +65,10 @@ def _held(_ctx: click.Context, _param: click.Parameter, words: tuple[str, ...]) 
     return Held(shares[0] if shares else SHARE, () if shares else words)
 
 
-def _names(*fitted: str) -> str:
+def _names(*fitted: str) -> list[str]:
     """flysid's own structures that a run fits so, for the help."""
     rows = (row for row in OWN.values() if row.fitted in fitted)
-    return ",".join(sorted(row.name + "[:FILE]" * row.takes_file for row in rows))
+    return sorted(row.name + "[:FILE]" * row.takes_file for row in rows)
 
 
 _STREAMED = ", ".join(sorted(row.name for row in OWN.values() if row.streams and row.has_memory))
@@ -95,8 +95,9 @@ _STREAMED = ", ".join(sorted(row.name for row in OWN.values() if row.streams and
     default="",
     metavar="A,B",
     shell_complete=complete.models,
-    help=f"Models besides the references, ARX, OE and the baseline: {_names('on request', 'usually')}, and "
-    f"those of installed packages (docs/models.md).  [default: {_names('usually')}]",
+    help="Models besides the references, ARX, OE and the baseline: "
+    f"{', '.join(_names('on request', 'usually'))}, and those of installed packages "
+    f"(docs/models.md).  [default: {','.join(_names('usually'))}]",
 )
 @click.option(
     "--rules",

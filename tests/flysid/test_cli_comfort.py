@@ -131,7 +131,9 @@ def test_an_unknown_setting_names_the_nearest(
 def test_the_labels_that_are_offered_are_those_that_can_be_fitted() -> None:
     with pytest.raises(FlysidError) as caught:
         estimators(FitSettings(models=("?",)))
-    assert sorted(caught.value.hint.removeprefix("one of ").split(", ")) == sorted(complete.MODELS)
+    assert sorted(caught.value.hint.removeprefix("one of ").split(", ")) == complete.models(
+        context_of("fit", "data", "-o", "run"), None, ""
+    )
 
 
 def offered(name: str, incomplete: str, **params: str) -> list[str]:
