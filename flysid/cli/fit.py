@@ -202,8 +202,9 @@ def command(
     asked = Asked(words, selection, channels, holdout.parts)
     if not is_dataset:
         check_source(data, asked)
-    from flysid.validate.fitting import check_settings, fit_file, fit_run
+    from flysid.validate.fitting import fit_file, fit_run
     from flysid.validate.run import FitSettings
+    from flysid.validate.wanted_models import check_settings
 
     labels = labels_of(models)
     settings = FitSettings(
@@ -322,12 +323,10 @@ def check_antecedents(antecedents: Sequence[str], words: Words, channels: Sequen
 
 
 def transfer_lines(run: Run, channel: ChannelRun) -> list[str]:
-    """The transfer functions of a channel's TF model with their intervals; nothing where it has none."""
-    if "tf" not in channel.models:
-        return []
-    from flysid.model.transfer_function import FittedTF
+    """The transfer functions of a channel's models with their intervals; nothing where they have none."""
+    from flysid.model.capabilities import HasTransferFunctions
 
-    model = run.model(channel.models["tf"])
-    if not isinstance(model, FittedTF):
-        return []
-    return [line for t in model.transfers for line in ["", f"{channel.name}:", *str(t).split("\n")]] + [""]
+    models = (run.model(file) for file in channel.models.values())
+    found = [t for model in models if isinstance(model, HasTransferFunctions) for t in model.transfers]
+    lines = [line for t in found for line in ["", f"{channel.name}:", *str(t).split("\n")]]
+    return [*lines, ""] if lines else []

@@ -8,6 +8,7 @@ import shutil
 import subprocess
 import sys
 import tomllib
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -53,11 +54,13 @@ class Site:
         install(self.site)
         self.environment = {**os.environ, "PYTHONPATH": f"{self.site}{os.pathsep}{ROOT}"}
 
-    def flysid(self, *words: str, fails: bool = False, **more: str) -> subprocess.CompletedProcess[str]:
+    def flysid(
+        self, *words: str, fails: bool = False, more: Mapping[str, str] | None = None
+    ) -> subprocess.CompletedProcess[str]:
         command = [sys.executable, "-m", "flysid", *words]
         done = subprocess.run(
             command,
-            env={**self.environment, **more},
+            env={**self.environment, **(more or {})},
             cwd=self.folder,
             capture_output=True,
             text=True,
@@ -139,7 +142,9 @@ def test_a_verb_is_listed_helped_and_run(judged: Site) -> None:
     ],
 )
 def test_a_shell_completes_its_names(judged: Site, words: str, last: int, offered: str) -> None:
-    done = judged.flysid(_FLYSID_COMPLETE="bash_complete", COMP_WORDS=words, COMP_CWORD=str(last))
+    done = judged.flysid(
+        more={"_FLYSID_COMPLETE": "bash_complete", "COMP_WORDS": words, "COMP_CWORD": str(last)}
+    )
     assert offered in done.stdout
 
 
@@ -241,4 +246,4 @@ def test_a_figure_that_breaks_takes_nothing_with_it(judged: Site) -> None:
 def test_a_package_in_the_working_folder_is_not_asked(fresh: Site) -> None:
     install(fresh.folder)
     environment = {"PYTHONPATH": f"{os.pathsep}{ROOT}"}  # an empty entry is the working folder
-    assert "referee" not in fresh.flysid("--help", **environment).stdout
+    assert "referee" not in fresh.flysid("--help", more=environment).stdout
