@@ -11,7 +11,7 @@ Laws that every fitted model keeps (tests/model/test_model_contract.py tries the
    u[:i+1] and the first `n_init` rows of y only.
 3. `simulate(u, y0)[:n_init] == y0`, and `predict(u, y, k)[: n_init + k - 1]` is NaN, nothing else is.
 4. `simulate` never leaves `output_limits`: it saturates there, and whoever compares counts that as
-   divergence (`diverged_at`).
+   divergence (`diverged_s`).
 5. `from_dict(to_dict())` predicts and simulates bit for bit the same.
 6. Scaling: fitting a u, b y instead of u, y scales the predictions with b (to rounding).
 

@@ -115,6 +115,53 @@ class HasCoefficients(Protocol):
         ...
 
 
+class TransferFunction(Protocol):
+    """numerator(s) / denominator(s) exp(-dead_time_s s), from one input to one output."""
+
+    @property
+    def input(self) -> str: ...
+    @property
+    def output(self) -> str: ...
+    @property
+    def numerator(self) -> FloatArray: ...
+    @property
+    def denominator(self) -> FloatArray: ...
+    @property
+    def dead_time_s(self) -> float: ...
+    @property
+    def gain(self) -> Any: ...
+    @property
+    def dead_time(self) -> Any: ...
+
+
+@runtime_checkable
+class HasTransferFunctions(Protocol):
+    """A linear model that knows its transfer functions in s, with intervals."""
+
+    @property
+    def transfers(self) -> Sequence[TransferFunction]:
+        """One per output and input, outputs outermost."""
+        ...
+
+    def transfer(self, output: int = 0, source: int = 0) -> TransferFunction:
+        """From one input to one output."""
+        ...
+
+
+@runtime_checkable
+class HasOtherRates(Protocol):
+    """A model that can be sampled at another rate than the one that it was fitted at."""
+
+    def at_rate(self, rate_hz: float) -> Fitted:
+        """The model at so many steps a second, its inputs constant between samples.
+
+        Raises
+        ------
+        UsageError : it drifts by itself.
+        """
+        ...
+
+
 class DifferenceEquation(Protocol):
     """sum_k a[k] y(t - k) = sum_k b[k] u(t - k) + constant, with a[0] the identity."""
 
@@ -151,6 +198,74 @@ class HasRealisation(Protocol):
 
     @property
     def realisation(self) -> StateMatrices: ...
+
+
+@runtime_checkable
+class DeviationEquation(Fitted, Protocol):
+    """A difference equation of deviations from the training means: what other programs are given."""
+
+    @property
+    def system(self) -> Any:
+        """`DifferenceEquation`, with the constant `c` and whether it `is_diagonal`."""
+        ...
+
+    @property
+    def noise(self) -> FloatArray | None:
+        """(p + 1, n_y) monic autoregression of the simulation error, or None."""
+        ...
+
+    @property
+    def u_origin(self) -> FloatArray: ...
+    @property
+    def y_origin(self) -> FloatArray: ...
+
+
+@runtime_checkable
+class DeviationStates(Fitted, Protocol):
+    """A state space of deviations from the training means: what other programs are given."""
+
+    @property
+    def realisation(self) -> Any:
+        """`StateMatrices`, with the filter's gain `k` and the constant `level`."""
+        ...
+
+    @property
+    def delays(self) -> tuple[int, ...]:
+        """Samples by which every input is late; () for none."""
+        ...
+
+    @property
+    def u_origin(self) -> FloatArray: ...
+    @property
+    def y_origin(self) -> FloatArray: ...
+
+
+@runtime_checkable
+class HasRuleRecursion(Fitted, Protocol):
+    """Rules whose free run the compiled kernel computes (`flysid.model.rules.kernel`)."""
+
+    @property
+    def layout(self) -> Any:
+        """Lags, scales and hidden states (`flysid.model.rules.regressor_layout.Layout`)."""
+        ...
+
+    @property
+    def free(self) -> Any:
+        """Numbers of the kernel's free run."""
+        ...
+
+    def run(self, u: FloatArray, y0: FloatArray) -> FloatArray:
+        """(N, columns of the layout) a free run, hidden states among its columns."""
+        ...
+
+
+@runtime_checkable
+class HasExplanation(Protocol):
+    """A model that can say why it predicts what it does."""
+
+    def explain(self, u: FloatArray, y: FloatArray, row: int) -> Any:
+        """What every rule said at one row, and on what ground; `str` of it is for people."""
+        ...
 
 
 @runtime_checkable

@@ -88,6 +88,11 @@ class Structure:
         return self.stored or self.name
 
     @property
+    def called(self) -> str:
+        """What a sentence calls it."""
+        return self.words or self.name
+
+    @property
     def can_be_fitted(self) -> bool:
         """Whether a run can fit it; a row may be there for its model files alone."""
         return bool(self.build or self.estimator)

@@ -20,15 +20,17 @@ from typing import Any, Literal
 
 import numpy as np
 
-from flysid.dataset import Dataset
+from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, UsageError
 from flysid.model.arguments import check_inputs
 from flysid.model.detrend import Trend, check_trend, detrend
+from flysid.model.freerun import Difference
 from flysid.model.frequency.assemble import OneTransfer, assemble, runner
 from flysid.model.frequency.continuous_transfer import ContinuousTransfer
 from flysid.model.frequency.initial_guess import Starts
-from flysid.model.frequency.rational import Hold, forms
+from flysid.model.frequency.rational import Hold, Rational, forms
 from flysid.model.frequency.response import METHODS, Method, split_references
+from flysid.model.frequency.sampling import sample
 from flysid.model.linear.data import Parts, judging_window
 from flysid.model.linear.difference_equation import FittedLinear
 from flysid.model.linear.difference_equation import from_dict as linear_from_dict
@@ -62,6 +64,45 @@ class FittedTF(FittedLinear):
     def transfer(self, output: int = 0, source: int = 0) -> ContinuousTransfer:
         """From one input to one output; references do not count as inputs."""
         return self.transfers[output * (len(self.transfers) // len(self.outputs)) + source]
+
+    def at_rate(self, rate_hz: float) -> FittedTF:
+        """The model at so many steps a second, its inputs constant between samples.
+
+        Raises
+        ------
+        UsageError : an integrating one with a drift of its own.
+        """
+        dt_s = 1.0 / rate_hz
+        n_y = len(self.outputs)
+        rows = [self._sampled(i, dt_s) for i in range(n_y)]
+        a = np.zeros((max(len(own) for own, _ in rows), n_y, n_y))
+        b = np.zeros((max(len(t) for _, taps in rows for t in taps), n_y, len(self.inputs)))
+        c = np.zeros(n_y)
+        for i, (own, taps) in enumerate(rows):
+            a[: len(own), i, i] = own
+            c[i] = own.sum() * self._level(i)
+            for j, tap in enumerate(taps):
+                b[: len(tap), i, j] = tap
+        return replace(self, dt_s=dt_s, system=Difference(a, b, c), starts=None)
+
+    def _sampled(self, output: int, dt_s: float) -> tuple[FloatArray, list[FloatArray]]:
+        """a and every input's b of one output; all its transfer functions have one denominator."""
+        own = [self.transfer(output, j) for j in range(len(self.inputs))]
+        dead = np.array([t.dead_time_s for t in own])
+        return sample(Rational(own[0].denominator, tuple(t.numerator for t in own), dead), dt_s, "zero")
+
+    def _level(self, output: int) -> float:
+        """Where the output rests, from its mean, while the inputs stand at theirs."""
+        whole = float(self.system.a[:, output, output].sum())
+        constant = float(self.system.c[output])
+        if abs(whole) > 1e-9:
+            return constant / whole
+        if constant == 0.0:
+            return 0.0
+        raise UsageError(
+            "an integrating transfer function with a drift of its own has no other rate",
+            hint="leave out --rate, or fit it with offset=False",
+        )
 
     def __str__(self) -> str:
         lines = [f"TF model, {counted(self.n_parameters, 'parameter')}, sample time {self.dt_s:g} s"]

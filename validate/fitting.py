@@ -134,7 +134,7 @@ def _of_a_fold(settings: FitSettings, fits: Fits, train: Dataset) -> dict[str, E
     delays = delays_of(dead_times(train), train)
     every = {
         **linear_rivals(*delays, SearchSettings.of(settings.effort), settings.own_constants),
-        **estimators(settings, delays=delays),
+        **estimators(settings, FIRST, delays),
     }
     return {label: estimator for label, estimator in every.items() if label in fits.models}
 

@@ -21,6 +21,7 @@ from flysid.validate.comparison import Comparison
 from flysid.validate.report.context import ReportContext
 from flysid.validate.report.overlay import drawn
 from flysid.validate.report.rulefigures import antecedent_range
+from flysid.validate.report.svg import BASELINE, CONTENDER
 from flysid.validate.responses import responses, steady_outputs
 from flysid.validate.trials import FREE_RUN, StructureTrial, run_trials
 
@@ -39,8 +40,8 @@ SETTINGS: dict[Any, Any] = {
     "axes.linewidth": 0.6,
 }
 STYLES: dict[str, dict[str, Any]] = {
-    "arx": {"color": "#c2570c", "linestyle": "--", "linewidth": 1.0},
-    "ts": {"color": "#1d5fd6", "linewidth": 1.0},
+    BASELINE: {"color": "#c2570c", "linestyle": "--", "linewidth": 1.0},
+    CONTENDER: {"color": "#1d5fd6", "linewidth": 1.0},
 }
 
 RULES = ("#5e2b97", "#0e8f85", "#6aa31b", "#dd9a10", "#c2334f", "#2d6cdf", "#8b5a2b", "#6b7280")

@@ -52,10 +52,16 @@ def delays_of(late: Sequence[DeadTime], train: Dataset) -> Delays:
 
 
 def check_settings(settings: FitSettings) -> None:
-    """Raise UsageError where settings cannot be, whatever the data: a model's name, a model's file."""
+    """Raise UsageError where settings cannot be, whatever the data: a model's name, a model's file.
+
+    A file is read here as far as the model's settings can tell of it: a fit takes minutes.
+    """
     for estimator in estimators(settings).values():
         if isinstance(estimator, HasCheck):
             estimator.check_settings()
+    for file in files_of(settings).values():
+        if not file.is_file():
+            raise UsageError("no such file", path=file)
 
 
 def files_of(settings: FitSettings) -> dict[str, Path]:

@@ -65,10 +65,10 @@ def _held(_ctx: click.Context, _param: click.Parameter, words: tuple[str, ...]) 
     return Held(shares[0] if shares else SHARE, () if shares else words)
 
 
-def _names(*fitted: str) -> str:
+def _names(*fitted: str) -> list[str]:
     """flysid's own structures that a run fits so, for the help."""
     rows = (row for row in OWN.values() if row.fitted in fitted)
-    return ",".join(sorted(row.name + "[:FILE]" * row.takes_file for row in rows))
+    return sorted(row.name + "[:FILE]" * row.takes_file for row in rows)
 
 
 _STREAMED = ", ".join(sorted(row.name for row in OWN.values() if row.streams and row.has_memory))
@@ -95,8 +95,9 @@ _STREAMED = ", ".join(sorted(row.name for row in OWN.values() if row.streams and
     default="",
     metavar="A,B",
     shell_complete=complete.models,
-    help=f"Models besides the references, ARX, OE and the baseline: {_names('on request', 'usually')}, and "
-    f"those of installed packages (docs/models.md).  [default: {_names('usually')}]",
+    help="Models besides the references, ARX, OE and the baseline: "
+    f"{', '.join(_names('on request', 'usually'))}, and those of installed packages "
+    f"(docs/models.md).  [default: {','.join(_names('usually'))}]",
 )
 @click.option(
     "--rules",
@@ -210,8 +211,9 @@ def command(
     asked = Asked(words, selection, channels, holdout.parts)
     if not is_dataset:
         check_source(data, asked)
-    from flysid.validate.fitting import check_settings, fit_file, fit_run
+    from flysid.validate.fitting import fit_file, fit_run
     from flysid.validate.run import FitSettings
+    from flysid.validate.wanted_models import check_settings
 
     labels = labels_of(models)
     settings = FitSettings(
@@ -331,12 +333,10 @@ def check_antecedents(antecedents: Sequence[str], words: Words, channels: Sequen
 
 
 def transfer_lines(run: Run, channel: ChannelRun) -> list[str]:
-    """The transfer functions of a channel's TF model with their intervals; nothing where it has none."""
-    if "tf" not in channel.models:
-        return []
-    from flysid.model.transfer_function import FittedTF
+    """The transfer functions of a channel's models with their intervals; nothing where they have none."""
+    from flysid.model.capabilities import HasTransferFunctions
 
-    model = run.model(channel.models["tf"])
-    if not isinstance(model, FittedTF):
-        return []
-    return [line for t in model.transfers for line in ["", f"{channel.name}:", *str(t).split("\n")]] + [""]
+    models = (run.model(file) for file in channel.models.values())
+    found = [t for model in models if isinstance(model, HasTransferFunctions) for t in model.transfers]
+    lines = [line for t in found for line in ["", f"{channel.name}:", *str(t).split("\n")]]
+    return [*lines, ""] if lines else []

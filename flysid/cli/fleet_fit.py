@@ -79,7 +79,7 @@ def command(
     from flysid.fleet.models.group_models import check_keys, fit_groups
     from flysid.ingest.align.recipe import load_recipe
     from flysid.ingest.lake.lake import open as open_lake
-    from flysid.validate.fitting import check_settings
+    from flysid.validate.wanted_models import check_settings
 
     opened = open_lake(data.folder)
     asked = load_recipe(data.recipe)

@@ -49,8 +49,15 @@ class LazyVerbs(click.Group):
             every[row.name] = row
         return every
 
+    def _listed(self) -> tuple[Mapping[str, Verb], str]:
+        """What there is, and why verbs of packages are not among them: help and completion stand without."""
+        try:
+            return self.verbs, ""
+        except UsageError as error:
+            return self._own, str(error)
+
     def list_commands(self, ctx: click.Context) -> list[str]:  # noqa: ARG002
-        return sorted(self.verbs)
+        return sorted(self._listed()[0])
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:  # noqa: ARG002
         row = self._own.get(cmd_name) or self.verbs.get(cmd_name)
@@ -61,12 +68,10 @@ class LazyVerbs(click.Group):
         return command
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:  # noqa: ARG002
-        try:
-            verbs = self.verbs
-        except UsageError as error:
-            verbs = self._own
+        verbs, fault = self._listed()
+        if fault:
             formatter.write_paragraph()
-            formatter.write_text(str(error))
+            formatter.write_text(fault)
         width = max(map(len, verbs))
         for step, listed in _by_step(verbs.values()).items():
             with formatter.section(step):

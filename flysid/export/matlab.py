@@ -11,9 +11,7 @@ from flysid.export.csource import identifier, rendered
 from flysid.export.fis import fis_text, why_no_fis
 from flysid.export.program import Program
 from flysid.model.base import Fitted
-from flysid.model.linear.difference_equation import FittedLinear
-from flysid.model.subspace.fitted_model import FittedStateSpace
-from flysid.model.transfer_function import FittedTF
+from flysid.model.capabilities import DeviationEquation, DeviationStates, HasTransferFunctions
 
 
 def matlab_files(model: Fitted, program: Program, name: str) -> dict[str, str]:
@@ -42,23 +40,23 @@ def literal(values: Any) -> str:
 
 def _object(model: Fitted) -> str:
     """The right side of `sys = `; "" for models that the toolbox has no object for."""
-    if isinstance(model, FittedTF):
+    if isinstance(model, HasTransferFunctions):
         rows = [[model.transfer(i, j) for j in range(len(model.inputs))] for i in range(len(model.outputs))]
         tops = _cells([[literal(t.numerator) for t in row] for row in rows])
         bottoms = _cells([[literal(t.denominator) for t in row] for row in rows])
         dead = literal([[t.dead_time_s for t in row] for row in rows])
         return f"idtf({tops}, {bottoms}, 'IODelay', {dead})"
-    if isinstance(model, FittedStateSpace):
+    if isinstance(model, DeviationStates):
         s = model.realisation
         delays = literal(np.array(model.delays or (0,) * len(model.inputs))[None])
         parts = ", ".join(literal(part) for part in (s.a, s.b, s.c, s.d, s.k))
         return f"idss({parts}, 'Ts', {model.dt_s!r}, 'InputDelay', {delays}')"
-    if isinstance(model, FittedLinear):
+    if isinstance(model, DeviationEquation):
         return _polynomials(model)
     return ""
 
 
-def _polynomials(model: FittedLinear) -> str:
+def _polynomials(model: DeviationEquation) -> str:
     """idpoly: with 1 / A of the noise where the model has it (ARX), else as an output-error model."""
     a = model.system.a
     b = model.system.b
@@ -103,5 +101,5 @@ def _quote(text: str) -> str:
 
 
 def _offsets(model: Any) -> tuple[FloatArray, FloatArray, FloatArray]:
-    constant = model.realisation.level if isinstance(model, FittedStateSpace) else model.system.c
+    constant = model.realisation.level if isinstance(model, DeviationStates) else model.system.c
     return model.u_origin, model.y_origin, constant

@@ -18,9 +18,9 @@ import numpy as np
 from flysid.dataset import Dataset, Signal
 from flysid.errors import FlysidError
 from flysid.model.base import Fitted
-from flysid.model.capabilities import HasIntervals, LinearModel
+from flysid.model.capabilities import HasIntervals, HasTransferFunctions, LinearModel
 from flysid.model.polynomials import Z95
-from flysid.model.transfer_function import FittedTF
+from flysid.model.structures import leaders
 from flysid.validate.run import HeldOut
 
 UNDETERMINED = 0.5
@@ -84,12 +84,14 @@ class Known:
 def known_of_channel(held: HeldOut) -> Iterator[Known]:
     """What the baseline knows, and transfer functions and rules where they were fitted.
 
-    Where "ts" found no rules worth having, it is a linear model beside the baseline, and says nothing here.
+    Where a search found no rules worth having, it gave a linear model beside the baseline, which says nothing
+    here.
     """
     seconds = _seconds(held.train) + _seconds(held.test)
-    labels = dict.fromkeys(label for label in (held.channel.baseline, "tf", "ts") if label in held.models)
+    transfers = (label for label, model in held.models.items() if isinstance(model, HasTransferFunctions))
+    labels = dict.fromkeys((held.channel.baseline, *transfers, *leaders()))
     for label in labels:
-        if label == "ts" and isinstance(held.models[label], LinearModel):
+        if label not in held.models or (label in leaders() and isinstance(held.models[label], LinearModel)):
             continue
         yield from known_of_model(held.models[label], seconds, held.channel.name, label, held.train)
 
@@ -104,7 +106,7 @@ def known_of_model(
     seconds : of the flights that it was fitted on.
     train : those flights, for a model of rules.
     """
-    if isinstance(model, FittedTF):
+    if isinstance(model, HasTransferFunctions):
         for transfer in model.transfers:
             pair = f"{transfer.input} to {transfer.output}"
             gain = transfer.gain

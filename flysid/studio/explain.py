@@ -17,8 +17,12 @@ from flysid.errors import UsageError
 from flysid.extras import Extra, Missing, extra
 from flysid.manifest import FLIGHTS, read_manifest
 from flysid.model.base import Fitted
-from flysid.model.linear.difference_equation import FittedLinear
-from flysid.model.rules.fitted import FittedTS
+from flysid.model.capabilities import (
+    DeviationEquation,
+    HasExplanation,
+    HasRuleOutputs,
+    HasRuleRecursion,
+)
 from flysid.model.start import run_from_window, start_window
 from flysid.model.structures import leaders
 from flysid.studio.flights import RUN, SIGNAL, boot_offsets_s
@@ -141,12 +145,12 @@ def _model(model: Fitted, segment: Segment, first: int) -> dict[str, Any]:
         "yh": run.tolist(),
         "recursion": extra(Extra.RECURSION, partial(recursion, model, segment, first), None),
     }
-    if isinstance(model, FittedTS):
+    if isinstance(model, HasRuleOutputs):
         described |= extra(Extra.VOICES, partial(_voices, model, segment, first), {})
     return described
 
 
-def _voices(model: FittedTS, segment: Segment, first: int) -> dict[str, Any]:
+def _voices(model: Any, segment: Segment, first: int) -> dict[str, Any]:
     """The rules, how loudly they speak and what they conclude, from row `first` on."""
     said = model.rule_outputs(segment.u, segment.y)[first:]
     return {
@@ -162,14 +166,15 @@ def _in_words(found: HeldOut, segment: Segment, row: int) -> dict[str, Any]:
         raise UsageError(f"row {row} of {len(segment)}")
     words = {}
     missing = Missing()
-    ruled = {label: model for label in _shown(found) if isinstance(model := found.models[label], FittedTS)}
+    shown = ((label, found.models[label]) for label in _shown(found))
+    ruled = {label: model for label, model in shown if isinstance(model, HasExplanation)}
     with missing.gathering():
         for label, model in ruled.items():
             words[label] = extra(Extra.EXPLAINED, partial(_explained, model, segment, row), "", label)
     return {"words": words, **missing.to_dict()}
 
 
-def _explained(model: FittedTS, segment: Segment, row: int) -> str:
+def _explained(model: Any, segment: Segment, row: int) -> str:
     return str(model.explain(segment.u, segment.y, max(row, model.n_init)))
 
 
@@ -183,17 +188,19 @@ def recursion(model: Fitted, segment: Segment, first: int) -> dict[str, Any] | N
     """
     if first < 2 * model.n_init:
         return None
-    if isinstance(model, FittedLinear):
-        document = model.to_dict()
+    if isinstance(model, DeviationEquation):
+        equation = model.system
         run = run_from_window(model, segment, first)
-        kept = {name: document[name] for name in ("a", "b", "c", "u_origin", "y_origin")}
+        kept = {name: getattr(equation, name).tolist() for name in ("a", "b", "c")}
+        about = {"u_origin": model.u_origin.tolist(), "y_origin": model.y_origin.tolist()}
         return {
             "kind": "linear",
             **kept,
+            **about,
             "limits": model.output_limits.tolist(),
             "before": run[:first].tolist(),
         }
-    if isinstance(model, FittedTS):
+    if isinstance(model, HasRuleRecursion):
         W = model.layout.stack(segment.u, run_from_window(model, segment, first))
         if model.layout.hidden:
             W = model.run(segment.u, segment.y[:first])

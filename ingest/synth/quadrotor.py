@@ -9,7 +9,7 @@ forward and right; 20-23 climb reference, equation (12) in controllable canonica
 climb error; 25 battery charge used, as a fraction.
 Input (7): theta_in, phi_in (rad), vz_in (m/s, up), yaw rate (rad/s, to the left), wind x, y, z (m/s, world).
 
-SI units throughout. Effects are switched by values of `Physics`; see `rigidbody` for parameters and sources.
+SI units throughout. Effects are switched by values of `Physics`; see `rigid_body` for parameters and sources.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 The paper's rigid body, equations (8) and (9), rests on its assumptions: body and blades rigid; no fuselage
 drag; no gyroscopic torque; no ground effect; symmetric. `PAPER` keeps them all; `ALL` drops all but the first
-and the last. The compiled equations are in `quadkernel`; the inner loop's gains come from `innerloop`.
+and the last. The compiled equations are in `quadrotor`; the inner loop's gains come from `inner_loop`.
 """
 
 from __future__ import annotations
@@ -173,7 +173,7 @@ def rigid_body_rates(
 
 
 def closed_loop_rates(x: FloatArray, u: FloatArray, physics: Physics | np.void) -> FloatArray:
-    """(26,) time derivative of vehicle and inner loop; states and inputs in `quadkernel`'s order."""
+    """(26,) time derivative of vehicle and inner loop; states and inputs in `quadrotor`'s order."""
     out = np.empty(STATES + ROTORS)
     rates(x, u, physics.packed() if isinstance(physics, Physics) else physics, out)
     return out[:STATES]

@@ -2,7 +2,7 @@
 
 The closed loop is linearised about hover by central differences; its frequency responses are exact for that
 linear system. `tune` finds gains whose responses come nearest to the paper's, in the mean square of the
-relative error over a band; the defaults of `innerloop` are what it found.
+relative error over a band; the defaults of `inner_loop` are what it found.
 """
 
 from __future__ import annotations

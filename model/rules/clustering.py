@@ -1,7 +1,7 @@
 """Fuzzy clustering in the product space: where rules lie, and how wide they are.
 
-`fuzzy_c_means` (Bezdek 1981), `gustafson_kessel` (Gustafson and Kessel 1979, with the covariance
-conditioning of Babuska, van der Veen, Kaymak 2002) and `subtractive` (Chiu 1994), all on standardised
+"fuzzy-c-means" (Bezdek 1981), "gustafson-kessel" (Gustafson and Kessel 1979, with the covariance
+conditioning of Babuska, van der Veen, Kaymak 2002) and "subtractive" (Chiu 1994), all on standardised
 columns, with Bezdek's usual exponent of 2. Starts are drawn with k-means++ (Arthur and Vassilvitskii 2007)
 from a seeded generator: the same data and seed give the same clusters. Cost per iteration: N R d for c-means,
 N R d^2 for Gustafson-Kessel; long records are thinned to `MOST_SAMPLES` rows first, which moves centres less

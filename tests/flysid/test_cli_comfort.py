@@ -10,11 +10,11 @@ import click
 import pytest
 from click.testing import CliRunner
 
-from flysid.cli import VERBS, complete, root
-from flysid.cli.verbs import FLEET_VERBS
+from flysid.cli import complete, root
+from flysid.cli.verbs import FLEET_VERBS, VERBS
 from flysid.errors import FlysidError, RecipeError, UsageError
-from flysid.validate.fitting import estimators
 from flysid.validate.run import FitSettings
+from flysid.validate.wanted_models import estimators
 from tests.command import call
 
 EXAMPLES = {verb: row.examples for verb, row in VERBS.items()} | {
@@ -131,7 +131,7 @@ def test_an_unknown_setting_names_the_nearest(
 def test_the_labels_that_are_offered_are_those_that_can_be_fitted() -> None:
     with pytest.raises(FlysidError) as caught:
         estimators(FitSettings(models=("?",)))
-    assert sorted(caught.value.hint.removeprefix("one of ").split(", ")) == sorted(complete.MODELS)
+    assert sorted(caught.value.hint.removeprefix("one of ").split(", ")) == offered("models", "")
 
 
 def offered(name: str, incomplete: str, **params: str) -> list[str]:

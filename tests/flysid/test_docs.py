@@ -15,7 +15,7 @@ from xml.etree import ElementTree
 import pytest
 
 import flysid
-from flysid.cli import VERBS
+from flysid.cli.verbs import VERBS
 from flysid.errors import FlysidError
 from flysid.ingest.lake.batch import ingest_logs
 from flysid.ingest.lake.finding import find_logs

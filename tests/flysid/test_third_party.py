@@ -8,6 +8,7 @@ import shutil
 import subprocess
 import sys
 import tomllib
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -53,11 +54,13 @@ class Site:
         install(self.site)
         self.environment = {**os.environ, "PYTHONPATH": f"{self.site}{os.pathsep}{ROOT}"}
 
-    def flysid(self, *words: str, fails: bool = False, **more: str) -> subprocess.CompletedProcess[str]:
+    def flysid(
+        self, *words: str, fails: bool = False, more: Mapping[str, str] | None = None
+    ) -> subprocess.CompletedProcess[str]:
         command = [sys.executable, "-m", "flysid", *words]
         done = subprocess.run(
             command,
-            env={**self.environment, **more},
+            env={**self.environment, **(more or {})},
             cwd=self.folder,
             capture_output=True,
             text=True,
@@ -139,7 +142,9 @@ def test_a_verb_is_listed_helped_and_run(judged: Site) -> None:
     ],
 )
 def test_a_shell_completes_its_names(judged: Site, words: str, last: int, offered: str) -> None:
-    done = judged.flysid(_FLYSID_COMPLETE="bash_complete", COMP_WORDS=words, COMP_CWORD=str(last))
+    done = judged.flysid(
+        more={"_FLYSID_COMPLETE": "bash_complete", "COMP_WORDS": words, "COMP_CWORD": str(last)}
+    )
     assert offered in done.stdout
 
 
@@ -220,6 +225,8 @@ def test_what_is_no_row_is_named_with_its_package(
 def test_the_help_stands_where_a_verb_of_a_package_is_broken(fresh: Site) -> None:
     (info,) = fresh.site.glob("*.dist-info")
     (info / "entry_points.txt").write_text("[flysid.verbs]\nreferee = pingpong.gone:REFEREE\n")
+    offered = {"_FLYSID_COMPLETE": "bash_complete", "COMP_WORDS": "flysid val", "COMP_CWORD": "1"}
+    assert "validate" in fresh.flysid(more=offered).stdout
     shown = fresh.flysid("--help").stdout
     assert "validate" in shown
     assert "No module named 'pingpong.gone'" in " ".join(shown.split())
@@ -241,4 +248,35 @@ def test_a_figure_that_breaks_takes_nothing_with_it(judged: Site) -> None:
 def test_a_package_in_the_working_folder_is_not_asked(fresh: Site) -> None:
     install(fresh.folder)
     environment = {"PYTHONPATH": f"{os.pathsep}{ROOT}"}  # an empty entry is the working folder
-    assert "referee" not in fresh.flysid("--help", **environment).stdout
+    assert "referee" not in fresh.flysid("--help", more=environment).stdout
+
+
+def test_a_structure_may_take_a_file_which_the_run_keeps(fresh: Site) -> None:
+    rows = fresh.site / "pingpong/rows.py"
+    rows.write_text(rows.read_text().replace('takes=("seed",)', 'takes=("file",)'))
+    module = fresh.site / "pingpong/bounce.py"
+    module.write_text(module.read_text().replace("    seed: int = 0\n", "    file: Path | None = None\n"))
+    words = ("fit", "a.ping", "-r", "pingpong-height", "-o", "run", "-m")
+    assert "no such file" in fresh.flysid(*words, "bounce:table.csv", fails=True).stderr
+    (fresh.folder / "table.csv").write_text("net,0.1525\n")
+    fresh.flysid(*words, "bounce:table.csv")
+    assert (fresh.folder / "run/bounce.csv").read_text() == "net,0.1525\n"
+    assert "arx takes no file" in fresh.flysid(*words, "arx:table.csv", "--force", fails=True).stderr
+
+
+def test_a_structure_may_read_from_disk(fresh: Site) -> None:
+    rows = fresh.site / "pingpong/rows.py"
+    rows.write_text(rows.read_text().replace('takes=("seed",)', 'takes=("seed",), streams=True'))
+    module = fresh.site / "pingpong/bounce.py"
+    module.write_text(
+        module.read_text().replace(
+            "if len(train.inputs)", "train = train.head(1000)\n        if len(train.inputs)"
+        )
+    )
+    done = fresh.flysid(
+        "fit", "a.ping", "-r", "pingpong-height", "-m", "bounce", "--memory", "0", "-o", "run"
+    )
+    assert "from disk" in done.stderr
+    assert (fresh.folder / "run/height/bounce.json").is_file()
+    done = fresh.flysid("fit", "a.ping", "-r", "pingpong-height", "-m", "line", "--memory", "0", "-o", "line")
+    assert "line could not be fitted: needs its data in memory" in " ".join(done.stderr.split())

@@ -18,10 +18,11 @@ import tomli_w
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from flysid.cli import VERBS, root
+from flysid.cli import root
 from flysid.cli.config import own_file
 from flysid.cli.tomllines import lines_of
 from flysid.cli.trust import Own, Who, is_declared, who_may_set
+from flysid.cli.verbs import VERBS
 from tests.command import call, shell
 
 SWITCHES = {

@@ -41,6 +41,7 @@ from flysid.validate.fitting import fit_run
 from flysid.validate.judge import Judgement, judge_run, write_judgement
 from flysid.validate.report import render
 from flysid.validate.run import FitSettings, HeldOut, Run, asked_for, held_out, open_run
+from flysid.validate.wanted_models import estimators
 from flysid.validate.words import number
 from tests.contest import linear_side
 from tests.fakes import FirstOrder, fields_of, flown
@@ -427,14 +428,14 @@ def test_other_models_are_fitted_on_request(data: Path, tmp_path: Path) -> None:
 
 def test_every_label_makes_an_estimator_that_knows_what_was_asked_for() -> None:
     settings = FitSettings(rules=2, antecedents=("v_x(k-1)",), models=("anfis", "ensemble"), rotate=False)
-    found = fitting.estimators(settings, "arx", (4,))
+    found = estimators(settings, "arx", ((4,), ()))
     anfis = found["anfis"]
     ensemble = found["ensemble"]
     assert isinstance(anfis, ANFIS)
     assert isinstance(ensemble, Ensemble)
     assert (anfis.rules, anfis.nk, anfis.antecedents) == (2, 4, ("v_x(k-1)",))
     assert ensemble.of == TS(rules=2, antecedents=("v_x(k-1)",), nk_hint=(4,))
-    free = fitting.estimators(FitSettings(models=("anfis",)), "arx", ())["anfis"]
+    free = estimators(FitSettings(models=("anfis",)))["anfis"]
     assert free == ANFIS()
 
 

@@ -10,8 +10,8 @@ from click.testing import CliRunner
 from flysid.cli import root
 from flysid.datasetfile import write_dataset
 from flysid.errors import UsageError
-from flysid.validate.fitting import estimators
 from flysid.validate.run import FitSettings, open_run
+from flysid.validate.wanted_models import estimators
 from tests.model.test_structured import SHORT_PERIOD, flights
 
 

@@ -17,6 +17,7 @@ from flysid.validate.comparison import Pair
 from flysid.validate.report.context import Sweep
 from flysid.validate.report.overlay import Role
 from flysid.validate.report.svg import (
+    BASELINE,
     HALF,
     THIRD,
     Axes,
@@ -104,7 +105,7 @@ def bode(
         drawn: list[Markup] = []
         for i, curve in enumerate(own):
             stem = role.css if len(own) == 1 else f"r{i % 8 + 1}"
-            rule = f"rule {stem} dashed" if role.css == "arx" else f"rule {stem}"  # the baseline is dashed
+            rule = f"rule {stem} dashed" if role.css == BASELINE else f"rule {stem}"  # the baseline is dashed
             style = role.css if len(own) == 1 else rule if role.shown else f"{rule} other"
             if any(np.allclose(curve.response, other, atol=0.0) for other in banded):
                 curve = replace(curve, band=None)

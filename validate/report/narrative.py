@@ -89,7 +89,7 @@ def worse_than_constant(comparisons: Mapping[str, Comparison]) -> list[str]:
             if not rmse[pair.model] < best < rmse[pair.baseline]:
                 continue
             less = percent(100.0 * (rmse[pair.model] / best - 1.0))
-            constant = row_of(c.models[constants[best]].structure).words
+            constant = row_of(c.models[constants[best]].structure).called
             said.append(
                 f"On {_label(channel, output, c)} the {base_words([('', pair)])} is worse than the "
                 f"{constant}: against that, the RMSE of the {name_model(pair.model)} changes by {less}, "

@@ -18,7 +18,7 @@ from flysid.validate.comparison import Comparison
 from flysid.validate.report.channel_data import Source
 from flysid.validate.report.decimate import decimate, round_for_json
 from flysid.validate.report.rulefigures import firing_along, strongest_runs
-from flysid.validate.report.svg import Axes, area, box, frame, line, picture, span
+from flysid.validate.report.svg import BASELINE, CONTENDER, Axes, area, box, frame, line, picture, span
 from flysid.validate.trials import FREE_RUN, StructureTrial
 from flysid.validate.words import number, one_line
 
@@ -152,9 +152,9 @@ def _bands(
 
 def drawn(comparison: Comparison) -> list[tuple[str, str]]:
     """(model, CSS class) of the models drawn: the baseline and the contender."""
-    found = [(comparison.baseline, "arx")]
+    found = [(comparison.baseline, BASELINE)]
     if comparison.contender:
-        found.append((comparison.contender, "ts"))
+        found.append((comparison.contender, CONTENDER))
     return found
 
 

@@ -24,6 +24,7 @@ from flysid.validate.report.masthead import masthead
 from flysid.validate.report.most_telling import answer, telling
 from flysid.validate.report.overlay import MOST_SEGMENTS, list_pickable
 from flysid.validate.report.sections import Section, sections
+from flysid.validate.report.svg import BASELINE, CONTENDER
 from flysid.validate.terminal import standing
 from flysid.validate.words import (
     change_words,
@@ -135,7 +136,7 @@ def _drawn(comparisons: Mapping[str, Comparison]) -> list[tuple[str, str]]:
     words = [narrative.base_words(pairs) if pairs else narrative.name_model(first.baseline)]
     if not all(_is_same_model(pair) for _, pair in pairs):
         words.append(narrative.contender_words(pairs))
-    return list(zip(("arx", "ts"), words, strict=False))
+    return list(zip((BASELINE, CONTENDER), words, strict=False))
 
 
 def _cards(comparisons: Mapping[str, Comparison], diagnoses: Mapping[str, Diagnosis]) -> list[dict[str, Any]]:

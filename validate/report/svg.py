@@ -17,6 +17,9 @@ from flysid.validate.words import one_line
 HALF = 470.0
 THIRD = 310.0
 """Widths of pictures that stand two and three in a row."""
+BASELINE = "arx"
+CONTENDER = "ts"
+"""CSS classes of the two models of the headline, whichever structures these are."""
 
 
 @dataclass(frozen=True)
@@ -235,6 +238,6 @@ def legend(items: Sequence[tuple[str, str]], x: float, y: float) -> Markup:
 
 
 __all__ = [
-    "HALF", "THIRD", "Axes", "area", "box", "dots", "escape", "frame", "legend", "line", "log_ticks", "owned",
-    "picture", "segment", "span", "text", "tick_text", "ticks", "whiskers",
+    "BASELINE", "CONTENDER", "HALF", "THIRD", "Axes", "area", "box", "dots", "escape", "frame", "legend",
+    "line", "log_ticks", "owned", "picture", "segment", "span", "text", "tick_text", "ticks", "whiskers",
 ]  # fmt: skip

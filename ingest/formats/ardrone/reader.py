@@ -2,7 +2,7 @@
 
 Streams: `navdata/header` (sequence, state) and one per option that carries flight data (`navdata/demo`,
 `navdata/references`, ... see `navdata_options`); from captures also `at/PCMD` and `at/CONFIG`
-(`atcommands`). `time_ns` is the vehicle's clock, option `time`: 11 bits of seconds and 21 of microseconds,
+(`commands`). `time_ns` is the vehicle's clock, option `time`: 11 bits of seconds and 21 of microseconds,
 which wrap at 2,048 s and are unwrapped here; a step back is a reboot. Captures give arrival times
 (`recv_ns`, UTC) too, and put the commands on the vehicle's clock. With navdata_demo=1 the vehicle sends no
 time: then arrival counts, or the sequence at 15 Hz.

@@ -1,8 +1,8 @@
 """Units of PX4's topics, which ULog does not carry: from PX4's message definitions, in our spelling.
 
 Only what the definitions state. Left out: what changed its unit under one name (`sensor_baro.pressure` was
-millibar, `gyro_integral_dt` seconds), mixed arrays, variances, and normalised values. Names that end in a
-unit state it themselves (`true_airspeed_m_s`), `sensor_combined.gyro_rad` apart.
+millibar, gyro_integral_dt seconds), mixed arrays, variances, and normalised values. Names that end in a
+unit state it themselves (true_airspeed_m_s), `sensor_combined.gyro_rad` apart.
 Source: the .msg files of PX4-Autopilot, msg/ and msg/versioned/, 2016 to 2026.
 """
 

@@ -1,7 +1,7 @@
 """ArduPilot DataFlash logs (.bin) -> one table per message definition, on the vehicle's clock.
 
-Framing: `dfframes`; definitions and units: `dfformats`; messages without a time of their own lie between
-their neighbours in the file (`vehicletime`). Time bases: TimeUS (since 2015), TimeMS, and in the oldest logs
+Framing: `frames`; definitions and units: `layouts`; messages without a time of their own lie between
+their neighbours in the file (`vehicle_time`). Time bases: TimeUS (since 2015), TimeMS, and in the oldest logs
 only GPS week and milliseconds. UTC comes from GPS messages with a fix. Written from ArduPilot's description
 of the format; the schema's metadata names the fields that tell instances apart.
 """

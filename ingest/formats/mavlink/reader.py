@@ -1,8 +1,9 @@
 """MAVLink telemetry logs (.tlog), raw MAVLink and captures -> one table per (system, component, message).
 
-Layout and framing: see `mavframes`. The file is read in batches: frames are found, sorted by stream, gathered
-into byte matrices and viewed as the message's packed dtype (`columns`); vehicle time comes from `mavclock`.
-Whether timestamps precede the frames is decided by which reading chains more valid frames at the start.
+Layout and framing: see `frames`. The file is read in batches: frames are found, sorted by stream, gathered
+into byte matrices and viewed as the message's packed dtype (`columns`); vehicle time comes from
+`vehicle_time`. Whether timestamps precede the frames is decided by which reading chains more valid frames at
+the start.
 
 Left out: signatures are not verified (a log has no key), and message ids that no dialect of pymavlink
 knows are counted as undecoded.

@@ -12,7 +12,7 @@ encapsulation header; the alignment of an empty sequence's elements is not appli
 A message that does not fit its type gets `bad` and reads zeros from then on; the others are untouched.
 
 A message ends where its type ends. Two surpluses are none: zeros up to a multiple of 4 bytes, which DDS pads
-to, and what `rmw_serialize` of ROS 2 leaves when it sizes a buffer: it makes room for aligning the elements
+to, and what rmw_serialize of ROS 2 leaves when it sizes a buffer: it makes room for aligning the elements
 of empty sequences. `Cursors.drift` follows that size, and is believed unless the messages that need no such
 room go on as well. Any other surplus means that the message is of another type, whose values would be read
 wrong.

@@ -2,7 +2,7 @@
 
 A format is `name:type field;type[3] field;other_format field;...`. Nested formats flatten to dotted names,
 arrays of them to `field[0].x`; arrays of numbers stay arrays, `char[n]` becomes text. Padding fields
-(`_padding0`) at the very end may be missing from the records.
+(_padding0) at the very end may be missing from the records.
 """
 
 from __future__ import annotations

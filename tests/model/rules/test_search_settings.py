@@ -17,8 +17,8 @@ from flysid.model.rules.search import different
 from flysid.model.rules.search_settings import EFFORTS, NORMAL, SearchSettings
 from flysid.model.ts import TS
 from flysid.model.ts_best import BestTS, contest
-from flysid.validate.fitting import estimators
 from flysid.validate.run import FitSettings
+from flysid.validate.wanted_models import estimators
 
 
 def _data() -> Dataset:
