@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 
-from flysid.flight import KEY, REST, matching_streams
+from flysid.flight import KEY, OTHERS, matching_streams
 from flysid.ingest.formats.base import Limits
 from flysid.ingest.formats.common.arrow_arrays import fixed_text
 from flysid.ingest.formats.common.columns import RecordLayout, message_schema
@@ -71,12 +71,11 @@ class _Clock:
 
 
 class _MessageStream:
-    """One message of one sender; of one `thing` where its rows belong to several."""
+    """One message of one sender; of one `thing`, e.g. `[0]`, where its rows belong to several."""
 
-    def __init__(self, key: tuple[int, int, int], dialect: Dialect, thing: str | None = None) -> None:
+    def __init__(self, key: tuple[int, int, int], dialect: Dialect, thing: str = "") -> None:
         self.system, component, message = self.source = key
-        self.name = f"{self.system}.{component}/{dialect.message_name(message)}"
-        self.name += "" if thing is None else f"[{thing}]"
+        self.name = f"{self.system}.{component}/{dialect.message_name(message)}{thing}"
         self.layout: RecordLayout = dialect.layout(message)
         self.key_field = dialect.key(message)
         self.things: dict[bytes, _MessageStream] = {}
@@ -198,7 +197,7 @@ class Decoder:
             return known
         text = _text_of(raw, kind)
         is_room = len(self._by_name) < Limits().max_things
-        stream = _MessageStream(whole.source, self._dialect, text if is_room else REST)
+        stream = _MessageStream(whole.source, self._dialect, f"[{text}]" if is_room else OTHERS)
         stream = self._by_name.get(stream.name) or self._note(stream)
         if is_room:
             whole.things[raw] = stream

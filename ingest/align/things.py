@@ -11,7 +11,7 @@ import pyarrow as pa
 
 from flysid.flight import matching_streams, stem_of, thing_of
 from flysid.ingest.align.values import Value, is_one_of, names_of
-from flysid.ingest.formats.keyed import key_fields
+from flysid.ingest.formats.keyed import key_fields, thing_texts
 
 _VEHICLE = re.compile(r"^(\d+)\.(\d+)/")
 
@@ -67,7 +67,7 @@ def things_where(
         return list(things)
 
     def fits(stream: str) -> bool:
-        texts = dict(zip(keys, thing_of(stream).split(",", len(keys) - 1), strict=False))
+        texts = dict(zip(keys, thing_texts(thing_of(stream), len(keys)), strict=False))
         return all(
             is_one_of(_as_value(texts[key], table.schema.field(key).type), [where[key]], names[key]).all()
             for key in names

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from flysid.flight import Flight, stem_of
-from flysid.ingest.formats.keyed import key_fields, thing_text
+from flysid.ingest.formats.keyed import key_fields, thing_name, thing_text
 
 
 def apart(
@@ -22,6 +22,6 @@ def apart(
     found: dict[str, list[Any]] = {}
     for stem, rows in expected.items():
         for row in rows:
-            thing = ",".join(thing_text(value(row, name)) for name in keys.get(stem, ()))
-            found.setdefault(f"{stem}[{thing}]" if keys.get(stem) else stem, []).append(row)
+            texts = [thing_text(value(row, name)) for name in keys.get(stem, ())]
+            found.setdefault(f"{stem}[{thing_name(texts)}]" if texts else stem, []).append(row)
     return found
