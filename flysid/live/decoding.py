@@ -20,7 +20,7 @@ from flysid.ingest.formats.base import Limits
 from flysid.ingest.formats.common.arrow_arrays import fixed_text
 from flysid.ingest.formats.common.columns import RecordLayout, message_schema
 from flysid.ingest.formats.common.vehicle_time import AGREES_NS, AUTOPILOT_COMPONENT
-from flysid.ingest.formats.keyed import thing_text
+from flysid.ingest.formats.keyed import keys_in, thing_text
 from flysid.ingest.formats.mavlink.dialect import Dialect, load_dialect
 from flysid.ingest.formats.mavlink.frames import SIGNED, STAMP_BYTES, V2, MessageId
 from flysid.ingest.formats.mavlink.reader import BOOT_FIELDS, TIME_FIELDS, vehicle_facts
@@ -127,6 +127,10 @@ class Decoder:
         """Names of a stream's columns."""
         names: Sequence[str] = self._by_name[stream].schema().names
         return names
+
+    def keys(self, stream: str) -> Sequence[str]:
+        """The field that tells to which of several things a stream's rows belong."""
+        return keys_in({KEY: self._by_name[stream].key_field})
 
     def table(self, stream: str, columns: Sequence[str]) -> pa.Table:
         """A table without rows: what came is not kept."""

@@ -11,7 +11,7 @@ plain name. That is known at the end only: the first thing's stream is renamed t
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import pairwise
 from urllib.parse import quote, unquote
 
@@ -22,6 +22,7 @@ import pyarrow.compute as pc
 
 from flysid.flight import KEY, KEY_IF_SEVERAL, OTHERS
 
+_KINDS = (KEY, KEY_IF_SEVERAL)
 _BETWEEN = "\x1f"  # of the names of a list, while they are one text
 _SAFE = "".join(chr(c) for c in range(32, 127) if chr(c) not in ",%")  # stands as it is
 IntArray = npt.NDArray[np.int64]
@@ -86,11 +87,17 @@ class KeyedStreams:
 def key_fields(schema: pa.Schema) -> tuple[str, ...]:
     """The columns of a schema that tell to which of several things a row belongs."""
     about = schema.metadata or {}
-    named = about.get(KEY.encode()) or about.get(KEY_IF_SEVERAL.encode())
+    named = keys_in({kind: about[kind.encode()].decode() for kind in _KINDS if kind.encode() in about})
     if not named:
         return ()
     kinds = {field.name: field.type for field in schema}
-    return tuple(name for name in named.decode().split(",") if _can_tell(kinds.get(name)))
+    return tuple(name for name in named if _can_tell(kinds.get(name)))
+
+
+def keys_in(metadata: Mapping[str, str]) -> tuple[str, ...]:
+    """The fields that a schema's metadata names as its key."""
+    named = next((metadata[kind] for kind in _KINDS if metadata.get(kind)), "")
+    return tuple(named.split(",")) if named else ()
 
 
 def _can_tell(kind: pa.DataType | None) -> bool:

@@ -17,6 +17,7 @@ from flysid.ingest.align.conditions import condition_spans
 from flysid.ingest.align.recipe import Condition, load_recipe, shipped_recipes
 from flysid.ingest.align.resample import Span
 from flysid.ingest.align.values import base_column
+from flysid.ingest.formats.keyed import key_fields
 
 
 @cache
@@ -54,6 +55,9 @@ class Kept:
 
     def columns(self, stream: str) -> Sequence[str]:
         return self.tables[stream].column_names if stream in self.tables else ()
+
+    def keys(self, stream: str) -> Sequence[str]:
+        return key_fields(self.tables[stream].schema) if stream in self.tables else ()
 
     def table(self, stream: str, columns: Sequence[str]) -> pa.Table:
         return self.tables[stream].select(list(columns))

@@ -234,6 +234,28 @@ def test_named_values_are_apart_whatever_their_names() -> None:
         assert fields == [(f"1.1/NAMED_VALUE_FLOAT[{name}]", "value")]
 
 
+def printed(kind: str, data: dict[str, Any], k: int) -> str:
+    """A line of mavlogdump."""
+    return json.dumps({"meta": {"type": kind, "timestamp": 1.7e9 + 0.1 * k}, "data": data})
+
+
+def test_lines_of_mavlogdump_are_apart_by_what_they_declare() -> None:
+    fmt = {"Type": 13, "Length": 3 + 8 + 1 + 4, "Name": "TEMP", "Format": "QBf", "Columns": "TimeUS,Nr,T"}
+    lines = [printed("FMT", fmt, 0), printed("FMTU", {"FmtType": 13, "UnitIds": "s#O", "MultIds": "F--"}, 0)]
+    for k in range(20):
+        lines.append(printed("TEMP", {"TimeUS": 100_000 * k, "Nr": k % 2, "T": float(k)}, k))
+        lines.append(printed("ESC_STATUS", {"index": 4 * (k % 2), "rpm": [k, k, k, k]}, k))
+        lines.append(printed("DISTANCE_SENSOR", {"time_boot_ms": 100 * k, "id": k % 4}, k))
+    flight = read("\n".join(lines).encode() + b"\n", "mavlogdump")
+    rows = {name: table.num_rows for name, table in flight.tables.items() if "[" in name}
+    assert rows == {
+        **{f"TEMP[{nr}]": 10 for nr in (0, 1)},
+        **{f"ESC_STATUS[{index}]": 10 for index in (0, 4)},
+        **{f"DISTANCE_SENSOR[{nr}]": 5 for nr in range(4)},
+    }
+    assert flight["TEMP[1]"]["T"].to_pylist() == [float(k) for k in range(1, 20, 2)]
+
+
 def test_more_things_than_are_kept_apart_stay_together_by_another_name() -> None:
     names = [f"n{k}" for k in range(12)]
     limits = Limits(max_things=10)
