@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from flysid.flight import Flight, stem_of
+import pyarrow as pa
+
+from flysid.flight import RECEIVED, Flight, stem_of
 from flysid.ingest.formats.keyed import key_fields, thing_name, thing_text
 
 
@@ -25,3 +27,9 @@ def apart(
             texts = [thing_text(value(row, name)) for name in keys.get(stem, ())]
             found.setdefault(f"{stem}[{thing_name(texts)}]" if texts else stem, []).append(row)
     return found
+
+
+def together(flight: Flight, message: str) -> pa.Table:
+    """The rows of all things of a message in the order of their arrival, as another reader gives them."""
+    tables = [table for name, table in flight.tables.items() if stem_of(name) == message]
+    return pa.concat_tables(tables).sort_by(RECEIVED)
