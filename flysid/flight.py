@@ -31,8 +31,9 @@ BOOT = "boot"
 RECEIVED = "recv_ns"
 KEY = "key"
 KEY_IF_SEVERAL = "key_if_several"
-REST = "..."
-"""The thing of rows that stay together, as a log has more things than are kept apart."""
+OTHERS = " (others)"
+"""Stands behind a message for rows that stay together, as a log has more things than are kept apart. Not in
+brackets, where any text may stand."""
 ROW_NUMBER = "row number"
 """The `time_source` of a table without a time: rows stand a second apart until a recipe says how far."""
 
@@ -222,6 +223,16 @@ def message_of(stream: str) -> str:
     return stem.rpartition("/")[2] + stream[len(stem) :]
 
 
+def split_address(address: str) -> tuple[str, str]:
+    """Stream and field of `STREAM.FIELD`, whose thing may have dots; the stream is "" where there is none."""
+    depth = 0
+    for at, character in enumerate(address):
+        depth += (character == "[") - (character == "]")
+        if character == "." and depth <= 0:
+            return address[:at], address[at + 1 :]
+    return "", address
+
+
 def matching_streams(name: str, streams: Mapping[str, Any]) -> list[str]:
     """Keys that `name` may mean: the key itself, else all whose message is `name`, else all things of it.
 
@@ -230,7 +241,7 @@ def matching_streams(name: str, streams: Mapping[str, Any]) -> list[str]:
     if name in streams:
         return [name]
     found = [key for key in streams if message_of(key) == name]
-    found = found or [key for key in streams if thing_of(key) != REST and name in _stems(key)]
+    found = found or [key for key in streams if name in _stems(key)]
     if found or not thing_of(name):
         return found
     return [key for key in streams if as_instance(key, streams) == name]

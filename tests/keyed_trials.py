@@ -27,6 +27,7 @@ from flysid.ingest.align.quick import find_field
 from flysid.ingest.align.signals import FlightLog
 from flysid.ingest.formats.base import Limits, collect
 from flysid.ingest.formats.common.px4_keys import KEYS_IF_SEVERAL
+from flysid.ingest.formats.keyed import thing_name
 from flysid.ingest.formats.mavlink.dialect import KEYS
 from flysid.ingest.formats.registry import find_format
 from soak import Outcome
@@ -73,7 +74,7 @@ def _keys(rng: random.Random, values: Callable[[], Any]) -> list[Any]:
 
 
 def _named(stem: str, texts: Sequence[object]) -> str:
-    return f"{stem}[{','.join(map(str, texts))}]" if texts else stem
+    return f"{stem}[{thing_name([_text(text) for text in texts])}]" if texts else stem
 
 
 def _plain_if_one(stem: str, things: dict[str, list[Row]]) -> dict[str, list[Row]]:
@@ -133,7 +134,7 @@ def _draw_message(rng: random.Random, name: str) -> _Message:
         keyed = [(rng.choice(INSTANCE_LABELS), "B")]
         fields = keyed + plain
     else:
-        keyed = [(f"K{k}", rng.choice("bBhHiIn")) for k in range(count)]
+        keyed = [(f"K{k}", rng.choice("bBhHiInf")) for k in range(count)]
         fields = keyed + plain
         rng.shuffle(fields)
     keys = {
@@ -148,7 +149,7 @@ def _value(rng: random.Random, letter: str) -> Any:
     if letter in WHOLE:
         return rng.randint(*WHOLE[letter])
     if letter == "n":
-        return "".join(rng.choice("abc.") for _ in range(rng.randint(0, 4)))
+        return "".join(rng.choice("abc.,%") for _ in range(rng.randint(0, 4)))
     return _single(rng) if letter == "f" else rng.uniform(-1e6, 1e6)
 
 
@@ -178,7 +179,7 @@ def _tlog(rng: random.Random, streams: dict[str, list[Row]]) -> bytes:
         sent = [v.encode()[: _size(kind, n)] if isinstance(v, str) else v for n, v in row.items()]
         told.append((sender, kind(*sent)))
         stem = f"{sender[0]}.{sender[1]}/{kind.msgname}"
-        streams.setdefault(_named(stem, [_text(row[_key_of(kind)])]), []).append(row)
+        streams.setdefault(_named(stem, [row[_key_of(kind)]]), []).append(row)
     return written(told)
 
 

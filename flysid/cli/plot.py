@@ -54,8 +54,9 @@ def command(
 ) -> None:
     """Plot fields of a log, or of flights of an ingested folder, over time.
 
-    Each argument is one panel. It is STREAM.FIELD with wildcards; commas join several in one panel. Without
-    fields, the setpoints and measurements of the first recipe that fits are drawn.
+    Each argument is one panel. It is STREAM.FIELD with wildcards; commas join several in one panel. A message
+    of several things, such as gyros, is named with one of them: 'IMU[0].GyrX'. Without fields, the setpoints
+    and measurements of the first recipe that fits are drawn.
     """
     from dataclasses import replace
 

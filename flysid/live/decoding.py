@@ -15,12 +15,12 @@ import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 
-from flysid.flight import KEY, REST, matching_streams
+from flysid.flight import KEY, OTHERS, matching_streams
 from flysid.ingest.formats.base import Limits
 from flysid.ingest.formats.common.arrow_arrays import fixed_text
 from flysid.ingest.formats.common.columns import RecordLayout, message_schema
 from flysid.ingest.formats.common.vehicle_time import AGREES_NS, AUTOPILOT_COMPONENT
-from flysid.ingest.formats.keyed import thing_text
+from flysid.ingest.formats.keyed import keys_in, thing_text
 from flysid.ingest.formats.mavlink.dialect import Dialect, load_dialect
 from flysid.ingest.formats.mavlink.frames import SIGNED, STAMP_BYTES, V2, MessageId
 from flysid.ingest.formats.mavlink.reader import BOOT_FIELDS, TIME_FIELDS, vehicle_facts
@@ -71,12 +71,11 @@ class _Clock:
 
 
 class _MessageStream:
-    """One message of one sender; of one `thing` where its rows belong to several."""
+    """One message of one sender; of one `thing`, e.g. `[0]`, where its rows belong to several."""
 
-    def __init__(self, key: tuple[int, int, int], dialect: Dialect, thing: str | None = None) -> None:
+    def __init__(self, key: tuple[int, int, int], dialect: Dialect, thing: str = "") -> None:
         self.system, component, message = self.source = key
-        self.name = f"{self.system}.{component}/{dialect.message_name(message)}"
-        self.name += "" if thing is None else f"[{thing}]"
+        self.name = f"{self.system}.{component}/{dialect.message_name(message)}{thing}"
         self.layout: RecordLayout = dialect.layout(message)
         self.key_field = dialect.key(message)
         self.things: dict[bytes, _MessageStream] = {}
@@ -128,6 +127,10 @@ class Decoder:
         """Names of a stream's columns."""
         names: Sequence[str] = self._by_name[stream].schema().names
         return names
+
+    def keys(self, stream: str) -> Sequence[str]:
+        """The field that tells to which of several things a stream's rows belong."""
+        return keys_in({KEY: self._by_name[stream].key_field})
 
     def table(self, stream: str, columns: Sequence[str]) -> pa.Table:
         """A table without rows: what came is not kept."""
@@ -198,7 +201,7 @@ class Decoder:
             return known
         text = _text_of(raw, kind)
         is_room = len(self._by_name) < Limits().max_things
-        stream = _MessageStream(whole.source, self._dialect, text if is_room else REST)
+        stream = _MessageStream(whole.source, self._dialect, f"[{text}]" if is_room else OTHERS)
         stream = self._by_name.get(stream.name) or self._note(stream)
         if is_room:
             whole.things[raw] = stream

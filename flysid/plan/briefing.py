@@ -10,6 +10,7 @@ import tomli_w
 
 from flysid.dataset import Dataset
 from flysid.errors import UsageError
+from flysid.flight import split_address
 from flysid.plan.flightplan import CommandedAxis, FlightPlan
 
 TABLE = "table"
@@ -70,8 +71,8 @@ def recipe_for(plan: FlightPlan, outputs: Sequence[str]) -> str:
 
 
 def _source(word: str) -> dict[str, str]:
-    stream, dot, field = word.partition(".")
-    return {"stream": stream, "field": field} if dot else {"stream": TABLE, "field": word}
+    stream, field = split_address(word)
+    return {"stream": stream or TABLE, "field": field}
 
 
 def briefing(plan: FlightPlan) -> list[str]:

@@ -44,6 +44,7 @@ from flysid.ingest.align.values import (
     texts_of,
 )
 from flysid.ingest.formats.common.units import factor, is_known
+from flysid.ingest.formats.keyed import key_fields
 from flysid.showing import one_of
 from flysid.stretch import FloatArray
 
@@ -77,6 +78,10 @@ class Log(Protocol):
         """Names of a stream's columns."""
         ...
 
+    def keys(self, stream: str) -> Sequence[str]:
+        """The fields that tell to which of several things a stream's rows belong; none where it has none."""
+        ...
+
     def table(self, stream: str, columns: Sequence[str]) -> pa.Table:
         """Some columns of a stream; `stream` is a key."""
         ...
@@ -107,6 +112,9 @@ class FlightLog:
 
     def columns(self, stream: str) -> Sequence[str]:
         return list(self.flight.tables[stream].column_names)
+
+    def keys(self, stream: str) -> Sequence[str]:
+        return key_fields(self.flight.tables[stream].schema)
 
     def table(self, stream: str, columns: Sequence[str]) -> pa.Table:
         return self.flight.tables[stream].select(list(columns))
@@ -157,10 +165,13 @@ def find_source(spec: Sequence[Source], log: Log) -> tuple[Source, str] | None:
 def _stream_of(source: Source, log: Log) -> str | None:
     """The stream that a source means; None where there is none, or several and `where` does not say which."""
     things = things_of(source.stream, log.rows)
-    if source.where and things and thing_of(things[0]):
-        known = set(log.columns(things[0]))
-        chosen = log.table(things[0], [name for name in source.where if name in known])
-        things = things_where(source.where, things, chosen, log.info)
+    keys = log.keys(things[0]) if things and source.where else ()
+    wanted = {key: source.where[key] for key in keys if key in source.where}
+    if wanted:
+        named = [key for key, value in wanted.items() if isinstance(value, str)]
+        table = log.table(things[0], named) if named else None
+        names = {key: names_of(table, things[0], key, log.info) for key in named}
+        things = things_where(wanted, things, keys, names)
     return things[0] if len(things) == 1 else None
 
 

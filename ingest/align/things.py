@@ -5,13 +5,9 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 
-import numpy as np
-import numpy.typing as npt
-import pyarrow as pa
-
 from flysid.flight import matching_streams, stem_of, thing_of
-from flysid.ingest.align.values import Value, is_one_of, names_of
-from flysid.ingest.formats.keyed import key_fields
+from flysid.ingest.align.values import Value
+from flysid.ingest.formats.keyed import thing_texts
 
 _VEHICLE = re.compile(r"^(\d+)\.(\d+)/")
 
@@ -52,31 +48,32 @@ def things_of(name: str, rows: Mapping[str, int]) -> list[str]:
 
 
 def things_where(
-    where: Mapping[str, Value], things: Sequence[str], table: pa.Table, info: Mapping[str, str]
+    wanted: Mapping[str, Value],
+    things: Sequence[str],
+    keys: Sequence[str],
+    names: Mapping[str, Mapping[str, str]],
 ) -> list[str]:
-    """Those of several things of a message whose key has the values that `where` names.
+    """Those of several things of a message whose key has the values that are wanted.
 
     Parameters
     ----------
-    table : columns of one of their streams, those that `where` names.
-    info : facts about the vehicle.
+    wanted : by field of the key.
+    keys : all fields of the key.
+    names : of a field's numbers, as text.
     """
-    keys = key_fields(table.schema)
-    names = {key: names_of(table, things[0], key, info) for key in keys if key in table.column_names}
-    if not names:
-        return list(things)
 
     def fits(stream: str) -> bool:
-        texts = dict(zip(keys, thing_of(stream).split(",", len(keys) - 1), strict=False))
-        return all(
-            is_one_of(_as_value(texts[key], table.schema.field(key).type), [where[key]], names[key]).all()
-            for key in names
-        )
+        texts = dict(zip(keys, thing_texts(thing_of(stream), len(keys)), strict=False))
+        return all(_is(texts.get(key, ""), value, names.get(key, {})) for key, value in wanted.items())
 
     return [stream for stream in things if fits(stream)]
 
 
-def _as_value(text: str, kind: pa.DataType) -> npt.NDArray[np.generic]:
-    """(1,) the value of a key, of which a stream's name has the text."""
-    is_number = pa.types.is_integer(kind) or pa.types.is_floating(kind)
-    return np.array([float(text)]) if is_number and text else np.array([text], dtype=object)
+def _is(text: str, wanted: Value, names: Mapping[str, str]) -> bool:
+    """Whether a key's text is a value that is wanted, which may be given by its name."""
+    if isinstance(wanted, str):
+        return wanted in (text, names.get(text))
+    try:
+        return float(text) == float(wanted)
+    except ValueError:
+        return False

@@ -11,16 +11,20 @@ plain name. That is known at the end only: the first thing's stream is renamed t
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import pairwise
+from urllib.parse import quote, unquote
 
 import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from flysid.flight import KEY, KEY_IF_SEVERAL, REST
+from flysid.flight import KEY, KEY_IF_SEVERAL, OTHERS
 
+_KINDS = (KEY, KEY_IF_SEVERAL)
+_BETWEEN = "\x1f"  # of the names of a list, while they are one text
+_SAFE = "".join(chr(c) for c in range(32, 127) if chr(c) not in ",%")  # stands as it is
 IntArray = npt.NDArray[np.int64]
 
 
@@ -29,7 +33,7 @@ class KeyedStreams:
 
     Parameters
     ----------
-    most : streams that are made in all. Rows of things that come later stay together as `STREAM[...]`: a
+    most : streams that are made in all. Rows of things that come later stay together as `STREAM (others)`: a
         damaged or forged log may name any number of things, each of which would become a file.
     """
 
@@ -45,10 +49,12 @@ class KeyedStreams:
     def split(self, stream: str, table: pa.Table) -> Iterator[tuple[str, pa.Table]]:
         """The streams that the rows of a table belong to, in the order of their keys, with their rows."""
         about = table.schema.metadata or {}
-        is_declared = KEY.encode() in about
         columns = key_fields(table.schema)
-        if not columns or not table.num_rows:
-            yield (f"{stream}[{REST}]" if is_declared else stream), table
+        is_declared = bool(columns) and KEY.encode() in about
+        if not columns:
+            yield stream, table
+            return
+        if not table.num_rows:
             return
         late: list[IntArray] = []
         for thing, rows in _things(table, columns):
@@ -62,7 +68,7 @@ class KeyedStreams:
         if late:
             rows = np.sort(np.concatenate(late))
             self.joined[stream] = self.joined.get(stream, 0) + len(rows)
-            yield f"{stream}[{REST}]", take_rows(table, rows)
+            yield stream + OTHERS, take_rows(table, rows)
 
     def _is_first(self, stream: str, name: str) -> bool:
         """Whether a thing is the first of its stream; where it is not, the first one needs its name, too."""
@@ -81,8 +87,22 @@ class KeyedStreams:
 def key_fields(schema: pa.Schema) -> tuple[str, ...]:
     """The columns of a schema that tell to which of several things a row belongs."""
     about = schema.metadata or {}
-    named = about.get(KEY.encode()) or about.get(KEY_IF_SEVERAL.encode())
-    return tuple(named.decode().split(",")) if named else ()
+    named = keys_in({kind: about[kind.encode()].decode() for kind in _KINDS if kind.encode() in about})
+    if not named:
+        return ()
+    kinds = {field.name: field.type for field in schema}
+    return tuple(name for name in named if _can_tell(kinds.get(name)))
+
+
+def keys_in(metadata: Mapping[str, str]) -> tuple[str, ...]:
+    """The fields that a schema's metadata names as its key."""
+    named = next((metadata[kind] for kind in _KINDS if metadata.get(kind)), "")
+    return tuple(named.split(",")) if named else ()
+
+
+def _can_tell(kind: pa.DataType | None) -> bool:
+    """Whether the values of a column can be those of a key: one value a row, or a list of names."""
+    return kind is not None and (not pa.types.is_nested(kind) or kind == pa.list_(pa.string()))
 
 
 def take_rows(table: pa.Table, rows: IntArray) -> pa.Table:
@@ -90,30 +110,42 @@ def take_rows(table: pa.Table, rows: IntArray) -> pa.Table:
     return table.take(pa.Array.from_buffers(pa.int64(), len(rows), [None, pa.py_buffer(rows)]))
 
 
+def thing_name(texts: Sequence[str]) -> str:
+    """The name of a thing from the texts of its key's fields: of several no comma inside them remains."""
+    return texts[0] if len(texts) == 1 else ",".join(quote(text, safe=_SAFE) for text in texts)
+
+
+def thing_texts(name: str, count: int) -> list[str]:
+    """The texts of the `count` fields of a key from a thing's name."""
+    return [name] if count == 1 else [unquote(text) for text in name.split(",")]
+
+
 def _things(table: pa.Table, columns: tuple[str, ...]) -> list[tuple[str, IntArray | None]]:
-    """The text of each key and its rows, rising; None where all rows are of one thing."""
+    """The name of each thing and its rows, rising; None where all rows are of one thing."""
     codes, texts = _coded(table[columns[0]])
-    for name in columns[1:]:
-        more, others = _coded(table[name])
+    parts = [(text,) for text in texts]
+    for column in columns[1:]:
+        more, others = _coded(table[column])
         codes = codes.astype(np.int64) * len(others) + more
-        texts = [f"{text},{other}" for text in texts for other in others]
-    if len(texts) == 1:
-        return [(texts[0], None)]
+        parts = [(*part, other) for part in parts for other in others]
+    if len(parts) == 1:
+        return [(thing_name(parts[0]), None)]
     order = np.argsort(codes, kind="stable")
     ranked = codes[order]
     edges = [0, *(np.flatnonzero(ranked[1:] != ranked[:-1]) + 1).tolist(), len(order)]
-    if len(edges) == 2:
-        return [(texts[int(ranked[0])], None)]
-    return [(texts[int(ranked[first])], order[first:end]) for first, end in pairwise(edges)]
+    names = [thing_name(parts[int(code)]) for code in ranked[edges[:-1]]]
+    if len(names) == 1:
+        return [(names[0], None)]
+    return [(name, order[first:end]) for name, (first, end) in zip(names, pairwise(edges), strict=True)]
 
 
 def _coded(column: pa.ChunkedArray) -> tuple[npt.NDArray[np.integer], list[str]]:
-    """(n,) numbers that stand for the values of a column, and each number's text."""
+    """(n,) numbers that stand for the values of a column, and each number's text; no text twice."""
     values = _as_they_lie(column)
     if values is not None and (values == values[0]).all():
         return np.zeros(len(values), np.int64), [str(values[0])]
-    if pa.types.is_list(column.type):
-        column = pc.binary_join(column, ",")
+    is_list = pa.types.is_list(column.type)
+    column = pc.binary_join(column, _BETWEEN) if is_list else column
     encoded = column.combine_chunks().dictionary_encode()
     if isinstance(encoded, pa.ChunkedArray):
         encoded = encoded.unify_dictionaries().combine_chunks()
@@ -122,7 +154,13 @@ def _coded(column: pa.ChunkedArray) -> tuple[npt.NDArray[np.integer], list[str]]
     if indices.null_count:  # `fill_null` imports pandas
         indices = indices.fill_null(len(texts))
         texts.append("")
-    return np.frombuffer(indices.buffers()[1], np.int32, len(indices), indices.offset * 4), texts
+    if is_list:
+        texts = [thing_name(text.split(_BETWEEN)) for text in texts]
+    codes = np.frombuffer(indices.buffers()[1], np.int32, len(indices), indices.offset * 4)
+    places = {text: place for place, text in enumerate(dict.fromkeys(texts))}
+    if len(places) < len(texts):  # no value beside an empty one, -0.0 beside 0.0
+        codes = np.array([places[text] for text in texts])[codes]
+    return codes, list(places)
 
 
 def _as_they_lie(column: pa.ChunkedArray) -> npt.NDArray[np.integer] | None:

@@ -23,6 +23,7 @@ from flysid.ingest.align.recipe import Condition, Source, load_recipe, shipped_r
 from flysid.ingest.align.resample import Span
 from flysid.ingest.align.signals import Log
 from flysid.ingest.align.values import base_column
+from flysid.ingest.formats.keyed import key_fields
 from flysid.ingest.lake.events import MESSAGES, PARAMETERS
 
 DEFINITIONS = ("FMT", "FMTU", "UNIT", "MULT", "VER", "EV", "events")
@@ -71,6 +72,9 @@ class Kept:
 
     def columns(self, stream: str) -> Sequence[str]:
         return self.tables[stream].column_names if stream in self.tables else ()
+
+    def keys(self, stream: str) -> Sequence[str]:
+        return key_fields(self.tables[stream].schema) if stream in self.tables else ()
 
     def table(self, stream: str, columns: Sequence[str]) -> pa.Table:
         return self.tables[stream].select(list(columns))

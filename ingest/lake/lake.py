@@ -21,6 +21,7 @@ from flysid.ingest.align.allowed import Allowed
 from flysid.ingest.align.recipe import Recipe, load_recipe, shipped_recipes
 from flysid.ingest.align.report import AlignReport
 from flysid.ingest.align.signals import find_source, serves
+from flysid.ingest.formats.keyed import keys_in
 from flysid.ingest.lake.stretches import Stretches
 from flysid.manifest import (
     DATA_FILE,
@@ -79,6 +80,10 @@ class StoredLog:
     def columns(self, stream: str) -> Sequence[str]:
         """Names of a stream's columns."""
         return [c.name for c in self.manifest.stream(stream).columns]
+
+    def keys(self, stream: str) -> Sequence[str]:
+        """The fields that tell to which of several things a stream's rows belong."""
+        return keys_in(self.manifest.stream(stream).metadata)
 
     def table(self, stream: str, columns: Sequence[str]) -> pa.Table:
         """Some columns of a stream."""

@@ -23,6 +23,7 @@ from flysid.flight import (
     field_scale,
     field_unit,
     message_of,
+    split_address,
     stem_of,
     why_several,
 )
@@ -287,7 +288,7 @@ def _nothing(pattern: str, log: Log, *, most: int = 8) -> UsageError:
     fields = [(message_of(s), c) for s, c in _columns(log)]
     names = [f"{message}.{c}" for message, c in fields]
     streams = list(dict.fromkeys(message for message, _ in fields))
-    asked = pattern.partition(".")[0]
+    asked = split_address(pattern)[0] or pattern
     inside = [f"{message}.{c}" for message, c in fields if asked in (message, stem_of(message))]
     near = inside or difflib.get_close_matches(pattern, [*names, *streams], n=5, cutoff=0.4)
     near = near or (names if len(names) <= most else streams)

@@ -5,6 +5,8 @@ from __future__ import annotations
 import csv
 import json
 import math
+import struct
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -13,14 +15,16 @@ import pytest
 
 import flysid
 from flysid.errors import RecipeError, UsageError
-from flysid.flight import Flight, matching_streams
+from flysid.flight import Flight, matching_streams, split_address
 from flysid.ingest.align.recipe import SignalSpec, Source
 from flysid.ingest.align.signals import FlightLog, find_source, load_signal
 from flysid.ingest.formats.base import Limits, collect
 from flysid.ingest.formats.registry import find_format
 from flysid.ingest.lake.lake import open as open_lake
+from flysid.ingest.lake.survey import survey
 from flysid.ingest.lake.timeline import find_fields
 from flysid.live.decoding import Decoder
+from flysid.store import read_flight
 from tests.command import Done, call
 from tests.keyed_trials import KINDS, draw, trials
 from tests.parameter_trials import written
@@ -35,6 +39,7 @@ GYROS = (1, 2)
 OFFSET = 100.0  # of the second gyro: a mixture shows at once
 MANY = 600
 RATE_HZ = 50
+SUFFIXES = {"dataflash": ".bin", "tlog": ".tlog", "ulog": ".ulg", "mcap": ".mcap"}
 
 
 def imu_log(gyros: tuple[int, ...] = GYROS, *, units: bool = True) -> bytes:
@@ -185,6 +190,28 @@ def test_instances_are_told_by_their_unit_or_as_ardupilot_lays_them_out(units: b
     assert [name for name in flight if name.startswith("IMU")] == ["IMU[1]", "IMU[2]"]
 
 
+def test_a_unit_that_no_key_can_have_splits_nothing() -> None:
+    types = {**{n: TYPES[n] for n in (128, 129, 130, 131)}, 15: ("LIST", "Qa", "TimeUS,Values")}
+    out = [dataflash.fmt(number, types) for number in types if number != 15]
+    out.append(dataflash.pack(128, 15, 3 + 8 + 64, "LIST", "Qa", "TimeUS,Values", types=types))
+    out.append(dataflash.pack(130, 1, 15, "s#", "F-", types=types))
+    rows = [b"\xa3\x95\x0f" + struct.pack("<Q32h", 1000 * k, *range(32)) for k in range(5)]
+    assert read(b"".join([*out, *rows]), "dataflash")["LIST"].num_rows == len(rows)
+
+
+@pytest.mark.parametrize(
+    ("address", "parts"),
+    [
+        ("IMU[0].GyrX", ("IMU[0]", "GyrX")),
+        ("NAMED_VALUE_FLOAT[a.b].value", ("NAMED_VALUE_FLOAT[a.b]", "value")),
+        ("vehicle_attitude.q[0]", ("vehicle_attitude", "q[0]")),
+        ("GyrX", ("", "GyrX")),
+    ],
+)
+def test_an_address_is_split_outside_its_brackets(address: str, parts: tuple[str, str]) -> None:
+    assert split_address(address) == parts
+
+
 def named_values(names: list[str]) -> bytes:
     from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
@@ -207,11 +234,33 @@ def test_named_values_are_apart_whatever_their_names() -> None:
         assert fields == [(f"1.1/NAMED_VALUE_FLOAT[{name}]", "value")]
 
 
+def printed(kind: str, data: dict[str, Any], k: int) -> str:
+    """A line of mavlogdump."""
+    return json.dumps({"meta": {"type": kind, "timestamp": 1.7e9 + 0.1 * k}, "data": data})
+
+
+def test_lines_of_mavlogdump_are_apart_by_what_they_declare() -> None:
+    fmt = {"Type": 13, "Length": 3 + 8 + 1 + 4, "Name": "TEMP", "Format": "QBf", "Columns": "TimeUS,Nr,T"}
+    lines = [printed("FMT", fmt, 0), printed("FMTU", {"FmtType": 13, "UnitIds": "s#O", "MultIds": "F--"}, 0)]
+    for k in range(20):
+        lines.append(printed("TEMP", {"TimeUS": 100_000 * k, "Nr": k % 2, "T": float(k)}, k))
+        lines.append(printed("ESC_STATUS", {"index": 4 * (k % 2), "rpm": [k, k, k, k]}, k))
+        lines.append(printed("DISTANCE_SENSOR", {"time_boot_ms": 100 * k, "id": k % 4}, k))
+    flight = read("\n".join(lines).encode() + b"\n", "mavlogdump")
+    rows = {name: table.num_rows for name, table in flight.tables.items() if "[" in name}
+    assert rows == {
+        **{f"TEMP[{nr}]": 10 for nr in (0, 1)},
+        **{f"ESC_STATUS[{index}]": 10 for index in (0, 4)},
+        **{f"DISTANCE_SENSOR[{nr}]": 5 for nr in range(4)},
+    }
+    assert flight["TEMP[1]"]["T"].to_pylist() == [float(k) for k in range(1, 20, 2)]
+
+
 def test_more_things_than_are_kept_apart_stay_together_by_another_name() -> None:
     names = [f"n{k}" for k in range(12)]
     limits = Limits(max_things=10)
     flight = collect(memoryview(named_values(names)), "x.tlog", find_format("tlog"), limits)
-    assert flight["NAMED_VALUE_FLOAT[...]"].num_rows == 2
+    assert flight["NAMED_VALUE_FLOAT (others)"].num_rows == 2
     assert flight.rows == 2 * len(names)
     assert "2 of 1.1/NAMED_VALUE_FLOAT" in flight.info["keys_note"]
     with pytest.raises(UsageError):
@@ -233,8 +282,20 @@ def test_live_rows_come_by_thing() -> None:
 
 
 @pytest.mark.parametrize("kind", list(KINDS))
-def test_random_logs_come_back_thing_by_thing(kind: str) -> None:
-    assert any(draw(seed).format == kind for seed in range(40))
+def test_random_logs_are_ingested_and_looked_over_thing_by_thing(kind: str, tmp_path: Path) -> None:
+    drawn = (draw(seed) for seed in count())
+    trial = next(t for t in drawn if t.format == kind and len([n for n in t.streams if "[" in n]) > 1)
+    log = tmp_path / f"log{SUFFIXES[kind]}"
+    log.write_bytes(trial.blob)
+    done = call("ingest", log.name, "-o", "data", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    (flight,) = open_lake(tmp_path / "data").flights
+    meant = {name: len(rows) for name, rows in trial.streams.items()}
+    assert {e.stream: e.rows for e in flight.streams if e.stream in meant} == meant
+    stored = read_flight(tmp_path / "data", flight.id)
+    assert all(stored.tables[name].num_rows == rows for name, rows in meant.items())
+    looked = survey(log).streams
+    assert {name: found.rows for name, found in looked.items() if name in meant} == meant
 
 
 def test_no_row_of_random_logs_is_lost_invented_or_mixed() -> None:

@@ -55,8 +55,8 @@ LEGACY_UNITS = {"L": "deg"}
 NO_UNIT = "-?\0# "
 INSTANCE = "#"
 """The unit of fields that tell instances apart (AP_Logger/LogStructure.h)."""
-INSTANCE_NAMES = ("I", "Instance", "Inst", "C")
-"""What ArduPilot calls them: of sensors, batteries and motors, and C of the cores of an estimator."""
+INSTANCE_NAMES = ("I", "Instance", "Inst", "IMU", "C")
+"""What ArduPilot calls them: IMU in VIBE, C of the cores of an estimator."""
 
 
 @dataclass(frozen=True)

@@ -28,7 +28,7 @@ from flysid.ingest.formats.common.odd_cells import OddCells
 from flysid.ingest.formats.common.tally import Tally
 from flysid.ingest.formats.common.vehicle_time import Clocked, Source, VehicleTime
 from flysid.ingest.formats.dataflash.layouts import Definitions, Units
-from flysid.ingest.formats.mavlink.dialect import load_dialect
+from flysid.ingest.formats.mavlink.dialect import KEYS, load_dialect
 from flysid.ingest.formats.mavlink.parameters import NUMBERS, REAL32, SENT, VALUE, Encodings
 from flysid.ingest.formats.messages.json_schema import as_numbers
 
@@ -242,11 +242,16 @@ def _note_units(reader: _Reader, data: Mapping[str, Any]) -> None:
         reader.units.of_message[number] = (units, "")
 
 
-def _dataflash_key(reader: _Reader, kind: str) -> str:
-    """The fields that tell instances of a DataFlash message apart; "" where there are none."""
-    named = (item for item in reader.definitions.items if item.name == kind and item.layout is not None)
+def _key(reader: _Reader, source: Source, message: _Message) -> str:
+    """The fields that tell to which of several things a message belongs; "" where there are none."""
+    if source[2] < FIRST_OTHER:
+        return load_dialect().key(source[2])
+    named = (d for d in reader.definitions.items if d.name == message.kind and d.layout is not None)
     definition = next(named, None)
-    return reader.units.apply(definition)[1] if definition is not None else ""
+    if definition is not None:
+        return reader.units.apply(definition)[1]
+    field = KEYS.get(message.kind, "")  # of a dialect that has more messages
+    return field if field in message.data else ""
 
 
 def _kind_of(letter: str) -> pa.DataType:
@@ -305,8 +310,7 @@ def _schema(reader: _Reader, source: Source, messages: list[_Message]) -> pa.Sch
         own = [item.with_type(pa.float64()) if item.name == VALUE else item for item in own]
     fields = [item.with_name(item.name + "_") if item.name in HEADS else item for item in own]
     metadata = {"time_source": reader.time.source_of(source), "message": first.kind}
-    known = source[2] < FIRST_OTHER
-    if key := load_dialect().key(source[2]) if known else _dataflash_key(reader, first.kind):
+    if key := _key(reader, source, first):
         metadata[KEY] = key
     if any(first.sender):
         metadata |= {"system": str(source[0]), "component": str(source[1])}

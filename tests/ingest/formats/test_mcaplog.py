@@ -19,6 +19,7 @@ from flysid.flight import Flight, field_unit
 from flysid.ingest.formats.base import Limits, collect
 from flysid.ingest.formats.registry import FORMATS
 from tests.command import call
+from tests.ingest.formats.things import together
 from tests.samplelogs import ros
 from tests.samplelogs.mcap import Topic, json_topic, mcap_file, ros1_topic, ros2_topic
 
@@ -71,7 +72,7 @@ def test_ros1_poses_equal_the_library(compression: CompressionType, frames: list
     raw = mcap_file([ros1_topic("/pose", kind, ros.POSE_STAMPED_1, payloads)], compression=compression)
     from mcap_ros1.decoder import DecoderFactory
 
-    table = read(raw)["/pose"]
+    table = together(read(raw), "/pose")
     assert_same(rows_of(table), oracle(raw, DecoderFactory())["/pose"])
     assert table["time_ns"].to_pylist() == [(5 + k) * 10**9 + 17 for k in range(60)]
     assert table["recv_ns"].to_pylist() == [10**9 + k * 10**7 for k in range(60)]
@@ -88,7 +89,7 @@ def test_ros2_poses_equal_the_library(chunked: bool) -> None:
     raw = mcap_file([ros2_topic("/pose", kind, ros.POSE_STAMPED_2, payloads)], chunked=chunked)
     from mcap_ros2.decoder import DecoderFactory
 
-    table = read(raw)["/pose"]
+    table = together(read(raw), "/pose")
     assert_same(rows_of(table), oracle(raw, DecoderFactory())["/pose"])
     assert table["time_ns"].to_pylist() == [(5 + k) * 10**9 + 17 for k in range(60)]
 
@@ -101,7 +102,7 @@ def test_every_ros2_field_equals_the_library(seed: int) -> None:
     raw = mcap_file([ros2_topic("/mixed", kind, ros.MIXED_ALL, payloads)])
     from mcap_ros2.decoder import DecoderFactory
 
-    assert_same(rows_of(read(raw)["/mixed"]), oracle(raw, DecoderFactory())["/mixed"])
+    assert_same(rows_of(together(read(raw), "/mixed")), oracle(raw, DecoderFactory())["/mixed"])
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -113,7 +114,7 @@ def test_every_ros1_field_equals_the_library(seed: int) -> None:
     raw = mcap_file([ros1_topic("/mixed", kind, ros.MIXED_ALL, payloads)])
     from mcap_ros1.decoder import DecoderFactory
 
-    assert_same(rows_of(read(raw)["/mixed"]), oracle(raw, DecoderFactory())["/mixed"])
+    assert_same(rows_of(together(read(raw), "/mixed")), oracle(raw, DecoderFactory())["/mixed"])
 
 
 def test_protobuf_equals_the_library() -> None:
@@ -229,7 +230,8 @@ def test_small_batches_give_the_same_tables() -> None:
     payloads = [ros.encode_ros2(kind, ros.MIXED_ALL, ros.mixed(rng)) for _ in range(60)]
     raw = mcap_file([ros2_topic("/mixed", kind, ros.MIXED_ALL, payloads)], chunk_size=1000)
     np.testing.assert_equal(
-        rows_of(read(raw, Limits(batch_bytes=2000))["/mixed"]), rows_of(read(raw)["/mixed"])
+        rows_of(together(read(raw, Limits(batch_bytes=2000)), "/mixed")),
+        rows_of(together(read(raw), "/mixed")),
     )
 
 

@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from flysid.flight import Flight, stem_of
-from flysid.ingest.formats.keyed import key_fields, thing_text
+import pyarrow as pa
+
+from flysid.flight import RECEIVED, Flight, stem_of
+from flysid.ingest.formats.keyed import key_fields, thing_name, thing_text
 
 
 def apart(
@@ -22,6 +24,12 @@ def apart(
     found: dict[str, list[Any]] = {}
     for stem, rows in expected.items():
         for row in rows:
-            thing = ",".join(thing_text(value(row, name)) for name in keys.get(stem, ()))
-            found.setdefault(f"{stem}[{thing}]" if keys.get(stem) else stem, []).append(row)
+            texts = [thing_text(value(row, name)) for name in keys.get(stem, ())]
+            found.setdefault(f"{stem}[{thing_name(texts)}]" if texts else stem, []).append(row)
     return found
+
+
+def together(flight: Flight, message: str) -> pa.Table:
+    """The rows of all things of a message in the order of their arrival, as another reader gives them."""
+    tables = [table for name, table in flight.tables.items() if stem_of(name) == message]
+    return pa.concat_tables(tables).sort_by(RECEIVED)
