@@ -20,7 +20,9 @@ from flysid.ingest.formats.blame import blaming
 from flysid.ingest.formats.common.capture import LinkType, is_capture
 from flysid.ingest.formats.common.pcap import is_pcap
 from flysid.ingest.formats.common.transfer import ENOUGH, REPLACED, is_text, text_mode_at
+from flysid.ingest.formats.rosbag2.sqlite_pages import MAGIC as SQLITE_MAGIC
 from flysid.parts import exhaust
+from flysid.showing import first_of
 
 FORMATS_OF_BYTES = frozenset({"blackbox", "dataflash", "mcap", "rosbag", "ulog"})
 """Formats whose readers find records without the beginning of the file."""
@@ -30,6 +32,8 @@ _BASE64 = re.compile(rb"[A-Za-z0-9+/\s]{64,}={0,2}\s*")
 _HEADER = re.compile(rb"^H [A-Za-z][\w .]*:[^\n\0]*\r?\n(?=H )", re.MULTILINE)
 _DATAFLASH_MARK = b"\xa3\x95"
 _FMT = 0x80
+_TABLE = re.compile(rb"create table\W{1,3}(\w+)", re.IGNORECASE)
+_NAMED = 5
 _SHOWN = 60
 _FIRST = 8
 
@@ -57,21 +61,20 @@ def refuse(head: bytes, name: str, formats: Iterable[Format], sniff: Sniff) -> F
     sniff : what format other bytes would be of: those that this file was before it was harmed.
     """
     meant = [fmt for fmt in formats if name.lower().endswith(fmt.suffixes)]
-    checks: Iterator[Cause | None] = (
-        check()
-        for check in (
-            lambda: _of_capture(head),
-            lambda: _of_one_byte(head),
-            lambda: _of_transfer(head, sniff),
-            lambda: _of_writing(head, sniff),
-            lambda: _of_cutting(name),
-            lambda: _of_definitions(head),
-            lambda: _of_beginning(head, name, meant),
-            lambda: _of_text(head, meant),
-            lambda: _of_chance(head),
-        )
+    checks: tuple[Callable[[], Cause | None], ...] = (
+        lambda: _of_capture(head),
+        lambda: _of_one_byte(head),
+        lambda: _of_database(head),
+        lambda: _of_transfer(head, sniff),
+        lambda: _of_writing(head, sniff),
+        lambda: _of_cutting(name),
+        lambda: _of_definitions(head),
+        lambda: _of_beginning(head, name, meant),
+        lambda: _of_text(head, meant),
+        lambda: _of_chance(head),
     )
-    found = next(filter(None, checks), None) or _of_bytes(head, meant, formats)
+    causes = (check() for check in checks)
+    found = next(filter(None, causes), None) or _of_bytes(head, meant, formats)
     return FormatError(found.said, path=name, byte=found.byte, hint=found.hint)
 
 
@@ -90,6 +93,14 @@ def _of_capture(head: bytes) -> Cause | None:
         "where it begins later, --format tlog or navdata; read are unencrypted UDP and TCP, over "
         "Ethernet, raw IP, loopback or Linux cooked capture",
     )
+
+
+def _of_database(head: bytes) -> Cause | None:
+    if not head.startswith(SQLITE_MAGIC):
+        return None
+    names = [name.decode("utf-8", "replace") for name in _TABLE.findall(head)]
+    defined = f"it defines {first_of(names, _NAMED)}" if names else "it has no table of messages"
+    return Cause(f"an SQLite database that is no ROS 2 bag: {defined}", "give the bag: a .db3 file")
 
 
 def _of_one_byte(head: bytes) -> Cause | None:

@@ -14,6 +14,7 @@ An unknown id cannot be checked: such a frame is accepted only where a checked o
 from __future__ import annotations
 
 import re
+from bisect import bisect_left
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from enum import IntEnum
@@ -22,6 +23,15 @@ import numpy as np
 import numpy.typing as npt
 
 from flysid.flight import Damage, Region
+from flysid.ingest.formats.mavlink.checksums import (
+    Buffer,
+    ByteArray,
+    Header,
+    IntArray,
+    crc_holds,
+    is_valid,
+    seed_of,
+)
 from flysid.ingest.formats.mavlink.dialect import UNKNOWN
 
 MARKER = re.compile(rb"[\xfd\xfe]")
@@ -35,11 +45,9 @@ STAMP_BYTES = 8
 FIRST_STRETCH = 1 << 12
 LONGEST_STRETCH = 1 << 20
 HEADER_BLOCK = 1 << 14
+FIRST_SEARCH = 1 << 8
 
-IntArray = npt.NDArray[np.int64]
-ByteArray = npt.NDArray[np.uint8]
 Chain = Callable[[ByteArray, int, int, int], tuple[IntArray, int]]
-Buffer = bytes | memoryview
 
 
 class MessageId(IntEnum):
@@ -49,17 +57,6 @@ class MessageId(IntEnum):
     SYSTEM_TIME = 2
     RADIO_STATUS = 109
     AUTOPILOT_VERSION = 148
-
-
-def crc_table() -> npt.NDArray[np.uint16]:
-    """(256,) table of CRC-16/MCRF4XX: polynomial 0x1021, reflected."""
-    table: npt.NDArray[np.uint16] = np.arange(256, dtype=np.uint16)
-    for _ in range(8):
-        table = (table >> np.uint16(1)) ^ np.where(table & 1, np.uint16(0x8408), np.uint16(0))
-    return table
-
-
-CRC_TABLE = crc_table()
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,15 +102,6 @@ class Frames:
         )
 
 
-@dataclass(frozen=True)
-class Header:
-    """A frame's header: where its CRC and its end are, and its message id."""
-
-    crc_at: int
-    end: int
-    message: int
-
-
 def plain_chain(crc_extra: npt.NDArray[np.int16]) -> Chain:
     """A chain function without compilation: about 0.4 us a frame.
 
@@ -125,9 +113,9 @@ def plain_chain(crc_extra: npt.NDArray[np.int16]) -> Chain:
     def chain(raw: ByteArray, position: int, limit: int, stamp: int) -> tuple[IntArray, int]:
         found: list[IntArray] = []
         size = FIRST_STRETCH  # after damage the chain is often entered only to stop again
-        while position < limit:
+        while position < limit and position + stamp < len(raw) and raw[position + stamp] in (V1, V2):
             starts, ends = _link(raw, position, min(position + size, limit), stamp)
-            good = _check(raw, starts, ends, crc_extra)
+            good = _check(raw, starts, crc_extra)
             found.append(starts[:good])
             if not good:
                 break
@@ -164,10 +152,8 @@ def _link(raw: ByteArray, position: int, limit: int, stamp: int) -> tuple[IntArr
     return at[chain], ends[chain]
 
 
-def _check(raw: ByteArray, starts: IntArray, ends: IntArray, crc_extra: npt.NDArray[np.int16]) -> int:
+def _check(raw: ByteArray, starts: IntArray, crc_extra: npt.NDArray[np.int16]) -> int:
     """How many of these frames, from the first on, are of known ids and have the right CRC."""
-    import fastcrc
-
     if not len(starts):
         return 0
     is_v2 = raw[starts] == V2
@@ -182,15 +168,8 @@ def _check(raw: ByteArray, starts: IntArray, ends: IntArray, crc_extra: npt.NDAr
     seed = seed[:count]
     is_v2 = is_v2[:count]
     crc_at = starts + raw[starts + 1] + np.where(is_v2, 10, 6)
-    base = int(starts[0]) if count else 0
-    body = raw[base : int(ends[count - 1])].tobytes() if count else b""
-    crc16 = fastcrc.crc16.mcrf4xx
-    spans = zip((starts + 1 - base).tolist(), (crc_at - base).tolist(), strict=True)
-    crc = np.fromiter((crc16(body[a:b]) for a, b in spans), np.uint16, count)
-    crc = (crc >> 8) ^ CRC_TABLE[(crc ^ seed.astype(np.uint16)) & 0xFF]
-    stated = raw[crc_at] | raw[crc_at + 1].astype(np.uint16) << 8
-    wrong = crc != stated
-    return int(wrong.argmax()) if wrong.any() else count
+    right = crc_holds(raw, starts, crc_at, seed)
+    return count if right.all() else int(right.argmin())
 
 
 @dataclass
@@ -202,6 +181,25 @@ class _Batch:
     limit: int
     found: list[IntArray] = field(default_factory=list)
     bare: list[int] = field(default_factory=list)
+    _judged: list[tuple[int, int, bool]] = field(default_factory=list)
+    _span: tuple[int, int] = (0, 0)
+
+    def known_frames(
+        self, begin: int, end: int, crc_extra: npt.NDArray[np.int16]
+    ) -> Iterator[tuple[int, int, bool]]:
+        """Whole frames of known ids from `begin` to `end`, see `_judged`; they may overlap.
+
+        They are judged a stretch at a time, and kept: what was lost is mostly short, and garbage may be dense
+        with frames. So stretches grow while they follow each other.
+        """
+        while begin < end:
+            start, stop = self._span
+            if not start <= begin < stop:
+                reach = min(4 * (stop - start), HEADER_BLOCK) if start <= begin <= stop + FIRST_SEARCH else 0
+                self._span = (begin, min(begin + max(reach, FIRST_SEARCH), end))
+                self._judged = _judged(np.frombuffer(self.buffer, np.uint8), *self._span, crc_extra)
+            yield from self._judged[bisect_left(self._judged, (begin,)) :]
+            begin = self._span[1]
 
 
 @dataclass
@@ -289,20 +287,20 @@ class Scanner:
         base = batch.base
         limit = batch.limit
         lost = self._lost_at - base
-        for q in _markers(buffer, begin, min(limit + self.stamp, len(buffer))):
-            head = None if q == lost + self.stamp else read_header(buffer, q)
-            if head is None or not self._is_known(head.message):
+        last = min(limit + self.stamp, len(buffer))
+        for q, end, holds in batch.known_frames(begin, last, self.crc_extra):
+            if q == lost + self.stamp:
                 continue
-            if self._is_valid(buffer, q, head):
-                if self._is_plausible(buffer, q, head):
+            if holds:
+                if self._is_plausible(buffer, q, end):
                     start = q - self.stamp if q - self.stamp >= lost else q
                     self._close(base + start, self._reason)
                     batch.found.append(np.array([q], dtype=np.int64))
                     batch.bare.extend([q] if start == q and self.stamp else [])
-                    return head.end
+                    return end
             elif base + q == self._expected + self.stamp:
                 self.bad_checksums += 1
-                self._expected = base + head.end
+                self._expected = base + end
         if limit < len(buffer):
             return limit - self.stamp
         self.truncated = _is_cut(buffer, lost + self.stamp)
@@ -341,22 +339,37 @@ class Scanner:
             position = head.end
         return False
 
-    def _is_plausible(self, buffer: Buffer, q: int, head: Header) -> bool:
+    def _is_plausible(self, buffer: Buffer, q: int, end: int) -> bool:
         """A CRC of 16 bits holds by chance once in 65,536: ask for a known sender, or a neighbour."""
-        after = head.end + self.stamp
+        after = end + self.stamp
         return (
-            head.end == len(buffer)
+            end == len(buffer)
             or (after < len(buffer) and buffer[after] in (V1, V2))
             or _sender(buffer, q) in self._seen
         )
 
 
-def _markers(buffer: Buffer, begin: int, end: int) -> Iterator[int]:
-    """Where frames may begin. Stretches without any, as lost writes leave them, are passed over at once."""
-    for start in range(begin, end, HEADER_BLOCK):
-        piece = bytes(buffer[start : min(start + HEADER_BLOCK, end)])
-        if b"\xfd" in piece or b"\xfe" in piece:
-            yield from (start + match.start() for match in MARKER.finditer(piece))
+def _judged(
+    raw: ByteArray, start: int, stop: int, crc_extra: npt.NDArray[np.int16]
+) -> list[tuple[int, int, bool]]:
+    """Whole frames of known ids whose markers lie in [start, stop): start, end, and whether the CRC holds."""
+    at = np.flatnonzero(raw[start:stop] + 3 < 2) + start  # the markers FD and FE, in 8 bits
+    size = len(raw)
+    at = at[at + 8 <= size]
+    is_v2 = raw[at] == V2
+    at = at[~is_v2 | ((at + 12 <= size) & (raw[np.minimum(at + 2, size - 1)] <= SIGNED))]
+    is_v2 = raw[at] == V2
+    wide = np.flatnonzero(is_v2)
+    number = raw[at + np.where(is_v2, 7, 5)].astype(np.int64)
+    number[wide] |= (raw[at[wide] + 8].astype(np.int64) << 8) | (raw[at[wide] + 9].astype(np.int64) << 16)
+    crc_at = at + raw[at + 1] + np.where(is_v2, 10, 6)
+    ends = crc_at + 2 + np.where(is_v2, SIGNATURE_BYTES * raw[at + 2].astype(np.int64), 0)
+    seed = np.where(number < len(crc_extra), crc_extra[np.minimum(number, len(crc_extra) - 1)], UNKNOWN)
+    whole = (ends <= size) & (seed != UNKNOWN)
+    at = at[whole]
+    ends = ends[whole]
+    holds = crc_holds(raw, at, crc_at[whole], seed[whole])
+    return list(zip(at.tolist(), ends.tolist(), holds.tolist(), strict=True))
 
 
 def read_header(buffer: Buffer, q: int) -> Header | None:
@@ -374,27 +387,6 @@ def read_header(buffer: Buffer, q: int) -> Header | None:
     else:
         return None
     return head if head.end <= size else None
-
-
-def is_valid(buffer: Buffer, q: int, head: Header, seed: int) -> bool:
-    """True where the CRC of a known message holds."""
-    import fastcrc
-
-    stated = int.from_bytes(buffer[head.crc_at : head.crc_at + 2], "little")
-    return bool(fastcrc.crc16.mcrf4xx(bytes(buffer[q + 1 : head.crc_at]) + bytes([seed])) == stated)
-
-
-def seed_of(buffer: Buffer, q: int, head: Header) -> int:
-    """The seed with which the CRC of a frame holds: that of its layout; -1 for none.
-
-    A frame that damage changed has one by chance, once in 256.
-    """
-    import fastcrc
-
-    stated = int.from_bytes(buffer[head.crc_at : head.crc_at + 2], "little")
-    crc = fastcrc.crc16.mcrf4xx(bytes(buffer[q + 1 : head.crc_at]))
-    fits = np.flatnonzero((crc >> 8) ^ CRC_TABLE == stated)
-    return int(fits[0]) ^ (crc & 0xFF) if len(fits) else -1
 
 
 def is_checked(buffer: Buffer, q: int, crc_extra: npt.NDArray[np.int16]) -> bool:

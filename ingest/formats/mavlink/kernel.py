@@ -11,7 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from flysid.ingest.formats.common.clock import IntArray
-from flysid.ingest.formats.mavlink.frames import CRC_TABLE, Chain
+from flysid.ingest.formats.mavlink.checksums import CRC_TABLE
+from flysid.ingest.formats.mavlink.frames import Chain
 
 ByteArray = npt.NDArray[np.uint8]
 TableArray = npt.NDArray[np.uint16]

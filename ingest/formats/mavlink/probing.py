@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from flysid.ingest.formats.base import HEAD_BYTES
 from flysid.ingest.formats.common.columns import as_array
+from flysid.ingest.formats.mavlink.checksums import is_valid, seed_of
 from flysid.ingest.formats.mavlink.dialect import DEFAULT, OTHERS, UNKNOWN, load_dialect
 from flysid.ingest.formats.mavlink.frames import (
     MARKER,
@@ -19,10 +20,8 @@ from flysid.ingest.formats.mavlink.frames import (
     V2,
     Chain,
     Scanner,
-    is_valid,
     plain_chain,
     read_header,
-    seed_of,
 )
 
 LEAST_ALIKE = 3  # frames that hold with one seed by chance: once in 65,536 for each behind the first

@@ -31,7 +31,7 @@ import numpy as np
 from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
-from flysid.ingest.formats.common.gather import Bytes, Index, as_bytes
+from flysid.ingest.formats.common.gather import Bytes, Index, as_bytes, numbers
 from flysid.ingest.formats.messages.channel import Channel, Schema
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -47,6 +47,7 @@ U32 = struct.Struct("<I")
 U64 = struct.Struct("<Q")
 _CHUNK_FIXED = struct.Struct("<QQQI")
 _WINDOW = 1 << 20
+_FIRST_WINDOW = 1 << 10
 MANY_RECORDS = 16
 SURPLUS_BYTES = 1 << 10  # of what stands behind the known fields, this much is searched for records
 
@@ -192,7 +193,7 @@ def _follows(view: memoryview, at: int, limit: int) -> bool:
 def _holds_records(view: memoryview, start: int, end: int) -> bool:
     """Whether records lie at the end of view[start:end], or a good many one after the other in it."""
     window = min(end - HEAD_BYTES + 1, start + SURPLUS_BYTES)
-    return any(_are_records(view, at, end) for at in _candidates(as_bytes(view), start, window))
+    return any(_are_records(view, at, end) for at in _candidates(as_bytes(view), start, window).tolist())
 
 
 def _are_records(view: memoryview, at: int, end: int) -> bool:
@@ -206,25 +207,39 @@ def _are_records(view: memoryview, at: int, end: int) -> bool:
 def next_record(view: memoryview, start: int, limit: int, registry: Registry) -> int:
     """The first place at or after `start` where a sound record lies that another follows; else `limit`."""
     data = as_bytes(view)
-    for window in range(start, limit, _WINDOW):
-        stop = min(window + _WINDOW, limit - HEAD_BYTES + 1)
-        for at in _candidates(data, window, stop):
-            if _convincing(view, at, limit, registry):
-                return at
+    at = start
+    reach = _FIRST_WINDOW  # what was lost is short where records are dense
+    while at < limit:
+        stop = min(at + reach, limit - HEAD_BYTES + 1)
+        for place in _whole(data, _candidates(data, at, stop), limit, registry):
+            if _convincing(view, place, limit, registry):
+                return place
+        at += reach
+        reach = min(4 * reach, _WINDOW)
     tail = limit - len(MAGIC)
     return tail if tail >= start and view[tail:limit] == MAGIC else limit
 
 
-def _candidates(data: Bytes, start: int, stop: int) -> list[int]:
+def _candidates(data: Bytes, start: int, stop: int) -> Index:
     """Places with a known opcode and a length below 2^40, or with the first byte of the magic."""
     if stop <= start:
-        return []
+        return np.empty(0, dtype=np.int64)
     op = data[start:stop]
     high = data[start + 6 : stop + 6] | data[start + 7 : stop + 7] | data[start + 8 : stop + 8]
-    found = (
-        np.flatnonzero((op >= Opcode.HEADER) & (op <= LAST_KNOWN) & (high == 0) | (op == MAGIC[0])) + start
-    )
-    return [int(p) for p in found]
+    found = np.flatnonzero((op >= Opcode.HEADER) & (op <= LAST_KNOWN) & (high == 0) | (op == MAGIC[0]))
+    return found + start
+
+
+def _whole(data: Bytes, places: Index, limit: int, registry: Registry) -> list[int]:
+    """Of these places the magic and the records that end by `limit`; messages of known channels only."""
+    if not len(places):
+        return []
+    ends = numbers(data, places + 1, "<u8").astype(np.int64) + places + HEAD_BYTES
+    is_magic = data[places] == MAGIC[0]
+    is_message = (data[places] == Opcode.MESSAGE) & (places + HEAD_BYTES + 2 <= limit)
+    number = numbers(data, np.where(is_message, places + HEAD_BYTES, 0), "<u2")
+    is_lost = is_message & (registry.bound[number] < 0)
+    return (places[is_magic | ((ends <= limit) & ~is_lost)]).tolist()  # type: ignore[no-any-return]
 
 
 def _convincing(view: memoryview, at: int, limit: int, registry: Registry) -> bool:

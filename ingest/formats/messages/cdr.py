@@ -28,10 +28,18 @@ from numpy.typing import NDArray
 
 from flysid.ingest.formats.common import arrow_arrays
 from flysid.ingest.formats.common.gather import Bytes, Index, Values, numbers, rows, runs, spread
-from flysid.ingest.formats.messages.definitions import Array, DefinitionError, MessageType, Number, Text, Type
+from flysid.ingest.formats.messages.steps import (
+    Elements,
+    Leaf,
+    NumberSequence,
+    Run,
+    Step,
+    TextStep,
+    Wire,
+    largest_run,
+)
 
 MAX_STEPS = 50_000  # element-by-element steps over all sequences of one batch
-MAX_FIXED_BYTES = 1 << 26
 CACHE_BYTES = 1 << 18
 
 Columns = list[tuple[str, pa.Array]]
@@ -39,131 +47,6 @@ Columns = list[tuple[str, pa.Array]]
 
 class UnevenError(ValueError):
     """Sequences of varying elements too long to be walked."""
-
-
-@dataclass(frozen=True)
-class Wire:
-    """How numbers lie: byte order "<" or ">", greatest alignment (1: packed), NUL after strings."""
-
-    order: str = "<"
-    align: int = 1
-
-    @property
-    def nul(self) -> bool:
-        return self.align > 1
-
-
-ROS1_WIRE = Wire()
-
-
-@dataclass(frozen=True)
-class Leaf:
-    """A number, or a fixed array of `count` numbers, at a dotted path."""
-
-    path: str
-    dtype: str
-    count: int | None = None
-
-
-@dataclass(frozen=True)
-class Run:
-    """Fixed-size fields one after the other."""
-
-    leaves: tuple[Leaf, ...]
-
-    def unit(self, wire: Wire) -> int:
-        """The greatest alignment in the run: a start matters only modulo this."""
-        return max(min(np.dtype(leaf.dtype).itemsize, wire.align) for leaf in self.leaves)
-
-    def leads(self, wire: Wire) -> bool:
-        """Whether the first field has the greatest alignment, so that every start is padded to it."""
-        return min(np.dtype(self.leaves[0].dtype).itemsize, wire.align) == self.unit(wire)
-
-    def layout(self, phase: int, wire: Wire) -> tuple[np.dtype[np.void], int]:
-        """Structured type of the run for a start at `phase` (mod the greatest alignment), and its size."""
-        at = phase
-        names = []
-        formats = []
-        offsets = []
-        for number, leaf in enumerate(self.leaves):
-            kind = np.dtype(wire.order + ("u1" if leaf.dtype == "b1" else leaf.dtype))
-            at += -at % min(kind.itemsize, wire.align)
-            names.append(str(number))
-            formats.append((kind, leaf.count) if leaf.count is not None else kind)
-            offsets.append(at - phase)
-            at += kind.itemsize * (1 if leaf.count is None else leaf.count)
-        size = at - phase
-        return np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": size}), size
-
-
-@dataclass(frozen=True)
-class TextStep:
-    """A string at a dotted path."""
-
-    path: str
-
-
-@dataclass(frozen=True)
-class NumberSequence:
-    """A counted sequence of numbers at a dotted path."""
-
-    path: str
-    dtype: str
-
-
-@dataclass(frozen=True)
-class Elements:
-    """A sequence (`size` None) or fixed array of strings, messages or arrays; `single` has no inner names."""
-
-    path: str
-    steps: tuple[Step, ...]
-    size: int | None
-    single: bool
-
-
-Step = Run | TextStep | NumberSequence | Elements
-
-
-def plan(kind: MessageType) -> tuple[Step, ...]:
-    """The steps that decode a message type. Raises DefinitionError where its fixed part is too large."""
-    steps: list[Step] = []
-    pending: list[Leaf] = []
-    _plan_into(kind, "", steps, pending)
-    _flush(steps, pending)
-    return tuple(steps)
-
-
-def _plan_into(kind: Type, path: str, steps: list[Step], pending: list[Leaf]) -> None:
-    if isinstance(kind, MessageType):
-        for name, inner in kind.fields:
-            _plan_into(inner, f"{path}.{name}" if path else name, steps, pending)
-    elif isinstance(kind, Number):
-        pending.append(Leaf(path, kind.dtype))
-    elif isinstance(kind, Array) and isinstance(kind.element, Number) and kind.size is not None:
-        pending.append(Leaf(path, kind.element.dtype, kind.size))
-    else:
-        _flush(steps, pending)
-        steps.append(_varying(kind, path))
-
-
-def _flush(steps: list[Step], pending: list[Leaf]) -> None:
-    if sum(8 * (leaf.count or 1) for leaf in pending) > MAX_FIXED_BYTES:
-        raise DefinitionError("fixed arrays are too large")
-    if pending:
-        steps.append(Run(tuple(pending)))
-        pending.clear()
-
-
-def _varying(kind: Text | Array | Number | MessageType, path: str) -> Step:
-    if isinstance(kind, Text):
-        return TextStep(path)
-    assert isinstance(kind, Array)
-    if isinstance(kind.element, Number):
-        return NumberSequence(path, kind.element.dtype)
-    single = not isinstance(kind.element, MessageType)
-    inner = MessageType("", (("", kind.element),)) if single else kind.element
-    assert isinstance(inner, MessageType)
-    return Elements(path, plan(inner), kind.size, single)
 
 
 @dataclass
@@ -240,17 +123,6 @@ class Cursors:
         return surplus
 
 
-def largest_run(steps: tuple[Step, ...]) -> int:
-    """An upper bound of the bytes that any one gather of fixed size takes."""
-    most = 16
-    for step in steps:
-        if isinstance(step, Run):
-            most = max(most, sum(8 + 8 * (leaf.count or 1) for leaf in step.leaves))
-        elif isinstance(step, Elements):
-            most = max(most, largest_run(step.steps))
-    return most
-
-
 def decode(
     data: Bytes, at: Index, size: Index, steps: tuple[Step, ...], wire: Wire
 ) -> tuple[Columns, Index, int]:
@@ -274,7 +146,8 @@ def _decode_steps(cursors: Cursors, steps: tuple[Step, ...]) -> Columns:
         if isinstance(step, Run):
             columns += _decode_run(cursors, step)
         elif isinstance(step, TextStep):
-            columns.append((step.path, _decode_text(cursors)))
+            text = _decode_wide(cursors) if step.is_wide else _decode_text(cursors)
+            columns.append((step.path, text))
         elif isinstance(step, NumberSequence):
             columns.append((step.path, _decode_numbers(cursors, step.dtype)))
         else:
@@ -335,6 +208,21 @@ def _decode_text(cursors: Cursors) -> pa.Array:
     if cursors.wire.nul and len(size):  # a text that ends without one is read whole
         size = size - ((size > 0) & (cursors.data[start + np.maximum(size - 1, 0)] == 0))
     return arrow_arrays.text(runs(cursors.data, start, size), size)
+
+
+def _decode_wide(cursors: Cursors) -> pa.Array:
+    wide = cursors.wire.wide
+    size = cursors.counts(1 if wide.counts_bytes else wide.unit) * (1 if wide.counts_bytes else wide.unit)
+    start = cursors.take(size)
+    code = f"utf-{8 * wide.unit}-{'be' if cursors.wire.order == '>' else 'le'}"
+    texts = []
+    for k, (begin, length) in enumerate(zip(start.tolist(), size.tolist(), strict=True)):
+        try:
+            texts.append(cursors.data[begin : begin + length].tobytes().decode(code).rstrip("\0"))
+        except UnicodeDecodeError:
+            texts.append("")
+            cursors.bad[k] = True
+    return pa.array(texts, pa.string())
 
 
 def _decode_numbers(cursors: Cursors, dtype: str) -> pa.Array:

@@ -4,7 +4,8 @@ A definition is the text of a .msg file, then, after lines of `=`, `MSG: package
 type it refers to. Constants and default values do not change the layout and are left out. Of comments, a unit
 in brackets is kept (`float32 vx  # [m/s] ...`).
 Definitions come from the log, so they are hostile: types may recurse or blow up (A holds ten B, B ten C ...);
-both end in DefinitionError. Left out: wstring (its width on the wire is not agreed) and IDL schemas.
+both end in DefinitionError. Of a service the event that its introspection publishes is made up, of an action
+the message of its feedback: their definitions are the files of the service and of the action.
 """
 
 from __future__ import annotations
@@ -33,7 +34,9 @@ class Number:
 
 @dataclass(frozen=True)
 class Text:
-    """A string: u32 length, bytes (in CDR with a NUL that the length counts)."""
+    """A string: u32 length, bytes (in CDR with a NUL that the length counts); a wide one: see `Wide`."""
+
+    is_wide: bool = False
 
 
 @dataclass(frozen=True)
@@ -78,6 +81,9 @@ _SECONDS = {
 _BUILTIN_ROS2 = {
     "builtin_interfaces/Time": "int32 sec\nuint32 nanosec",
     "builtin_interfaces/Duration": "int32 sec\nuint32 nanosec",
+    "service_msgs/ServiceEventInfo": "uint8 event_type\nbuiltin_interfaces/Time stamp\nchar[16] client_gid\n"
+    "int64 sequence_number",
+    "unique_identifier_msgs/UUID": "uint8[16] uuid",
 }
 _STD_HEADER = "uint32 seq\ntime stamp\nstring frame_id"
 _FIELD = re.compile(
@@ -85,6 +91,9 @@ _FIELD = re.compile(
     r"\s*(?P<rest>.*)$"
 )
 _BRACKETS = re.compile(r"\[([^][]*)\]")
+_PARTS = re.compile(r"^---[ \t]*$", re.MULTILINE)
+_DERIVED = re.compile(r"_(?:Event|Request|Response|Goal|Result|Feedback|FeedbackMessage)$")
+_HEAD = re.compile(r"(?:MSG|SRV|ACTION):\s*(?P<name>\S+)")
 _NEXT = re.compile(r"^={3,}[ \t]*$", re.MULTILINE)
 
 
@@ -123,12 +132,31 @@ def _split(name: str, text: str, ros: int) -> dict[str, str]:
     """Short name -> text of every definition in `text`."""
     texts = dict(_BUILTIN_ROS2) if ros == 2 else {"std_msgs/Header": _STD_HEADER}
     first, *others = _NEXT.split(text)
-    texts[_short(name)] = first
+    _add(texts, _short(name), first)
     for other in others:
         head, _, body = other.strip().partition("\n")
-        if head.startswith("MSG:"):
-            texts[_short(head[4:].strip())] = body
+        found = _HEAD.match(head)
+        if found is not None:
+            _add(texts, _short(found["name"]), body)
     return texts
+
+
+def _add(texts: dict[str, str], name: str, text: str) -> None:
+    """A definition; that of a service or an action as those of its messages."""
+    parts = _PARTS.split(text)
+    if len(parts) not in (2, 3):
+        texts[name] = text
+        return
+    whole = _DERIVED.sub("", name)
+    names = ("Request", "Response") if len(parts) == 2 else ("Goal", "Result", "Feedback")
+    texts |= {f"{whole}_{part}": body for part, body in zip(names, parts, strict=True)}
+    if len(parts) == 2:
+        texts[f"{whole}_Event"] = (
+            "service_msgs/ServiceEventInfo info\n"
+            f"{whole}_Request[<=1] request\n{whole}_Response[<=1] response"
+        )
+    else:
+        texts[f"{whole}_FeedbackMessage"] = f"unique_identifier_msgs/UUID goal_id\n{whole}_Feedback feedback"
 
 
 def _short(name: str) -> str:
@@ -156,7 +184,7 @@ class _Resolver:
         for raw in self._texts[name].splitlines():
             line, _, comment = raw.partition("#")
             line = line.strip()
-            found = self._field(line, name, (*above, name)) if line and not line.startswith("MSG:") else None
+            found = self._field(line, name, (*above, name)) if line and not _HEAD.match(line) else None
             if found is not None:
                 fields.append(found)
                 units[found[0]] = _stated_unit(comment)
@@ -185,12 +213,10 @@ class _Resolver:
             raise DefinitionError(f"more than {MAX_LEAVES} fields")
         if name in self._numbers:
             return Number(self._numbers[name])
-        if name == "string":
-            return Text()
+        if name in ("string", "wstring"):
+            return Text(is_wide=name == "wstring")
         if self._ros == 1 and name in _SECONDS:
             return MessageType(name, _SECONDS[name])
-        if name == "wstring":
-            raise DefinitionError("wstring has no agreed layout")
         return self.record(self._qualify(name, owner), above)
 
     def _qualify(self, name: str, owner: str) -> str:

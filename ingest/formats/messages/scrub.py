@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
 from flysid.ingest.formats.common import scrub_rules as rules
 from flysid.ingest.formats.common.scrub_rules import Scrubber, ScrubColumn
-from flysid.ingest.formats.messages.cdr import ROS1_WIRE, Wire
 from flysid.ingest.formats.messages.channel import Channel
 from flysid.ingest.formats.messages.definitions import (
     Array,
@@ -21,6 +21,8 @@ from flysid.ingest.formats.messages.definitions import (
     Type,
     parse_definition,
 )
+from flysid.ingest.formats.messages.idl import parse_idl
+from flysid.ingest.formats.messages.steps import ROS1_WIRE, Wire, has_wide, plan
 from flysid.ingest.formats.messages.topic import CDR_WIRES
 
 Clean = Callable[[bytes], bytes]
@@ -98,6 +100,14 @@ def _move(out: bytearray, numbers: dict[str, Spot], wire: Wire, where: str, scru
             out[spot.at : spot.at + spot.size] = rows[spot.path].tobytes()
 
 
+_PARSERS: Mapping[tuple[str, str], Callable[[str, str], MessageType]] = {
+    ("ros1", "ros1msg"): partial(parse_definition, ros=1),
+    ("cdr", "ros2msg"): partial(parse_definition, ros=2),
+    ("cdr", "ros2idl"): parse_idl,
+    ("cdr", "omgidl"): parse_idl,
+}
+
+
 def cleaner_for(channel: Channel, scrubber: Scrubber) -> Clean | None:
     """What cleans one message of a ROS topic; None where its definition gives no layout.
 
@@ -107,17 +117,19 @@ def cleaner_for(channel: Channel, scrubber: Scrubber) -> Clean | None:
     where = channel.topic
     if schema is None or channel.fault or CORRECTIONS in f"{where} {schema.name}".lower():
         return None
-    wires = {("ros1", "ros1msg"): 1, ("cdr", "ros2msg"): 2}
-    ros = wires.get((channel.encoding, schema.encoding))
-    if ros is None:
+    parse = _PARSERS.get((channel.encoding, schema.encoding))
+    if parse is None:
         return None
     try:
-        kind = parse_definition(schema.name, schema.data.decode("utf-8", "replace"), ros)
+        kind = parse(schema.name, schema.data.decode("utf-8", "replace"))
+        is_plain = not has_wide(plan(kind))  # how wide strings lie, only all messages together tell
     except DefinitionError:
+        return None
+    if not is_plain:
         return None
     if not may_hold(kind):
         return bytes
-    if ros == 1:
+    if channel.encoding == "ros1":
         return lambda raw: scrub_message(kind, raw, ROS1_WIRE, where, scrubber)
     return lambda raw: _scrub_cdr(kind, raw, where, scrubber)
 

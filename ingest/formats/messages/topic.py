@@ -17,15 +17,8 @@ from flysid.ingest.formats.common.odd_cells import OddCells
 from flysid.ingest.formats.common.px4_keys import px4_key
 from flysid.ingest.formats.common.px4_units import px4_topic, px4_unit
 from flysid.ingest.formats.common.tally import Tally
-from flysid.ingest.formats.messages.cdr import (
-    ROS1_WIRE,
-    Columns,
-    UnevenError,
-    Wire,
-    decode,
-    largest_run,
-    plan,
-)
+from flysid.ingest.formats.messages.cbor import cbor_as_json
+from flysid.ingest.formats.messages.cdr import Columns, UnevenError, decode
 from flysid.ingest.formats.messages.channel import Channel
 from flysid.ingest.formats.messages.definitions import (
     DefinitionError,
@@ -33,8 +26,10 @@ from flysid.ingest.formats.messages.definitions import (
     parse_definition,
     units_of,
 )
+from flysid.ingest.formats.messages.idl import parse_idl
 from flysid.ingest.formats.messages.json_schema import decode_json, parse_json_schema
 from flysid.ingest.formats.messages.protobuf import decode_protobuf, parse_descriptors
+from flysid.ingest.formats.messages.steps import ROS1_WIRE, WIDES, Wire, has_wide, largest_run, plan
 
 MAX_LAGS = 4096
 MAX_COLUMNS = 20_000
@@ -97,7 +92,11 @@ def decoder_for(channel: Channel) -> Decoder:
     if channel.encoding == "ros1" and kind == "ros1msg":
         return _ros1_decoder(name, raw.decode("utf-8", "replace"))
     if channel.encoding == "cdr" and kind == "ros2msg":
-        return _cdr_decoder(name, raw.decode("utf-8", "replace"))
+        return _cdr_decoder(name, parse_definition(name, raw.decode("utf-8", "replace"), 2))
+    if channel.encoding == "cdr" and kind in ("ros2idl", "omgidl"):
+        return _cdr_decoder(name, parse_idl(name, raw.decode("utf-8", "replace")))
+    if channel.encoding == "cbor" and kind in ("jsonschema", ""):
+        return _cbor_decoder(raw)
     if channel.encoding == "protobuf" and kind == "protobuf":
         return _protobuf_decoder(name, raw)
     raise DefinitionError(f"encoding {channel.encoding!r} with schema {kind!r} is not known")
@@ -144,11 +143,25 @@ def _ros1_decoder(name: str, text: str) -> Decoder:
     return decode_batch
 
 
-def _cdr_decoder(name: str, text: str) -> Decoder:
-    kind = parse_definition(name, text, 2)
+def _cbor_decoder(raw: bytes) -> Decoder:
+    decode_json_batch = _json_decoder(raw)
+
+    def decode_batch(messages: Messages) -> Decoded:
+        texts = cbor_as_json(messages.data, messages.at, messages.size)
+        which = np.flatnonzero([text is not None for text in texts])
+        size = np.array([len(text) for text in texts if text is not None], dtype=np.int64)
+        data = np.frombuffer(b"".join([*filter(None, texts), bytes(ZERO_PAGE)]), dtype=np.uint8)
+        found = decode_json_batch(Messages(data, np.cumsum(size) - size, size, messages.log_ns[which]))
+        return replace(found, kept=which[found.kept])
+
+    return decode_batch
+
+
+def _cdr_decoder(name: str, kind: MessageType) -> Decoder:
     steps = plan(kind)
     notes = _unit_notes(name, kind)
     zeros = largest_run(steps)
+    wides = WIDES if has_wide(steps) else WIDES[:1]
 
     def decode_batch(messages: Messages) -> Decoded:
         data = _pad(messages.data, zeros)
@@ -161,7 +174,8 @@ def _cdr_decoder(name: str, text: str) -> Decoder:
             if wire is not None:
                 at = messages.at[which] + 4
                 size = messages.size[which] - 4
-                columns, kept, surplus = decode(data, at, size, steps, wire)
+                tries = (decode(data, at, size, steps, replace(wire, wide=wide)) for wide in wides)
+                columns, kept, surplus = max(tries, key=lambda found: len(found[1]))
                 groups.append((_taken(columns, kept), which[kept]))
                 longer += surplus
         return replace(_merge(groups), notes=notes, longer=longer)

@@ -3,7 +3,7 @@
 Stream keys, clocks and columns are those of an MCAP file with the same topics. Tables used: `topics` (id,
 name, type, serialization format), `messages` (topic, time of recording in ns, CDR bytes) and, in bags since
 ROS 2 Iron, `message_definitions` (type, encoding, text). Older bags hold no definitions: those of ROS 2
-Humble are taken from the optional library rosbags, which also translates IDL. Several files
+Humble are taken from the optional library rosbags. Several files
 of one recording are one log: see `recordings`. Messages compressed one by one are known by the magic of zstd.
 """
 
@@ -147,7 +147,7 @@ class Bag:
         found = find_definition(kind, *known.get(kind, ("", "")))
         if found.source:
             self.info["definitions"] = found.source
-        return Schema(kind, "" if found.fault else "ros2msg", found.text.encode()), found.fault
+        return Schema(kind, "" if found.fault else found.encoding, found.text.encode()), found.fault
 
 
 def _whole(value: Any) -> int:

@@ -1,39 +1,34 @@
-"""Definitions of ROS 2 types that a bag does not carry as message text, through the optional rosbags."""
+"""Definitions of ROS 2 types: those of a bag, and through the optional rosbags those that it leaves out."""
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
-MAX_IDL_BYTES = 1 << 20
-_NEXT = re.compile(r"^={3,}[ \t]*$", re.MULTILINE)
-_HEAD = re.compile(r"^\s*IDL: .*$", re.MULTILINE)
+ENCODINGS = ("ros2msg", "ros2idl")
 _INSTALL = "install the optional library: pip install 'flysid[bags]'"
 
 
 @dataclass(frozen=True)
 class Definition:
-    """A definition as message text, where it came from if not from the bag, and why there is none."""
+    """A definition, where it came from if not from the bag, why there is none, and its language."""
 
     text: str
     source: str = ""
     fault: str = ""
+    encoding: str = "ros2msg"
 
 
 def find_definition(kind: str, encoding: str, text: str) -> Definition:
     """The definition of type `kind`, from what the bag holds (both "" where that is nothing).
 
-    IDL and types that the bag leaves out need rosbags.
+    Types that the bag leaves out need rosbags.
     """
-    if encoding == "ros2msg":
-        return Definition(text)
+    if encoding in ENCODINGS:
+        return Definition(text, encoding=encoding)
     if not _has_rosbags():
-        what = "a definition in IDL" if encoding == "ros2idl" else f"no definition of {kind} in the bag"
-        return Definition("", fault=f"{what}; {_INSTALL}")
-    if encoding == "ros2idl":
-        return _from_idl(kind, text)
+        return Definition("", fault=f"no definition of {kind} in the bag; {_INSTALL}")
     return _known(kind)
 
 
@@ -59,21 +54,3 @@ def _known(kind: str) -> Definition:
     if kind not in store.fielddefs:
         return Definition("", fault=f"no definition of {kind} in the bag, and ROS 2 Humble has none")
     return Definition(store.generate_msgdef(kind, ros_version=2)[0], "ROS 2 Humble, by rosbags")
-
-
-def _from_idl(kind: str, text: str) -> Definition:
-    """IDL as message text."""
-    from rosbags.typesys import Stores, TypesysError, get_types_from_idl, get_typestore
-
-    if len(text) > MAX_IDL_BYTES:
-        return Definition("", fault=f"an IDL definition of {len(text)} bytes")
-    try:
-        store = get_typestore(Stores.EMPTY)
-        types: dict[str, Any] = {}
-        for part in _NEXT.split(text):
-            if (body := _HEAD.sub("", part)).strip():
-                types.update(get_types_from_idl(body))
-        store.register(types)
-        return Definition(store.generate_msgdef(kind, ros_version=2)[0], "IDL, by rosbags")
-    except (TypesysError, KeyError, ValueError, RecursionError) as error:
-        return Definition("", fault=f"the IDL definition of {kind} cannot be read: {str(error)[:80]}")

@@ -88,6 +88,6 @@ def _topic(
     link.execute("INSERT INTO topics VALUES (?, ?, ?, 'cdr', '', '')", (number, channel.topic, schema.name))
     same = "SELECT 1 FROM message_definitions WHERE topic_type = ?"
     if link.execute(same, (schema.name,)).fetchone() is None:
-        new = (number, schema.name, schema.data.decode("utf-8", "replace"))
-        link.execute("INSERT INTO message_definitions VALUES (?, ?, 'ros2msg', ?, '')", new)
+        new = (number, schema.name, schema.encoding, schema.data.decode("utf-8", "replace"))
+        link.execute("INSERT INTO message_definitions VALUES (?, ?, ?, ?, '')", new)
     return number, clean
