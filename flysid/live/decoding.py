@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 
+from flysid.flight import ClockMap
 from flysid.ingest.formats.common.columns import RecordLayout, message_schema
 from flysid.ingest.formats.common.vehicle_time import AGREES_NS, AUTOPILOT_COMPONENT
 from flysid.ingest.formats.mavlink.dialect import Dialect, load_dialect
@@ -110,6 +111,11 @@ class Decoder:
     def rows(self) -> Mapping[str, int]:
         """Rows of every stream so far."""
         return {name: stream.rows for name, stream in self._by_name.items()}
+
+    @property
+    def clocks(self) -> Sequence[ClockMap]:
+        """Not known before the end."""
+        return ()
 
     @property
     def allowed(self) -> None:

@@ -18,7 +18,7 @@ import numpy.typing as npt
 import pyarrow as pa
 
 from flysid.errors import RecipeError
-from flysid.flight import BOOT, ROW_NUMBER, TIME, Flight, field_scale, field_unit, matching_streams
+from flysid.flight import BOOT, ROW_NUMBER, TIME, ClockMap, Flight, field_scale, field_unit, matching_streams
 from flysid.flightwriter import int_values
 from flysid.ingest.align.allowed import Allowed
 from flysid.ingest.align.recipe import Recipe, SignalSpec, Source
@@ -60,6 +60,11 @@ class Log(Protocol):
         ...
 
     @property
+    def clocks(self) -> Sequence[ClockMap]:
+        """One for every boot, in order; empty where nobody knows them."""
+        ...
+
+    @property
     def allowed(self) -> Allowed | None:
         """Where it may be used; None: everywhere."""
         ...
@@ -91,6 +96,10 @@ class FlightLog:
     @property
     def info(self) -> Mapping[str, str]:
         return self.flight.info
+
+    @property
+    def clocks(self) -> Sequence[ClockMap]:
+        return self.flight.clocks
 
     @property
     def allowed(self) -> None:

@@ -35,6 +35,7 @@ STAMP_BYTES = 8
 FIRST_STRETCH = 1 << 12
 LONGEST_STRETCH = 1 << 20
 HEADER_BLOCK = 1 << 14
+ROWS = ("start", "message", "payload", "length", "system", "component", "sequence")  # of `Frames`
 
 IntArray = npt.NDArray[np.int64]
 ByteArray = npt.NDArray[np.uint8]
@@ -90,6 +91,10 @@ class Frames:
     def __len__(self) -> int:
         return len(self.start)
 
+    def senders(self) -> IntArray:
+        """(n,) system * 256 + component."""
+        return (self.system.astype(np.int64) << 8) | self.component
+
     def checksums(self) -> IntArray:
         """(n,) of header and content, as the frames state them."""
         at = self.payload + self.length
@@ -97,12 +102,9 @@ class Frames:
 
     def where(self, kept: npt.NDArray[np.bool_]) -> Frames:
         """Some of the frames."""
-        columns = (self.start, self.message, self.payload, self.length)
-        numbers = (self.system, self.component, self.sequence)
+        columns = [getattr(self, name) for name in ROWS]
         stamps = None if self.stamp_us is None else self.stamp_us[kept]
-        return Frames(
-            self.buffer, *(each[kept] for each in columns), *(each[kept] for each in numbers), stamps
-        )
+        return Frames(self.buffer, *(column[kept] for column in columns), stamps)
 
 
 @dataclass(frozen=True)
