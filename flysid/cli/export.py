@@ -10,9 +10,11 @@ from flysid.cli.addresses import SOURCE
 from flysid.cli.bounds import POSITIVE
 from flysid.cli.checks import Words
 from flysid.cli.display import Display
+from flysid.cli.output import say
 from flysid.cli.source import opened_flights, reading_options
 from flysid.cli.trust import Own, Setting
 from flysid.errors import UsageError
+from flysid.facts.clock import log_clock
 from flysid.progress import tell
 
 KINDS = ("csv", "parquet", "mat", "xlsx", "mcap")
@@ -145,3 +147,4 @@ def export_flight(
         check_target(target, force)
         tell("writing", log=target.name)
         click.echo(str(export_tables(tables, kind, target)))
+        say(f"time_s: {log_clock(logs[0].clocks).words}")

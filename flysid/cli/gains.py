@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shlex
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,12 +16,13 @@ from flysid.cli.addresses import SOURCE, here
 from flysid.cli.checks import Words
 from flysid.cli.display import Display
 from flysid.cli.output import align_columns, check_target, explain, printable, say, say_drawn
-from flysid.cli.source import READING_OF_A_LOOK, opened_flights, reading_options
-from flysid.cli.trust import Own, Setting
+from flysid.cli.source import READING_OF_A_LOOK, flight_options, opened_flights, reading_options
+from flysid.cli.trust import Own
 from flysid.extras import Extra, extra
 from flysid.showing import fold
 
 if TYPE_CHECKING:
+    from flysid.ingest.lake.chosen_flights import Selection
     from flysid.loops.judged import Judged
 
 
@@ -33,7 +35,7 @@ if TYPE_CHECKING:
     type=click.Choice(["roll", "pitch", "yaw"]),
     help="[default: roll, pitch]",
 )
-@click.option("--flight", "flights", cls=Setting, multiple=True, help="Only this flight; repeatable.")
+@flight_options
 @click.option(
     "--plot", type=click.Path(dir_okay=False, path_type=Path), help="Write a Nyquist plot to this file."
 )
@@ -43,7 +45,7 @@ if TYPE_CHECKING:
 def command(
     source: Path,
     axes: tuple[str, ...],
-    flights: tuple[str, ...],
+    selection: Selection,
     plot: Path | None,
     force: bool,
     as_json: bool,
@@ -57,7 +59,7 @@ def command(
     known of any axis). It proposes no gains. Given the folder of a run, it reads the flights of that run,
     and refuses one whose verdict is "not enough data".
     """
-    from flysid.ingest.lake.chosen_flights import Selection, select
+    from flysid.ingest.lake.chosen_flights import require_one_vehicle, select
     from flysid.loops.judged import CAUTION, judge
     from flysid.progress import part
     from flysid.validate.pictures import check_picture
@@ -68,14 +70,16 @@ def command(
         check_target(plot, force, makes_folders=False)
     if (source / RUN_FILE).is_file():
         source, own = _of_run(source)
-        flights = flights or own
-    chosen = Selection(flights=flights)
+        selection = replace(selection, flights=selection.flights or own)
     with (
         Display().shown(),
-        opened_flights(source, told, selection=chosen) as lake,
+        opened_flights(source, told, selection=selection) as lake,
         part(READING_OF_A_LOOK),
     ):
-        logs = select(lake, chosen).logs
+        chosen = select(lake, selection)
+        if not selection.pool:
+            require_one_vehicle(chosen)
+        logs = chosen.logs
         found = judge(logs, axes or ("roll", "pitch"))
     known = [j for j in found if j.margins is not None]
     if as_json:

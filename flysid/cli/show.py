@@ -21,6 +21,7 @@ from flysid.cli.ls import clock_text
 from flysid.cli.output import align_columns, printable, say
 from flysid.cli.source import opened_flights, reading_options
 from flysid.errors import StoreError, UsageError
+from flysid.facts.clock import log_clock
 from flysid.facts.losses import loss_lines, repeat_lines
 from flysid.flight import BOOT, RECEIVED, TIME
 from flysid.showing import counted
@@ -183,9 +184,13 @@ def _print_parameters(log: StoredLog) -> None:
 def _print_events(log: StoredLog, kinds: Sequence[str]) -> None:
     from flysid.ingest.lake.events import events
 
-    rows = [(f"{e.time_ns / 1e9:.3f} s", e.kind, e.text) for e in events(log) if e.kind in kinds]
+    clock = log_clock(log.clocks)
+    rows = [
+        (f"{clock.seconds(e.boot, e.time_ns):.3f} s", e.kind, e.text) for e in events(log) if e.kind in kinds
+    ]
     if rows:
         click.echo("\n".join(align_columns(rows)))
+        say(f"times: {clock.words}")
     else:
         say(f"the log holds none of these: {', '.join(kinds)}")
 
@@ -203,6 +208,7 @@ def _print_track(log: StoredLog) -> None:
         text = io.BytesIO()
         csv.write_csv(inert(track), text)
         click.echo(text.getvalue().decode(), nl=False)
+        say(f"time_s: {log_clock(log.clocks).words}")
 
 
 def only_flight(data: str, flights: Sequence[str]) -> str:
@@ -241,6 +247,7 @@ def flight_text(manifest: Manifest, modes: Sequence[str] = (), flown: str = "") 
         ("duration", f"{clock_text(manifest.duration_s)} in {counted(len(manifest.clocks), 'boot')}"),
     ]
     facts += [("date", when) for when in dates(manifest.clocks)]
+    facts += [("times", log_clock(manifest.clocks).words)]
     facts += [("flown", flown)] if flown else []
     facts += [("modes", ", ".join(modes))] if modes else []
     facts += [(k, v) for k, v in sorted(manifest.info.items()) if v]

@@ -150,6 +150,11 @@ def plot_options(function: F) -> F:
     return _selecting(function, _STRETCHES)
 
 
+def flight_options(function: F) -> F:
+    """Which flights, and of which vehicle: --flight, --exclude, --vehicle, --pool."""
+    return _selecting(function)
+
+
 def selection_options(function: F) -> F:
     """As `plot_options`, and --keep-mishaps."""
     return _selecting(function, (_MISHAPS, *_STRETCHES))

@@ -29,6 +29,8 @@ COUNTERS = 8  # of one sender that are followed
 NEAR = 8  # frames ago, a counter may have spoken that a late frame came after
 CONVINCING = 3  # frames in order that return to a counter: it goes on
 RARE = 200  # frames to a pause, from which on pauses are no part of a sender's rate
+LATELY = 64  # frames among which copies are common where a loop makes them
+COMMON = 8  # so many frames to a copy, at most: two radios send equal heartbeats, by chance under one number
 NO_CLOCK = -1
 
 
@@ -184,7 +186,8 @@ class SequenceCounter:
     _counts: dict[str, int] = field(default_factory=lambda: dict.fromkeys(COUNTED, 0))
     _counters: list[_Counter] = field(default_factory=list)  # the one that spoke last at the end
     _recent: deque[tuple[int, int, int]] = field(default_factory=lambda: deque(maxlen=ROUND))
-    _last_sequence: int = -1
+    _last_key: int = -1  # number and checksum of the frame before
+    _lately: BoolArray = field(default_factory=lambda: np.zeros(0, dtype=bool))  # what seemed to come again
     _advances: int = 0
     _standing: int = 0  # frames of other content under the number before
     _pace: _Pace = field(default_factory=_Pace)  # since a while
@@ -229,36 +232,45 @@ class SequenceCounter:
 
     def _fresh(self, rows: FrameRows) -> BoolArray:
         """(n,) whether a frame comes for the first time."""
+        if not len(rows):
+            return np.ones(0, dtype=bool)
         keys = rows.sequence << 16 | rows.checksum
         stamps = np.zeros(len(rows), np.int64) if rows.stamp_us is None else rows.stamp_us
-        before = rows.sequence[:1] - 1 if self._last_sequence < 0 else [self._last_sequence]
-        steps = np.diff(rows.sequence, prepend=before) % ROUND
+        steps = (
+            np.diff(rows.sequence, prepend=self._last_key >> 16 if self._last_key >= 0 else rows.sequence[0])
+            % ROUND
+        )
+        self._advances += int(((steps > 0) & (steps < HALF)).sum())
+        is_back = (steps == 0) | (steps >= HALF)
+        is_back[0] &= self._last_key >= 0
         fresh = np.ones(len(rows), dtype=bool)
-        self._advances += int((steps == 1).sum())
-        if ((steps == 0) | (steps >= HALF)).any():
-            self._standing += int(((steps == 0) & (np.diff(keys, prepend=-1) != 0)).sum())
+        if is_back.any():
+            self._standing += int(
+                (is_back & (steps == 0) & (np.diff(keys, prepend=self._last_key) != 0)).sum()
+            )
             if self._advances > self._standing:  # others do not count, and may well repeat themselves
                 fresh = self._first_copies(keys.tolist(), stamps.tolist())
         at = self._counts["frames"] + np.cumsum(fresh)
         tail = np.flatnonzero(fresh)[-ROUND:]
         self._recent.extend(zip(keys[tail].tolist(), at[tail].tolist(), stamps[tail].tolist(), strict=True))
-        if len(rows):
-            self._last_sequence = int(rows.sequence[-1])
+        self._last_key = int(keys[-1])
         return fresh
 
     def _first_copies(self, keys: list[int], stamps: list[int]) -> BoolArray:
         known = {key: (at, us) for key, at, us in self._recent}
         at = self._counts["frames"]
         longest_us = HALF * (self._interval_us or (stamps[-1] - stamps[0]) / len(stamps))
-        fresh = np.ones(len(keys), dtype=bool)
+        again = np.zeros(len(keys), dtype=bool)
         for i, (key, stamp_us) in enumerate(zip(keys, stamps, strict=True)):
             there = known.get(key)
             if there and at - there[0] < HALF and (not longest_us or stamp_us - there[1] < longest_us):
-                fresh[i] = False
+                again[i] = True
             else:
                 at += 1
                 known[key] = (at, stamp_us)
-        return fresh
+        often = _is_often(np.concatenate([self._lately, again]))[len(self._lately) :]
+        self._lately = np.concatenate([self._lately, again])[-LATELY:]
+        return ~(again & often)
 
     # ------------------------------------------------------------------------------------------- losses
 
@@ -451,3 +463,14 @@ class SequenceCounter:
         silence = _Silence(gap, waited_us, self._interval_us)
         self._silences.append(silence)
         return silence
+
+
+def _is_often(again: BoolArray) -> BoolArray:
+    """(n,) whether copies are common among the frames up to each, or from each on."""
+    sums = np.concatenate([[0], np.cumsum(again)])
+    here = np.arange(len(again))
+    first = np.maximum(here + 1 - LATELY, 0)
+    last = np.minimum(here + LATELY, len(again))
+    before = COMMON * (sums[here + 1] - sums[first]) >= here + 1 - first
+    after = COMMON * (sums[last] - sums[here]) >= last - here
+    return np.asarray(before | after)

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 
-from flysid.flight import KEY, OTHERS, matching_streams
+from flysid.flight import KEY, OTHERS, ClockMap, matching_streams
 from flysid.ingest.formats.base import Limits
 from flysid.ingest.formats.common.arrow_arrays import fixed_text
 from flysid.ingest.formats.common.columns import RecordLayout, message_schema
@@ -117,6 +117,11 @@ class Decoder:
     def rows(self) -> Mapping[str, int]:
         """Rows of every stream so far."""
         return {name: stream.rows for name, stream in self._by_name.items()}
+
+    @property
+    def clocks(self) -> Sequence[ClockMap]:
+        """Not known before the end."""
+        return ()
 
     @property
     def allowed(self) -> None:

@@ -13,13 +13,14 @@ import tomli_w
 
 from flysid.dataset import Dataset
 from flysid.errors import RecipeError, StoreError, UsageError
+from flysid.facts.clock import log_clock
 from flysid.files import slug, write_atomically
 from flysid.foreign import inner_path
 from flysid.ingest.align.recipe import load_recipe, parse_recipe, recipe_text, shipped_recipes
 from flysid.ingest.lake.stretches import Stretches, beginnings, parse_part
 from flysid.manifest import FLIGHTS, read_manifest
 from flysid.model.structures import table
-from flysid.studio.flights import boot_offsets_s, lake_of
+from flysid.studio.flights import lake_of
 from flysid.studio.folders import NotThere, Workspace
 from flysid.studio.forms import Aligned, Draft
 from flysid.validate.report.decimate import decimate, round_for_json
@@ -151,7 +152,7 @@ def align_channel(workspace: Workspace, recipes: Recipes, asked: Aligned) -> dic
     lake = replace(lake, stretches=Stretches(without=mine))
     found = lake.align(load_recipe(recipes.place(asked.r)), asked.ch)
     manifest = read_manifest(workspace.data / FLIGHTS / asked.f)
-    offsets = boot_offsets_s(manifest)
+    offsets = log_clock(manifest.clocks).offsets_s
     ends_ns = {clock.boot: clock.last_ns for clock in manifest.clocks}
     begins_ns = sorted(beginnings(lake.logs[0]).items())
     data = found.dataset

@@ -15,6 +15,7 @@ import numpy as np
 from flysid.dataset import Dataset, FloatArray, Segment
 from flysid.errors import UsageError
 from flysid.extras import Extra, Missing, extra
+from flysid.facts.clock import log_clock
 from flysid.manifest import FLIGHTS, read_manifest
 from flysid.model.base import Fitted
 from flysid.model.capabilities import (
@@ -25,7 +26,7 @@ from flysid.model.capabilities import (
 )
 from flysid.model.start import run_from_window, start_window
 from flysid.model.structures import leaders
-from flysid.studio.flights import RUN, SIGNAL, boot_offsets_s
+from flysid.studio.flights import RUN, SIGNAL
 from flysid.studio.folders import NotThere, Workspace, is_name, short_id
 from flysid.studio.forms import Explained
 from flysid.validate.run import RECIPE_FILE, RUN_FILE, HeldOut, held_out, open_run
@@ -119,7 +120,7 @@ def seen_at(workspace: Workspace, run: Path, data: Dataset, segment: Segment) ->
     place = workspace.data / FLIGHTS / flight
     if not is_name(flight) or not place.is_dir():
         return None
-    offsets = boot_offsets_s(read_manifest(place))
+    offsets = log_clock(read_manifest(place).clocks).offsets_s
     start_s = segment.t0_ns * 1e-9 + offsets.get(int(boot) if boot else min(offsets, default=0), 0.0)
     has_recipe = (run / RECIPE_FILE).is_file()
     recipe = f"{SIGNAL}{RUN}{short_id(run)}"

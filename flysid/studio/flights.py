@@ -6,7 +6,7 @@ import json
 import os
 import re
 import struct
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache, partial
 from pathlib import Path
@@ -16,6 +16,7 @@ import numpy as np
 
 from flysid.catalogue import FlightFacts
 from flysid.errors import UsageError
+from flysid.facts.clock import log_clock
 from flysid.flight import BOOT, RECEIVED, TIME
 from flysid.ingest.align.recipe import load_recipe, shipped_recipes
 from flysid.ingest.align.signals import load_signal
@@ -68,13 +69,11 @@ class Flights:
         manifest = self.manifest(flight)
         lake = lake_of(self.data, flight)
         [log] = lake.logs
-        modes, moments = happenings(log, boot_offsets_s(manifest), manifest.duration_s)
+        axis = log_clock(manifest.clocks)
+        modes, moments = happenings(log, axis.offsets_s, manifest.duration_s)
         return {
             **_summarise(log.facts),
-            "clocks": [
-                [clock.boot, str(clock.first_ns), start_s]
-                for clock, start_s in zip(manifest.clocks, _starts_s(manifest), strict=True)
-            ],
+            "clocks": [[boot, str(axis.begins_ns[boot]), start_s] for boot, start_s in axis.starts_s.items()],
             "streams": [_stream(entry) for entry in manifest.streams if entry.rows],
             "signals": _signals(lake),
             "modes": modes,
@@ -86,12 +85,11 @@ class Flights:
         table = read_track(lake_of(self.data, flight).logs[0])
         if table is None:
             return {"points": []}
-        offsets = boot_offsets_s(self.manifest(flight))
         kept = np.unique(np.linspace(0, table.num_rows - 1, min(table.num_rows, 2000)).astype(int))
-        columns = [table[name].to_numpy()[kept] for name in ("time_s", "boot", "lat_deg", "lon_deg")]
+        columns = [table[name].to_numpy()[kept] for name in ("time_s", "lat_deg", "lon_deg")]
         points = [
-            [round(float(at) + offsets.get(int(boot), 0.0), 3), round(float(lat), 7), round(float(lon), 7)]
-            for at, boot, lat, lon in zip(*columns, strict=True)
+            [round(float(at), 3), round(float(lat), 7), round(float(lon), 7)]
+            for at, lat, lon in zip(*columns, strict=True)
         ]
         return {"points": points}
 
@@ -168,7 +166,7 @@ class Flights:
 
     def _read_signal(self, flight: str, recipe: str, _stamp: int, signal: str) -> tuple[TimeAxis, Pyramid]:
         found = load_signal(signal, load_recipe(recipe).signals[signal], lake_of(self.data, flight).logs[0])
-        offsets = boot_offsets_s(self.manifest(flight))
+        offsets = log_clock(self.manifest(flight).clocks).offsets_s
         boots = [
             (np.asarray(samples.t_ns * 1e-9 + offsets.get(boot, 0.0)), samples.x)
             for boot, samples in sorted(found.boots.items())
@@ -178,7 +176,7 @@ class Flights:
     def _read_axis(self, flight: str, stream: str) -> TimeAxis:
         manifest = self.manifest(flight)
         folder = self.data / FLIGHTS / flight
-        return read_axis(folder, manifest.stream(stream), boot_offsets_s(manifest), self._cache)
+        return read_axis(folder, manifest.stream(stream), log_clock(manifest.clocks).offsets_s, self._cache)
 
     def _read_pyramid(self, flight: str, stream: str, field: str) -> Pyramid:
         manifest = self.manifest(flight)
@@ -203,19 +201,6 @@ def _signals(lake: Lake) -> list[dict[str, Any]]:
         pairs = [list(recipe.signals_of(channel)) for channel in channels]
         listed.append({"stream": f"{SIGNAL}{name}", "fields": fields, "channels": pairs})
     return listed
-
-
-def boot_offsets_s(manifest: Manifest) -> dict[int, float]:
-    """Boot -> seconds to add to its vehicle time, so that boots follow one another from zero on."""
-    starts = zip(manifest.clocks, _starts_s(manifest), strict=True)
-    return {clock.boot: start_s - clock.first_ns * 1e-9 for clock, start_s in starts}
-
-
-def _starts_s(manifest: Manifest) -> Iterator[float]:
-    start_s = 0.0
-    for clock in manifest.clocks:
-        yield start_s
-        start_s += (clock.last_ns - clock.first_ns) * 1e-9
 
 
 def drawable(column: Column) -> Sequence[str]:

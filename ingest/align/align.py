@@ -20,6 +20,7 @@ from flysid.dataset import Dataset, Segment, Signal
 from flysid.datasetfile import write_dataset
 from flysid.errors import DataError, RecipeError
 from flysid.extras import Extra, extra
+from flysid.facts.clock import log_clock
 from flysid.facts.vehicle import vehicle_of
 from flysid.flight import Flight
 from flysid.ingest.align import resample
@@ -238,11 +239,15 @@ class _Job:
             log.name, signals=reports, notes=(*clocks.notes, *conditions.notes, *conditions.never)
         )
         segments: list[Segment] = []
+        begins = log_clock(log.clocks).begins_ns
         for boot in boots:
             name = f"{log.name}#{boot}" if several else log.name
             series = {n: boots_of[boot] for n, boots_of in tidied.items()}
             if all(len(s.t_ns) for s in series.values()):
-                part = _Boot(self, name, series, dt_ns, labels.get(boot, Labels()), vehicle_of(log.info))
+                begin_ns = begins.get(boot, min(int(s.t_ns[0]) for s in series.values()))
+                part = _Boot(
+                    self, name, series, dt_ns, labels.get(boot, Labels()), begin_ns, vehicle_of(log.info)
+                )
                 found, counts = part.segments(conditions.spans.get(boot))
                 segments += found
                 report = report.plus(counts)
@@ -294,6 +299,7 @@ class _Boot:
     series: Mapping[str, RecordedSignal]
     dt_ns: int
     labels: Labels
+    begin_ns: int
     vehicle: str = ""
 
     def segments(self, allowed: Sequence[Span] | None) -> tuple[list[Segment], FlightReport]:
@@ -356,7 +362,7 @@ class _Boot:
     def _marks(self, u: FloatArray) -> dict[str, str | float]:
         """Duration, excitation, and the share of samples in which an input stands at a limit."""
         marks: dict[str, str | float] = {
-            "begin_s": min(int(s.t_ns[0]) for s in self.series.values()) * 1e-9,
+            "begin_s": self.begin_ns * 1e-9,
             "duration_s": len(u) * self.dt_ns * 1e-9,
             "excitation": float(u.std(axis=0).max()),
         }

@@ -21,6 +21,7 @@ from flysid.flight import (
     BOOT,
     ROW_NUMBER,
     TIME,
+    ClockMap,
     Flight,
     field_scale,
     field_unit,
@@ -70,6 +71,11 @@ class Log(Protocol):
         ...
 
     @property
+    def clocks(self) -> Sequence[ClockMap]:
+        """One for every boot, in order; empty where nobody knows them."""
+        ...
+
+    @property
     def allowed(self) -> Allowed | None:
         """Where it may be used; None: everywhere."""
         ...
@@ -105,6 +111,10 @@ class FlightLog:
     @property
     def info(self) -> Mapping[str, str]:
         return self.flight.info
+
+    @property
+    def clocks(self) -> Sequence[ClockMap]:
+        return self.flight.clocks
 
     @property
     def allowed(self) -> None:

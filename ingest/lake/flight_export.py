@@ -17,10 +17,13 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
+from flysid.dataset import FloatArray
 from flysid.errors import UsageError
 from flysid.escaping import inert_cell, one_line
+from flysid.facts.clock import LogClock, log_clock
 from flysid.files import new_file, replacing_folder, slug, writing_to
 from flysid.flight import BOOT, RECEIVED, TIME, field_metadata, field_scale, field_unit, resolve_stream
+from flysid.flightwriter import int_values
 from flysid.ingest.align.resample import GAP_PERIODS, grid_in, linear, period_ns, spans_between_gaps, tidy
 from flysid.ingest.align.resample import hold as hold_last
 from flysid.ingest.align.signals import Log
@@ -43,6 +46,8 @@ class FileKind:
 def physical_tables(log: Log, streams: Sequence[str] = ()) -> dict[str, pa.Table]:
     """Streams as tables of physical values: `time_s`, `boot` where there are several, then the fields.
 
+    `time_s` is that of every verb, seconds since the log began (`facts.clock`).
+
     Arrays of fixed size become a column per element, `q[0]`. The unit is in each column's metadata.
 
     Parameters
@@ -54,7 +59,17 @@ def physical_tables(log: Log, streams: Sequence[str] = ()) -> dict[str, pa.Table
     UsageError : no such stream.
     """
     keys = [resolve_stream(name, log.rows, log.name) for name in streams] or list(log.rows)
-    return {key: _physical(log.table(key, log.columns(key))) for key in keys if log.rows[key]}
+    clock = log_clock(log.clocks)
+    return {key: _physical(log.table(key, log.columns(key)), clock) for key in keys if log.rows[key]}
+
+
+def seconds_of(table: pa.Table, clock: LogClock) -> FloatArray:
+    """(N,) the rows of a stream on the log's axis of time."""
+    boots = int_values(table[BOOT])
+    time_s = int_values(table[TIME]) / 1e9
+    for boot, offset_s in clock.offsets_s.items():
+        time_s[boots == boot] += offset_s
+    return np.round(time_s, 9)
 
 
 def gridded_table(tables: Mapping[str, pa.Table], rate_hz: float) -> pa.Table:
@@ -116,8 +131,8 @@ def export_tables(tables: Mapping[str, pa.Table], kind: str, target: Path) -> Pa
 # ------------------------------------------------------------------------------------------- tables
 
 
-def _physical(table: pa.Table) -> pa.Table:
-    time_s = pa.array(table[TIME].to_numpy() / 1e9)
+def _physical(table: pa.Table, clock: LogClock) -> pa.Table:
+    time_s = pa.array(seconds_of(table, clock))
     columns = [time_s]
     fields = [pa.field(SECONDS, pa.float64(), metadata=field_metadata(unit="s"))]
     if len(pc.unique(table[BOOT])) > 1:

@@ -16,7 +16,7 @@ from functools import cache
 import numpy as np
 import pyarrow as pa
 
-from flysid.flight import BOOT, TIME, message_of, stem_of
+from flysid.flight import BOOT, TIME, ClockMap, message_of, stem_of
 from flysid.flightwriter import int_values
 from flysid.ingest.align.conditions import condition_spans
 from flysid.ingest.align.recipe import Condition, Source, load_recipe, shipped_recipes
@@ -65,6 +65,10 @@ class Kept:
     rows: Mapping[str, int]
     info: Mapping[str, str]
     tables: Mapping[str, pa.Table]
+
+    @property
+    def clocks(self) -> Sequence[ClockMap]:
+        return ()
 
     @property
     def allowed(self) -> None:

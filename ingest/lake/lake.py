@@ -15,7 +15,7 @@ from flysid.catalogue import FlightFacts, catalogue
 from flysid.dataset import Dataset
 from flysid.errors import DataError, RecipeError, UsageError
 from flysid.facts.vehicle import label_of
-from flysid.flight import Flight
+from flysid.flight import ClockMap, Flight
 from flysid.ingest.align.align import Aligned, align, align_to_file
 from flysid.ingest.align.allowed import Allowed
 from flysid.ingest.align.recipe import Recipe, load_recipe, shipped_recipes
@@ -66,6 +66,11 @@ class StoredLog:
     def info(self) -> Mapping[str, str]:
         """Facts about the vehicle."""
         return self.facts.info
+
+    @property
+    def clocks(self) -> tuple[ClockMap, ...]:
+        """One for every boot, in order."""
+        return self.manifest.clocks
 
     @cached_property
     def allowed(self) -> Allowed:

@@ -179,12 +179,14 @@ def clock(seconds: float) -> str:
 
 
 def beginnings(log: Log) -> dict[int, int]:
-    """Boot -> time of the first sample of the log's longest stream, ns: the zero of times that people say."""
+    """Boot -> vehicle time at which it began, ns: the zero of times that people say."""
     return {boot: first for boot, (first, _) in _lasting(log).items()}
 
 
 def _lasting(log: Log) -> dict[int, Span]:
-    """Boot -> times of the first and the last sample of the log's longest stream, ns."""
+    """Boot -> when it began and ended, ns; by its longest stream where the log has no clocks."""
+    if log.clocks:
+        return {clock.boot: (clock.first_ns, clock.last_ns) for clock in log.clocks}
     longest = max(log.rows, key=lambda stream: log.rows[stream], default=None)
     if longest is None:
         return {}
@@ -203,7 +205,7 @@ def _between(log: Log, low_s: float, high_s: float, said: str) -> Allowed:
         spans[boot] = [(start + round(low_s * 1e9), end)]
     longest_s = max((last - first for first, last in lasting.values()), default=0) * 1e-9
     if longest_s < low_s:
-        return Allowed(spans, never=(f"{said} never holds: the longest stream ends after {longest_s:.0f} s",))
+        return Allowed(spans, never=(f"{said} never holds: the log ends after {longest_s:.0f} s",))
     return Allowed(spans, (f"only {said} of the flight, as asked",))
 
 

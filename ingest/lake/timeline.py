@@ -15,10 +15,12 @@ import pyarrow.compute as pc
 
 from flysid.dataset import FloatArray
 from flysid.errors import RecipeError, UsageError
+from flysid.facts.clock import log_clock
 from flysid.flight import (
     BOOT,
     RECEIVED,
     TIME,
+    ClockMap,
     as_instance,
     field_scale,
     field_unit,
@@ -53,7 +55,7 @@ class Trace:
     ----------
     name : `STREAM.FIELD`, or the name of a recipe's signal.
     unit : as the log states it; "" where it does not.
-    time_s : (N,) seconds since the timeline's start.
+    time_s : (N,) seconds since the log began; see `facts.clock`.
     values : (N,) in `unit`. A NaN stands inside every pause of the stream, and at the end of every boot.
     """
 
@@ -82,12 +84,14 @@ class Timeline:
     panels : traces that share an axis.
     modes : (start, end, name) of the flight modes, in seconds.
     moments : messages and parameter changes.
+    clock : which clock the seconds are of, in words.
     """
 
     name: str
     panels: tuple[tuple[Trace, ...], ...]
     modes: tuple[tuple[float, float, str], ...]
     moments: tuple[Moment, ...]
+    clock: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -222,17 +226,20 @@ def lay_out(log: Log, panels: Sequence[Sequence[Curve]], allowed: Allowed = Allo
     if allowed.never:
         raise UsageError(allowed.never[0], path=log.name, hint=CHOOSE_AGAIN)
     curves = [curve for panel in panels for curve in panel]
-    offsets = _boot_offsets([curve.boots for curve in curves])
+    axis = log_clock(log.clocks or _boots_of(curves))
+    offsets = axis.offsets_s
     drawn = tuple(tuple(_trace(_kept(curve, allowed), offsets) for curve in panel) for panel in panels)
     if curves and not any(len(trace.time_s) for panel in drawn for trace in panel):
-        ends = [s.t_ns[-1] * 1e-9 + offsets[b] for c in curves for b, s in c.boots.items() if len(s.t_ns)]
+        ends = [
+            s.t_ns[-1] * 1e-9 + offsets.get(b, 0.0) for c in curves for b, s in c.boots.items() if len(s.t_ns)
+        ]
         raise UsageError(
             "no sample lies in the time asked for",
             path=log.name,
             hint=f"these fields were logged for {max(ends, default=0.0):.0f} s",
         )
     end_s = max((float(t.time_s[-1]) for panel in drawn for t in panel if len(t.time_s)), default=0.0)
-    return Timeline(log.name, drawn, *happenings(log, offsets, end_s))
+    return Timeline(log.name, drawn, *happenings(log, offsets, end_s), axis.words)
 
 
 def happenings(
@@ -323,21 +330,15 @@ def numbers_of(column: pa.Array, field: str) -> FloatArray:
     return float_values(picked)
 
 
-def _boot_offsets(curves: Sequence[Boots]) -> dict[int, float]:
-    """Boot -> seconds to add to its vehicle time, so that boots follow one another from zero on."""
-    firsts: dict[int, int] = {}
-    lasts: dict[int, int] = {}
-    for boots in curves:
-        for boot, samples in boots.items():
+def _boots_of(curves: Sequence[Curve]) -> list[ClockMap]:
+    """The boots of a log without clocks: from the first sample that is drawn to the last."""
+    spans: dict[int, tuple[int, int]] = {}
+    for curve in curves:
+        for boot, samples in curve.boots.items():
             if len(samples.t_ns):
-                firsts[boot] = min(firsts.get(boot, int(samples.t_ns[0])), int(samples.t_ns[0]))
-                lasts[boot] = max(lasts.get(boot, int(samples.t_ns[-1])), int(samples.t_ns[-1]))
-    offsets = {}
-    start_s = 0.0
-    for boot in sorted(firsts):
-        offsets[boot] = start_s - firsts[boot] * 1e-9
-        start_s += (lasts[boot] - firsts[boot]) * 1e-9
-    return offsets
+                first, last = spans.get(boot, (int(samples.t_ns[0]), int(samples.t_ns[-1])))
+                spans[boot] = min(first, int(samples.t_ns[0])), max(last, int(samples.t_ns[-1]))
+    return [ClockMap(boot, *span) for boot, span in sorted(spans.items())]
 
 
 def _kept(curve: Curve, allowed: Allowed) -> Curve:
@@ -355,7 +356,7 @@ def _kept(curve: Curve, allowed: Allowed) -> Curve:
 
 def _trace(curve: Curve, offsets: Mapping[int, float]) -> Trace:
     parts = [
-        _with_gaps(np.asarray(samples.t_ns * 1e-9 + offsets[boot]), samples.x)
+        _with_gaps(np.asarray(samples.t_ns * 1e-9 + offsets.get(boot, 0.0)), samples.x)
         for boot, samples in sorted(curve.boots.items())
         if len(samples.t_ns)
     ]

@@ -6,9 +6,11 @@ import numpy as np
 import pyarrow as pa
 
 from flysid.dataset import FloatArray
+from flysid.facts.clock import log_clock
 from flysid.flight import BOOT, TIME, field_scale, message_of
 from flysid.ingest.align.signals import Log
 from flysid.ingest.formats.common.scrub_rules import Position, ScrubColumn, has_fix, places
+from flysid.ingest.lake.flight_export import seconds_of
 
 ESTIMATES = ("GLOBAL_POSITION_INT", "vehicle_global_position", "POS")
 """Streams with the estimator's own position: smoother than a receiver's."""
@@ -18,6 +20,7 @@ INTEGER_DEGREES = 1e-7
 def read_track(log: Log) -> pa.Table | None:
     """`time_s`, `boot`, `lat_deg`, `lon_deg`, and `alt_m` where there is one; None without a position.
 
+    `time_s` is in seconds since the log began (`facts.clock`).
     The estimator's position is taken where the log has it, else the stream with most rows. Rows without a fix
     are left out.
     """
@@ -36,7 +39,7 @@ def read_track(log: Log) -> pa.Table | None:
     lat_deg, lon_deg = (_degrees(table, name) for name in names[:2])
     kept = has_fix(lat_deg, lon_deg)
     columns = {
-        "time_s": table[TIME].to_numpy()[kept] / 1e9,
+        "time_s": seconds_of(table, log_clock(log.clocks))[kept],
         "boot": table[BOOT].to_numpy()[kept],
         "lat_deg": lat_deg[kept],
         "lon_deg": lon_deg[kept],

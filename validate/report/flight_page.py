@@ -40,7 +40,10 @@ def render_flights(timelines: Sequence[Timeline], title: str, most_samples: int 
             styles=Markup(styles),
             scripts=[Markup(script) for script in scripts],
             data=Markup(script_json([_document(t, size) for t in timelines])),
-            flights=[{"name": one_line(t.name), "moments": t.moments} for t in timelines],
+            flights=[
+                {"name": one_line(t.name), "moments": t.moments, "clock": one_line(t.clock)}
+                for t in timelines
+            ],
             thinned=size if size > 1 else 0,
             version=__version__,
         )

@@ -46,6 +46,7 @@ FIRST_STRETCH = 1 << 12
 LONGEST_STRETCH = 1 << 20
 HEADER_BLOCK = 1 << 14
 FIRST_SEARCH = 1 << 8
+ROWS = ("start", "message", "payload", "length", "system", "component", "sequence")  # of `Frames`
 
 Chain = Callable[[ByteArray, int, int, int], tuple[IntArray, int]]
 
@@ -87,6 +88,10 @@ class Frames:
     def __len__(self) -> int:
         return len(self.start)
 
+    def senders(self) -> IntArray:
+        """(n,) system * 256 + component."""
+        return (self.system.astype(np.int64) << 8) | self.component
+
     def checksums(self) -> IntArray:
         """(n,) of header and content, as the frames state them."""
         at = self.payload + self.length
@@ -94,12 +99,9 @@ class Frames:
 
     def where(self, kept: npt.NDArray[np.bool_]) -> Frames:
         """Some of the frames."""
-        columns = (self.start, self.message, self.payload, self.length)
-        numbers = (self.system, self.component, self.sequence)
+        columns = [getattr(self, name) for name in ROWS]
         stamps = None if self.stamp_us is None else self.stamp_us[kept]
-        return Frames(
-            self.buffer, *(each[kept] for each in columns), *(each[kept] for each in numbers), stamps
-        )
+        return Frames(self.buffer, *(column[kept] for column in columns), stamps)
 
 
 def plain_chain(crc_extra: npt.NDArray[np.int16]) -> Chain:

@@ -19,7 +19,6 @@ import numpy.typing as npt
 import pyarrow as pa
 
 from flysid.errors import FormatError
-from flysid.facts.link import NO_CLOCK, FrameRows, SequenceCounter
 from flysid.flight import KEY, ClockMap, Damage
 from flysid.ingest.formats.base import HEAD_BYTES, Limits, Parts, StreamPart, Summary, release
 from flysid.ingest.formats.common.capture import is_capture
@@ -36,6 +35,7 @@ from flysid.ingest.formats.common.vehicle_time import Clocked, Source, VehicleTi
 from flysid.ingest.formats.mavlink.capture import Capture, holds_mavlink, scan_batch
 from flysid.ingest.formats.mavlink.dialect import DEFAULT, Dialect, load_dialect
 from flysid.ingest.formats.mavlink.frames import LOOK_AHEAD, STAMP_BYTES, Frames, MessageId, Scanner
+from flysid.ingest.formats.mavlink.links import Links
 from flysid.ingest.formats.mavlink.parameters import EXTENDED, NUMBERS, Encodings, with_values
 from flysid.ingest.formats.mavlink.probing import (
     count_frames,
@@ -51,8 +51,6 @@ MAX_STREAMS = 2000
 AUTOPILOT_INVALID = 8
 TIME_FIELDS = {"time_boot_ms": 1_000_000, "time_boot_us": 1000, "time_usec": 1000, "time_us": 1000}
 BOOT_FIELDS = ("time_boot_ms", "time_boot_us")
-BOOT_CLOCKS = {MessageId.SYSTEM_TIME: 8, 30: 0, 32: 0, 33: 0}
-"""Where messages state the milliseconds since boot; the others are ATTITUDE and the two positions."""
 MAX_NS = (1 << 63) - 1
 
 
@@ -85,11 +83,12 @@ class _Reader:
     schemas: dict[Source, pa.Schema] = field(default_factory=dict)
     admitted: set[Source] = field(default_factory=set)
     surplus: int = 0
-    counters: dict[int, SequenceCounter] = field(default_factory=dict)
+    links: Links = field(default_factory=Links)
     last_stamps: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
     bad_stamps: int = 0
     row: int = 0
-    info: dict[str, str] = field(default_factory=dict)
+    vehicles: dict[tuple[int, int], dict[str, str]] = field(default_factory=dict)
+    boards: dict[tuple[int, int], dict[str, str]] = field(default_factory=dict)
     arrival_span: tuple[int, int] | None = None
     stamps: str = ""  # where arrivals come from, if not from the frames' stamps
 
@@ -164,7 +163,7 @@ def _next_frames(scanner: Scanner, view: memoryview, start: int, limits: Limits)
 
 def _parts(reader: _Reader, frames: Frames) -> Iterator[StreamPart]:
     """The tables of one batch."""
-    frames = _without_repeats(reader, frames) if len(frames) else frames
+    frames = reader.links.counted(frames)
     if not len(frames):
         return
     arrival, placing, has_utc = _arrival(reader, frames)
@@ -232,7 +231,7 @@ def _arrival(reader: _Reader, frames: Frames) -> tuple[IntArray, IntArray, bool]
 
 def _streams(frames: Frames) -> Iterator[tuple[Source, IntArray]]:
     """(system, component, message id) and the rising row numbers of its frames."""
-    senders, who = _dense(_senders(frames))
+    senders, who = _dense(frames.senders())
     messages, what = _dense(frames.message)
     codes = who * len(messages) + what
     order = np.argsort(codes.astype(np.uint16) if codes.max() < 1 << 16 else codes, kind="stable")
@@ -245,45 +244,12 @@ def _streams(frames: Frames) -> Iterator[tuple[Source, IntArray]]:
         yield key, order[edges[i] : edges[i + 1]]
 
 
-def _senders(frames: Frames) -> IntArray:
-    """(n,) system * 256 + component."""
-    return (frames.system.astype(np.int64) << 8) | frames.component
-
-
 def _dense(values: IntArray) -> tuple[IntArray, IntArray]:
     """(distinct values rising, index of each value among them), for small non-negative integers."""
     present = np.flatnonzero(np.bincount(values))
     place = np.zeros(int(present[-1]) + 1, dtype=np.int64)
     place[present] = np.arange(len(present))
     return present, place[values]
-
-
-def _without_repeats(reader: _Reader, frames: Frames) -> Frames:
-    """The frames that came for the first time; what each sender lost is counted with them."""
-    senders = _senders(frames)
-    order = np.argsort(senders.astype(np.uint16), kind="stable")
-    edges = np.flatnonzero(np.diff(senders[order], prepend=-1))
-    fresh = np.ones(len(frames), dtype=bool)
-    clocks = _boot_clocks(frames)
-    sums = frames.checksums()
-    for rows in np.split(order, edges[1:]):
-        counter = reader.counters.setdefault(int(senders[rows[0]]), SequenceCounter())
-        stamps = None if frames.stamp_us is None else frames.stamp_us[rows]
-        numbers = frames.sequence[rows].astype(np.int64)
-        fresh[rows], _ = counter.count(FrameRows(numbers, stamps, sums[rows], clocks[rows]))
-    return frames if fresh.all() else frames.where(fresh)
-
-
-def _boot_clocks(frames: Frames) -> IntArray:
-    """(n,) milliseconds since boot that frames state; `NO_CLOCK` for those that state none."""
-    found = np.full(len(frames), NO_CLOCK, dtype=np.int64)
-    for message, at in BOOT_CLOCKS.items():
-        rows = np.flatnonzero(frames.message == message)
-        if len(rows):
-            left = np.clip(frames.length[rows] - at, 0, 4)
-            content = gather(frames.buffer, frames.payload[rows] + at, left, 4)
-            found[rows] = content.view("<u4").reshape(-1)
-    return found
 
 
 def _time_field(layout: RecordLayout) -> str | None:
@@ -316,7 +282,7 @@ def _note_vehicle(reader: _Reader, source: Source, matrix: ByteMatrix, layout: R
     facts = vehicle_facts(reader.dialect, autopilots, kinds)
     if facts:
         reader.time.vehicles.add(source[0])
-        reader.info = {**facts, **reader.info}
+        reader.vehicles.setdefault(source[:2], facts)
 
 
 def vehicle_facts(
@@ -335,13 +301,25 @@ def vehicle_facts(
 
 def _note_board(reader: _Reader, source: Source, matrix: ByteMatrix, layout: RecordLayout) -> None:
     """The board's own number, 18 bytes; major, minor and patch of flight_sw_version, highest byte first."""
+    board = reader.boards.setdefault(source[:2], {})
     number = matrix.view(layout.dtype).reshape(len(matrix))["uid2"][-1]
     if number.any():
-        reader.info["uid2"] = number.tobytes().hex()
+        board["uid2"] = number.tobytes().hex()
     reader.encodings.note_capabilities(source[:2], int(_field_values(matrix, layout, "capabilities")[-1]))
     version = int(_field_values(matrix, layout, "flight_sw_version")[-1])
     if version:
-        reader.info["firmware"] = ".".join(str(version >> shift & 255) for shift in (24, 16, 8))
+        board["firmware"] = ".".join(str(version >> shift & 255) for shift in (24, 16, 8))
+
+
+def _identity(reader: _Reader) -> dict[str, str]:
+    """Whose log it is: the autopilot of the system whose clock counts, and no other's board.
+
+    Cameras, gimbals and a second vehicle state their versions, too, and at any time.
+    """
+    senders = sorted(reader.vehicles, key=lambda sender: (sender[0] != reader.time.main, sender[1] != 1))
+    if senders:
+        return {**reader.vehicles[senders[0]], **reader.boards.get(senders[0], {})}
+    return next(iter(reader.boards.values())) if len(reader.boards) == 1 else {}
 
 
 def _note_date(reader: _Reader, matrix: ByteMatrix, layout: RecordLayout) -> None:
@@ -404,9 +382,9 @@ def _summary(reader: _Reader) -> Summary:
         time_outliers=outliers,
         out_of_order=late,
         reasons=_private(reader),
-        sequence_gaps=_by_sender(reader, "lost"),
-        silence_gaps=_by_sender(reader, "hidden"),
-        repeats=_by_sender(reader, "repeated"),
+        sequence_gaps=reader.links.by_sender("lost"),
+        silence_gaps=reader.links.by_sender("hidden"),
+        repeats=reader.links.by_sender("repeated"),
     )
     return Summary(damage, _clocks(reader), _info(reader))
 
@@ -420,12 +398,6 @@ def _private(reader: _Reader) -> dict[str, str]:
         for source in sorted(reader.scanner.unknown)
         if source[2] in private
     }
-
-
-def _by_sender(reader: _Reader, what: str) -> dict[str, int]:
-    """One count of every sender's link, by "system.component"; those without any are left out."""
-    counts = {who: getattr(counter.loss, what) for who, counter in sorted(reader.counters.items())}
-    return {f"{who >> 8}.{who & 255}": count for who, count in counts.items() if count}
 
 
 def _key(reader: _Reader, source: Source) -> str:
@@ -464,4 +436,4 @@ def _info(reader: _Reader) -> Mapping[str, str]:
         )
     note = {"clock_note": "; ".join(notes)} if notes else {}
     about = {"dialect": reader.dialect.name, "timestamps": stamps, "clock_system": main}
-    return {**about, **note, **reader.info}
+    return {**about, **note, **_identity(reader)}

@@ -57,7 +57,7 @@ def test_between_counts_from_the_beginning_of_the_flight() -> None:
     assert found.spans == {0: [(START + 10 * S, START + 20 * S)]}
     assert found.notes == ("only 0:10..0:20 of the flight, as asked",)
     beyond = Stretches(between="20:00..21:00").allowed(log())
-    assert beyond.never == ("20:00..21:00 never holds: the longest stream ends after 60 s",)
+    assert beyond.never == ("20:00..21:00 never holds: the log ends after 60 s",)
 
 
 def test_a_part_of_one_flight_is_left_out_of_that_flight_alone() -> None:
