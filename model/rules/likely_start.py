@@ -74,7 +74,7 @@ def initial_states(
     """(S, moving, n) the most likely start of every run, from its first `rows` rows, its own among them."""
     end = layout.depth - layout.moving + max(rows, layout.moving)
     found = [_StartSearch(layout, np.array(W[:end]), par, prior).found() for W in runs]
-    return np.stack(found).reshape(len(found), layout.moving, layout.n)
+    return np.array(found).reshape(len(found), layout.moving, layout.n)  # of no runs, too
 
 
 @dataclass(frozen=True, eq=False)

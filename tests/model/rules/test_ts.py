@@ -173,6 +173,14 @@ def test_bad_input_is_named() -> None:
         TS(rules=0).fit(Dataset.from_arrays(u, y, DT))
 
 
+@pytest.mark.parametrize("samples", [70, 80, 88, 95])
+def test_a_short_record_leaves_no_window_to_judge_on_and_is_fitted(samples: int) -> None:
+    u, y = second_order(100, 1)
+    noisy = y + 0.01 * np.random.default_rng(samples).standard_normal(len(y))
+    model = TS().fit(Dataset.from_arrays(u[:samples], noisy[:samples], DT))
+    assert np.isfinite(model.simulate(u[:samples], noisy[: model.n_init])).all()
+
+
 @pytest.mark.parametrize(
     ("settings", "word"),
     [
