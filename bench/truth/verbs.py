@@ -169,16 +169,17 @@ def _step(record: Record) -> Iterator[Score]:
     plant = record.plant
     true = step_truth(plant, record.data.dt_s)
     names = ("latency", "rise", "overshoot", "settling", "final value")
-    horizon_s = 3.0 * 2.0 * np.pi / plant.corner
     try:
-        found = step_response(record.data, horizon_s=horizon_s)
+        found = step_response(record.data)
     except FlysidError:
         yield from (Score(f"step {name}", true.get(name), None, None) for name in names)
         return
     yield from (Score(f"step {f.name}", true.get(f.name), f.low, f.high) for f in found.figures)
+    if not found.is_settled:
+        return
     rng = np.random.default_rng(record.seed)
     low, high = found.interval
-    count = round(horizon_s / record.data.dt_s) + 2
+    count = round(found.length_s / record.data.dt_s) + 2
     right = np.interp(found.time_s, record.data.dt_s * np.arange(count), plant.step(record.data.dt_s, count))
     for k in rng.choice(np.arange(1, len(found.time_s)), POINTS, replace=False):
         yield Score("step point", float(right[k]), float(low[k]), float(high[k]))
