@@ -140,6 +140,8 @@ def _low_order(data: _Data, taps: FloatArray, order: int) -> FloatArray | None:
     starts = [taps[j * size : (j + 1) * size] for j in range(count)]
     lags = _dead(data, taps)
     for late in sorted({0, lags // 2, lags}):
+        if (size - late) // 2 <= order:  # no more taps than a system of that order has coefficients
+            continue
         start = np.concatenate([_realise(own[late:], order) for own in starts])
 
         def evaluate(theta: FloatArray, late: int = late) -> tuple[FloatArray, FloatArray]:

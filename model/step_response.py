@@ -9,7 +9,7 @@ output (`feedback`), no step response is in the record, and that is said.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,37 +22,12 @@ from flysid.model.fir import centred_gram, posterior_of
 from flysid.model.low_order_response import averaged_posterior
 from flysid.model.noise import noise_model
 from flysid.model.polynomials import Z95
+from flysid.model.step_figures import StepCurve, StepFigure
 from flysid.model.threads import on_one_thread
 from flysid.showing import significant
 
-DRAWS = 400
-
 BoolArray = npt.NDArray[np.bool_]
 Record = tuple[FloatArray, FloatArray]
-
-
-@dataclass(frozen=True)
-class StepFigure:
-    """One figure of a step response with its 95 % interval; `value` is None where it has none (`why`)."""
-
-    name: str
-    unit: str
-    value: float | None
-    low: float | None = None
-    high: float | None = None
-    why: str = ""
-
-    def __str__(self) -> str:
-        if self.value is None or self.low is None or self.high is None:
-            return f"{self.name}: {self.why}"
-        return (
-            f"{self.name} {significant(self.value)} {self.unit}".rstrip()
-            + f" [{significant(self.low)}, {significant(self.high)}]"
-        )
-
-    def to_dict(self) -> dict[str, float | str | None]:
-        """JSON types only."""
-        return {"unit": self.unit, "value": self.value, "low": self.low, "high": self.high, "why": self.why}
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,6 +40,7 @@ class StepResponse:
     covariance : (N, N) of the step.
     seconds : how much flying it rests on.
     words : of which part of the record it speaks; "" for all.
+    confirmed : a response of about twice the length agrees with it.
     """
 
     time_s: FloatArray
@@ -74,6 +50,7 @@ class StepResponse:
     output: Signal
     seconds: float
     words: str = ""
+    confirmed: bool = False
 
     @property
     def error(self) -> FloatArray:
@@ -86,76 +63,23 @@ class StepResponse:
         return self.step - Z95 * self.error, self.step + Z95 * self.error
 
     @property
+    def length_s(self) -> float:
+        """Of the response."""
+        return float(self.time_s[-1] + self.time_s[1])
+
+    @property
     def figures(self) -> tuple[StepFigure, ...]:
         """Latency (to 10 %), rise (10 to 90 %), overshoot, settling (within 5 %), final value."""
-        values, vectors = np.linalg.eigh(self.covariance)
-        root = vectors * np.sqrt(np.maximum(values, 0.0))
-        draws = self.step + np.random.default_rng(0).standard_normal((DRAWS, len(root))) @ root.T
-        final = _told("final value", self.output.unit, draws, self.step, _final, least=-np.inf)
-        if final.low is None or final.high is None or final.low <= 0.0 <= final.high:
-            why = "the step's final value cannot be told from 0"
-            names = (("latency", "ms"), ("rise", "ms"), ("overshoot", "%"), ("settling", "s"))
-            return (*(StepFigure(n, u, None, why=why) for n, u in names), final)
+        return self._curve.figures if self.confirmed else self._curve.unsettled
 
-        def reaches(share: float) -> Callable[[FloatArray], float]:
-            return lambda s: 1e3 * _first_time(self.time_s, s / _final(s), share)
+    @property
+    def is_settled(self) -> bool:
+        """The response ends within its length: it looks so, and a longer one agrees."""
+        return self.confirmed and self._curve.is_settled
 
-        sample_ms = 1e3 * float(self.time_s[1] - self.time_s[0])
-        latency = _told("latency", "ms", draws, self.step, reaches(0.1))
-        if latency.high is not None:  # one that begins within the first sample is known no finer
-            latency = replace(latency, high=max(latency.high, sample_ms))
-        return (
-            latency,
-            _told("rise", "ms", draws, self.step, lambda s: reaches(0.9)(s) - reaches(0.1)(s)),
-            _told("overshoot", "%", draws, self.step, _overshoot),
-            _told("settling", "s", draws, self.step, lambda s: _settle(self.time_s, s / _final(s))),
-            final,
-        )
-
-
-def _told(
-    name: str,
-    unit: str,
-    draws: FloatArray,
-    mean: FloatArray,
-    figure: Callable[[FloatArray], float],
-    least: float = 0.0,
-) -> StepFigure:
-    """A figure of the mean, its interval by its spread over draws of the posterior; none is below `least`."""
-    value = figure(mean)
-    spread = np.array([figure(d) for d in draws])
-    if not np.isfinite(value) or np.mean(np.isfinite(spread)) < 0.95:
-        return StepFigure(name, unit, None, why="not reached within the response's length")
-    half = Z95 * float(spread[np.isfinite(spread)].std())
-    return StepFigure(name, unit, float(value), max(float(value) - half, least), float(value) + half)
-
-
-def _final(step: FloatArray) -> float:
-    """Mean of the last tenth."""
-    return float(step[-max(len(step) // 10, 1) :].mean())
-
-
-def _overshoot(step: FloatArray) -> float:
-    return 100.0 * max(float((step / _final(step)).max()) - 1.0, 0.0)
-
-
-def _first_time(time_s: FloatArray, step: FloatArray, share: float) -> float:
-    above = np.flatnonzero(step >= share)
-    if not len(above):
-        return np.nan
-    k = int(above[0])
-    if k == 0:
-        return float(time_s[0])
-    part = (share - step[k - 1]) / max(step[k] - step[k - 1], 1e-12)
-    return float(time_s[k - 1] + part * (time_s[k] - time_s[k - 1]))
-
-
-def _settle(time_s: FloatArray, step: FloatArray, *, within: float = 0.05) -> float:
-    """`within`: of the final value."""
-    outside = np.flatnonzero(np.abs(step - 1.0) > within)
-    if not len(outside):
-        return float(time_s[0])
-    return float(time_s[outside[-1]]) if outside[-1] < 0.9 * len(step) else np.nan
+    @property
+    def _curve(self) -> StepCurve:
+        return StepCurve(self.time_s, self.step, self.covariance, self.output.unit)
 
 
 @on_one_thread
@@ -164,17 +88,19 @@ def step_response(
     output: int = 0,
     source: int = 0,
     *,
-    horizon_s: float = 2.0,
+    horizon_s: float | None = None,
     above: float | None = None,
     below: float | None = None,
     most_taps: int = 200,
     rounds: int = 3,
+    first_s: float = 2.0,
 ) -> StepResponse:
     """The step response of one input and one output; other inputs are fitted along.
 
     Parameters
     ----------
-    horizon_s : its length, seconds.
+    horizon_s : its length, seconds; None doubles it from `first_s` until the response has settled and one of
+        twice the length agrees, or the record holds no longer one.
     above, below : count only samples within a horizon of which the input's size went above, or stayed below,
         this (as PID analysers tell a fast stick from a slow one), in the input's unit.
 
@@ -184,10 +110,62 @@ def step_response(
     DataError : the input answers the output (a loop), too short, a signal that never moves, or no sample of
         the class that was asked for.
     """
-    if not horizon_s > 0.0:
+    if horizon_s is not None and not horizon_s > 0.0:
         raise UsageError(f"horizon_s must be positive, not {horizon_s}")
     _check_loop(data, output)
-    factor = max(int(np.ceil(horizon_s / data.dt_s / most_taps)), 1)
+    how = _How(output, source, above, below, most_taps, rounds)
+    found = _respond(data, how, first_s if horizon_s is None else horizon_s)
+    while True:
+        longer = _longer(data, how, found.length_s)
+        if longer is None:
+            return found
+        held = _held_against(found, longer)
+        if held.is_settled or horizon_s is not None:
+            return held
+        found = longer
+
+
+@dataclass(frozen=True)
+class _How:
+    """What `step_response` takes, without the length."""
+
+    output: int
+    source: int
+    above: float | None
+    below: float | None
+    most_taps: int
+    rounds: int
+
+
+def _longer(data: Dataset, how: _How, length_s: float) -> StepResponse | None:
+    """One of about twice the length; None where the record is too short for any that is clearly longer."""
+    for times in (2.0, 1.4):
+        try:
+            return _respond(data, how, times * length_s)
+        except DataError:
+            continue
+    return None
+
+
+def _held_against(found: StepResponse, longer: StepResponse, *, share: float = 0.05) -> StepResponse:
+    """With what a longer response says otherwise as an error of its own.
+
+    What the length cuts off falls upon the taps that are left, under a prior that lets them fade: a response
+    that goes on may look settled, but not of the same size at twice the length.
+
+    `share`: of the largest value, beyond which and beyond chance the two contradict one another.
+    """
+    off = np.interp(found.time_s, longer.time_s, longer.step) - found.step
+    chance = np.hypot(found.error, np.interp(found.time_s, longer.time_s, longer.error))
+    largest = float(np.abs(found.step).max())
+    agree = bool((np.abs(off) <= share * largest + Z95 * chance).all())
+    return replace(found, covariance=found.covariance + np.outer(off, off), confirmed=agree)
+
+
+def _respond(data: Dataset, how: _How, horizon_s: float) -> StepResponse:
+    """The response of one length."""
+    output, source, above, below = how.output, how.source, how.above, how.below
+    factor = max(int(np.ceil(horizon_s / data.dt_s / how.most_taps)), 1)
     dt_s = factor * data.dt_s
     taps = max(round(horizon_s / dt_s), 2)
     records, scale = _records(data, output, factor, taps)
@@ -207,7 +185,7 @@ def step_response(
         )
     shape = (taps, len(data.inputs))
     d = np.ones(1)
-    for _ in range(rounds):
+    for _ in range(how.rounds):
         gram, rows = _gram(records, masks, d, taps)
         posterior = posterior_of(centred_gram(gram), rows, 0, shape)
         constant = _constant(gram, posterior.mean) / float(d.sum())

@@ -59,7 +59,7 @@ def channel_steps(
     recipe_name: str,
     *,
     channels: Sequence[str] = (),
-    horizon_s: float,
+    horizon_s: float | None = None,
     fast: float | None = None,
     of: str = "",
 ) -> tuple[list[ChannelStep], Mapping[str, str]]:
@@ -67,6 +67,7 @@ def channel_steps(
 
     Parameters
     ----------
+    horizon_s : length of the responses; None lengthens each until it has settled.
     fast : tells a slow stick from a fast one, in the input's unit: two responses then.
 
     Raises

@@ -24,6 +24,7 @@ from flysid.model.detrend import Trend
 from flysid.model.frequency.controller_inverse import LoopView, view_loop
 from flysid.model.frequency.loop_figures import (
     COMMAND,
+    FIGURE_POINTS,
     LoopFigure,
     broken_loop,
     command_figures,
@@ -349,7 +350,7 @@ def identify_channel(name: str, data: Dataset, estimator: TF, reference_at: str 
         for i, seen in enumerate(measured)
     )
     whole = ChannelTransfers(name, plant, model, measured, why, fits, loops, names, views)
-    return replace(whole, figures=_all_figures(whole, data, reference_at))
+    return replace(whole, figures=_all_figures(whole, data, estimator, reference_at))
 
 
 def _fit_pct(model: FittedTF, data: Dataset) -> tuple[float | None, ...]:
@@ -363,7 +364,9 @@ def _fit_pct(model: FittedTF, data: Dataset) -> tuple[float | None, ...]:
     return tuple(fits)
 
 
-def _all_figures(channel: ChannelTransfers, data: Dataset, reference_at: str) -> dict[str, list[LoopFigure]]:
+def _all_figures(
+    channel: ChannelTransfers, data: Dataset, estimator: TF, reference_at: str
+) -> dict[str, list[LoopFigure]]:
     """Of every command, and of the loop cut open where it is told where the reference enters."""
     found = {}
     names = iter(
@@ -376,7 +379,7 @@ def _all_figures(channel: ChannelTransfers, data: Dataset, reference_at: str) ->
             elif channel.is_looped(i):
                 figures = unknown(COMMAND, "a loop is closed around it, and nothing named drives that loop")
             else:
-                make = partial(command_figures, measured, j)
+                make = partial(_command_figures, data, estimator, (i, j))
                 figures = list(extra(Extra.LOOP_FIGURES, make, (), channel.name))
             found[next(names)] = figures
     if not reference_at:
@@ -384,6 +387,12 @@ def _all_figures(channel: ChannelTransfers, data: Dataset, reference_at: str) ->
     check_reference(channel.reference)
     loop = broken_loop(data, reference=channel.reference[0], at=reference_at)
     return found | {"loop": loop_figures(loop)}
+
+
+def _command_figures(data: Dataset, estimator: TF, place: tuple[int, int]) -> list[LoopFigure]:
+    """Of one output and input, on frequencies near enough for a peak of light damping."""
+    output, source = place
+    return command_figures(_measured(data, output, estimator, FIGURE_POINTS), source)
 
 
 def command_groups(inputs: Sequence[str], outputs: Sequence[str]) -> list[str]:
@@ -415,11 +424,14 @@ def figures_document(channels: Sequence[ChannelTransfers]) -> dict[str, Any]:
 
 
 def _responses(data: Dataset, estimator: TF) -> tuple[tuple[MeasuredResponse | None, ...], str]:
-    trend: Trend = "none" if estimator.trend == "none" else "remove"
     try:
-        return tuple(
-            measure_response(data, i, reference=estimator.reference, method=estimator.method, trend=trend)
-            for i in range(len(data.outputs))
-        ), ""
+        return tuple(_measured(data, i, estimator) for i in range(len(data.outputs))), ""
     except DataError as error:
         return (None,) * len(data.outputs), str(error)
+
+
+def _measured(data: Dataset, output: int, estimator: TF, points: int = 80) -> MeasuredResponse:
+    trend: Trend = "none" if estimator.trend == "none" else "remove"
+    return measure_response(
+        data, output, reference=estimator.reference, points=points, method=estimator.method, trend=trend
+    )

@@ -32,7 +32,11 @@ if TYPE_CHECKING:
     "--channel", "-c", "channels", cls=Setting, multiple=True, help="Only this channel; repeatable."
 )
 @click.option(
-    "--horizon", default=2.0, type=POSITIVE, show_default=True, metavar="S", help="Length of the response."
+    "--horizon",
+    default=None,
+    type=POSITIVE,
+    metavar="S",
+    help="Length of the response; default: 2 s, doubled until it has settled.",
 )
 @click.option(
     "--fast",
@@ -50,7 +54,7 @@ def command(
     selection: Selection,
     words: Words,
     channels: tuple[str, ...],
-    horizon: float,
+    horizon: float | None,
     fast: float | None,
     against: Path | None,
     plot: Path | None,

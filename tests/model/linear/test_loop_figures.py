@@ -13,7 +13,9 @@ from bench.loop_margins import flown, truth
 from flysid.dataset import Dataset
 from flysid.errors import UsageError
 from flysid.model.frequency.loop_figures import broken_loop, command_figures, loop_figures
+from flysid.model.frequency.rational import Rational
 from flysid.model.frequency.response import measure_response
+from flysid.model.frequency.sampling import sample
 from flysid.model.transfer_function import TF
 from flysid.validate.condition import matching_channels
 from flysid.validate.transfers import figures_document, identify_channel
@@ -107,3 +109,55 @@ def test_no_interval_reaches_where_the_truth_cannot_be() -> None:
             if figure.name in low and figure.value is not None:
                 assert figure.low is not None
                 assert low[figure.name] <= figure.low <= figure.value
+
+
+def test_a_noisy_low_end_is_no_bandwidth() -> None:
+    """Drift at low frequency crosses -3 dB again and again; 0.6 rad/s was printed for a loop of 9.8."""
+    right = 9.53  # of 75 / (s^2 + 11 s + 75)
+    a, (b,) = sample(Rational(np.array([1.0, 11.0, 75.0]), (np.array([75.0]),), np.zeros(1)), 0.02, "zero")
+    printed = []
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        u = np.repeat(rng.standard_normal(500), 12)
+        drift = lfilter([1.0], [1.0, -0.995], rng.standard_normal(len(u)))
+        y = lfilter(b, a, u)
+        data = Dataset.from_arrays(u, y + 0.3 * y.std() * drift / drift.std(), 0.02)
+        (found,) = [f for f in command_figures(measure_response(data)) if f.name == "bandwidth_rads"]
+        if found.low is not None and found.high is not None:
+            printed.append(found.low <= right <= found.high)
+            assert found.low > 0.4 * right
+    assert len(printed) >= 3
+    assert sum(printed) >= len(printed) - 1
+
+
+def test_an_integrator_has_no_bandwidth() -> None:
+    rng = np.random.default_rng(1)
+    u = np.repeat(rng.standard_normal(300), 10)
+    y = np.cumsum(u) * 0.02
+    data = Dataset.from_arrays(u, y + 0.1 * rng.standard_normal(len(y)), 0.02)
+    (found,) = [f for f in command_figures(measure_response(data)) if f.name == "bandwidth_rads"]
+    assert found.value is None
+    assert "not shown to be flat" in found.why
+
+
+def test_what_flew_has_no_negative_margin() -> None:
+    """A reference that enters elsewhere, or in another unit, gives a loop that would have fallen."""
+    loop = broken_loop(flown(3), reference="r", at="input")
+    found = {f.name: f for f in loop_figures(replace(loop, response=30.0 * loop.response))}
+    assert found["gain_margin_db"].value is None
+    assert "below 0, which no loop has that flew" in found["gain_margin_db"].why
+
+
+def test_the_peak_of_a_noisy_curve_is_not_its_highest_point() -> None:
+    """Ms held in 49 of 62 records, and every miss was too high."""
+    right = truth()["sensitivity_peak_db"]
+    signs = []
+    for seed in range(8):
+        figures = loop_figures(broken_loop(flown(seed, snr_db=12.0), reference="r", at="input"))
+        (found,) = [f for f in figures if f.name == "sensitivity_peak_db"]
+        assert found.value is not None
+        assert found.low is not None
+        assert found.high is not None
+        assert found.low - 0.1 <= right <= found.high + 0.1
+        signs.append(found.value > right)
+    assert 0 < sum(signs) < len(signs)

@@ -99,6 +99,64 @@ def test_two_logs_over_each_other(tmp_path: Path) -> None:
     assert all(s["figures"]["rise"]["low"] < s["figures"]["rise"]["high"] for s in steps)
 
 
+def test_a_response_longer_than_two_seconds_is_followed_to_its_end() -> None:
+    """2 s of a slow plant looked settled: the taps fade by assumption. Settling was printed as 1.9 s."""
+    rng = np.random.default_rng(7)
+    for damping in (0.15, 0.3):
+        pole = 1.3 * (-damping + 1j * np.sqrt(1.0 - damping**2))
+        a = np.real(np.poly(np.exp(np.array([pole, np.conj(pole)]) * 0.05)))
+        u = np.repeat(rng.standard_normal(400), 12)
+        y = lfilter([0.0, a.sum() / 2, a.sum() / 2], a, u)
+        data = Dataset.from_arrays(u, y + 0.05 * y.std() * rng.standard_normal(len(y)), 0.05)
+        true = lfilter([0.0, a.sum() / 2, a.sum() / 2], a, np.ones(4000))
+        settled = 0.05 * float(np.flatnonzero(np.abs(true - 1.0) > 0.05)[-1])
+        found = step_response(data)
+        figures = {f.name: f for f in found.figures}
+        assert found.is_settled
+        assert found.length_s > settled
+        for name, right in (
+            ("settling", settled),
+            ("overshoot", 100 * (true.max() - 1)),
+            ("final value", 1.0),
+        ):
+            figure = figures[name]
+            assert figure.value is not None
+            assert figure.low is not None
+            assert figure.high is not None
+            assert figure.low - 0.06 <= right <= figure.high + 0.06, name
+        cut_off = step_response(data, horizon_s=2.0)
+        assert all(f.value is None and "not settled within 2 s" in f.why for f in cut_off.figures)
+
+
+def test_what_integrates_never_settles() -> None:
+    rng = np.random.default_rng(8)
+    u = np.repeat(rng.standard_normal(200), 20)
+    y = np.cumsum(u) * 0.05
+    data = Dataset.from_arrays(u, y + 0.1 * rng.standard_normal(len(y)), 0.05)
+    assert all(f.value is None and "not settled" in f.why for f in step_response(data).figures)
+
+
+def test_a_time_below_one_sample_is_a_bound() -> None:
+    """A log of 9.9 Hz cannot show 20 ms: "below 0.2 s" is all that it tells."""
+    rng = np.random.default_rng(9)
+    u = np.repeat(rng.standard_normal(300), 8)
+    y = lfilter([0.0, 1.0], [1.0], u) + 0.01 * rng.standard_normal(len(u))
+    latency = step_response(Dataset.from_arrays(u, y, 0.101), horizon_s=2.0).figures[0]
+    assert latency.value is None
+    assert latency.high is not None
+    assert latency.high >= 101.0
+    assert str(latency).startswith("latency: below 1")
+
+
+def test_a_few_taps_are_enough_for_a_response() -> None:
+    """A log of 3 Hz: six taps in 2 s are fewer than a system of third order has coefficients."""
+    rng = np.random.default_rng(4)
+    u = np.repeat(rng.standard_normal(200), 3)
+    y = lfilter([0.5], [1.0, -0.5], u) + 0.05 * rng.standard_normal(len(u))
+    figures = {f.name: f for f in step_response(Dataset.from_arrays(u, y, 0.33)).figures}
+    assert figures["final value"].value == pytest.approx(1.0, abs=0.1)
+
+
 def test_times_and_overshoot_are_not_below_zero() -> None:
     """A rig without overshoot had one of [-0.004, 0.036] %; a latency within the first sample [0, 0] ms."""
     rng = np.random.default_rng(3)

@@ -1,0 +1,1 @@
+"""Printed figures against plants drawn at random: see `bench.truth.__main__`."""

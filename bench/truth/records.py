@@ -1,0 +1,146 @@
+"""Records of a plant: excited, logged and disturbed in ways drawn at random, open or in a loop."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.signal import lfilter
+
+from bench.truth.plants import KINDS, Plant, draw_plant
+from flysid.dataset import Dataset, FloatArray, Segment
+from flysid.ingest.synth.manoeuvres import chirp, pilot, random_phase_multisine
+from flysid.model.frequency.sampling import sample
+
+FINE = 8
+"""Steps of the simulation in one of the log."""
+NOISES = ("none", "white", "coloured", "drifting", "gusts", "outliers")
+LOGGINGS = ("plain", "quantised", "jitter", "gap", "slow")
+EXCITATIONS = ("steps", "pilot", "chirp", "multisine")
+LOOPS = ("open", "added at the input")
+
+
+@dataclass(frozen=True, eq=False)
+class Record:
+    """One record and all that was drawn for it.
+
+    Attributes
+    ----------
+    kinds : plant, noise, logging, excitation, loop.
+    controller : gain of the loop from the output back to the input; 0 in open loop.
+    """
+
+    seed: int
+    plant: Plant
+    data: Dataset
+    kinds: dict[str, str]
+    controller: float
+
+
+def draw_record(seed: int) -> Record:
+    """The record of a seed."""
+    rng = np.random.default_rng(seed)
+    kinds = {
+        "plant": str(rng.choice(KINDS)),
+        "noise": str(rng.choice(NOISES)),
+        "logging": str(rng.choice(LOGGINGS)),
+        "excitation": str(rng.choice(EXCITATIONS)),
+        "loop": str(rng.choice(LOOPS, p=[0.7, 0.3])),
+    }
+    plant = draw_plant(rng, kinds["plant"])
+    if kinds["loop"] != "open":
+        kinds["logging"] = "plain"
+    rate = plant.corner / (2.0 * np.pi) * rng.uniform(*((12, 25) if kinds["logging"] == "slow" else (25, 90)))
+    dt_s = 1.0 / rate
+    count = round(float(rng.uniform(60.0, 200.0)) * 2.0 * np.pi / plant.corner / 2.0 / dt_s)
+    drive = _excite(rng, kinds["excitation"], plant, np.arange(count) * dt_s)
+    if kinds["loop"] == "open":
+        return Record(seed, plant, _log_open(rng, plant, drive, dt_s, kinds), kinds, 0.0)
+    gain = _controller(rng, plant, dt_s)
+    return Record(seed, plant, _log_loop(rng, plant, drive, dt_s, (gain, kinds["noise"])), kinds, gain)
+
+
+def _excite(rng: np.random.Generator, kind: str, plant: Plant, time_s: FloatArray) -> FloatArray:
+    corner_hz = plant.corner / (2.0 * np.pi)
+    low = max(0.05 * corner_hz, 2.0 / time_s[-1])
+    if kind == "chirp":
+        return chirp(time_s, (low, 4.0 * corner_hz), 1.0)
+    if kind == "multisine":
+        return random_phase_multisine(time_s, (low, 4.0 * corner_hz), 1.0, rng)
+    if kind == "pilot":
+        return pilot(time_s * corner_hz, 1.0, rng)
+    hold = max(round(float(rng.uniform(0.2, 0.6)) / corner_hz / time_s[1]), 1)
+    return np.repeat(rng.standard_normal(len(time_s) // hold + 1), hold)[: len(time_s)]
+
+
+def _noise(rng: np.random.Generator, kind: str, count: int, period: float) -> FloatArray:
+    """(count,) of standard deviation 1; `period`: samples of the plant's corner."""
+    white = rng.standard_normal(count)
+    if kind == "none":
+        return np.zeros(count)
+    if kind == "outliers":
+        return np.asarray(np.where(rng.random(count) < 0.005, 8.0 * white, 0.5 * white))
+    slow = {"coloured": 0.1, "gusts": 0.5, "drifting": 10.0}.get(kind)
+    if slow is None:
+        return np.asarray(white)
+    made = np.asarray(lfilter([1.0], [1.0, -np.exp(-1.0 / (slow * period))], white))
+    return np.asarray(made / max(float(made.std()), 1e-300))
+
+
+def _log_open(
+    rng: np.random.Generator, plant: Plant, u: FloatArray, dt_s: float, kinds: dict[str, str]
+) -> Dataset:
+    a, (b,) = sample(plant.transfer, dt_s / FINE, "zero")
+    fine = np.asarray(lfilter(b, a, np.repeat(u, FINE)))
+    at = FINE * np.arange(len(u), dtype=np.float64)
+    if kinds["logging"] == "jitter":
+        at += FINE * min(0.005 / dt_s, 0.5) * rng.uniform(-0.5, 0.5, len(u))
+    clean = np.interp(at, np.arange(len(fine)), fine)
+    period = 2.0 * np.pi / plant.corner / dt_s
+    size = float(rng.uniform(0.01, 0.15)) * clean.std()
+    y = clean + size * _noise(rng, kinds["noise"], len(u), period)
+    if kinds["logging"] == "quantised":
+        grain = float(rng.uniform(0.01, 0.1)) * clean.std()
+        y = np.round(y / grain) * grain
+    data = Dataset.from_arrays(u, y, dt_s, inputs=["u"], outputs=["y"])
+    if kinds["logging"] == "gap":
+        middle = len(u) // 2
+        skipped = round(float(rng.uniform(0.5, 3.0)) * period)
+        whole = data.segments[0]
+        parts = tuple(_cut(whole, part, dt_s) for part in (slice(middle), slice(middle + skipped, None)))
+        data = Dataset(dt_s, data.inputs, data.outputs, parts, data.name)
+    return data
+
+
+def _cut(whole: Segment, part: slice, dt_s: float) -> Segment:
+    start_ns = whole.t0_ns + round((part.start or 0) * dt_s * 1e9)
+    return replace(whole, u=whole.u[part], y=whole.y[part], t0_ns=start_ns)
+
+
+def _controller(rng: np.random.Generator, plant: Plant, dt_s: float) -> float:
+    """A gain that leaves a gain margin of 2 to 5."""
+    omega = plant.grid(dt_s)
+    g = plant.response(omega, dt_s) * np.exp(-1j * omega * dt_s)
+    sign = np.sign(plant.transfer.numerators[0][-1])
+    phase = np.unwrap(np.angle(sign * g))
+    turned = np.flatnonzero(phase < -np.pi)
+    limit = 1.0 / abs(g[turned[0]]) if len(turned) else 5.0 / abs(g[0])
+    return float(sign * limit / rng.uniform(2.0, 5.0))
+
+
+def _log_loop(
+    rng: np.random.Generator, plant: Plant, drive: FloatArray, dt_s: float, how: tuple[float, str]
+) -> Dataset:
+    """u(k) = r(k) - controller y(k - 1): inputs u and r, output y."""
+    gain, noise = how
+    a, (b,) = sample(plant.transfer, dt_s, "zero")
+    back = gain * np.append(0.0, b)
+    size = max(len(a), len(back))
+    a = np.append(a, np.zeros(size - len(a)))
+    bottom = a + np.append(back, np.zeros(size - len(back)))
+    clean = np.asarray(lfilter(b, bottom, drive))
+    period = 2.0 * np.pi / plant.corner / dt_s
+    added = float(rng.uniform(0.01, 0.15)) * clean.std() * _noise(rng, noise, len(drive), period)
+    y = clean + np.asarray(lfilter(a, bottom, added))
+    u = drive - gain * np.append(0.0, y[:-1])
+    return Dataset.from_arrays(np.column_stack([u, drive]), y, dt_s, inputs=["u", "r"], outputs=["y"])
