@@ -310,13 +310,13 @@ def pieces_of(beside: Beside, named: Sequence[tuple[str, Segment]], output: int)
     rows: dict[str, int] = {}
     for name, segment in named:
         rows[name] = rows.get(name, 0) + len(segment)
-    found = []
+    found: list[Piece] = []
     for name, segment in named:
         count = max(round(PIECES * len(segment) / rows[name]), 1)
         constants = _constants(beside.transfer, segment, output, count)
         both = np.column_stack([beside.transfer.driven(segment.u), segment.y[:, output]])
-        places = [part.mean(axis=0) for part in np.array_split(both, count)]
-        found += [Piece(name, c, *map(float, place)) for c, place in zip(constants, places, strict=False)]
+        for constant, place in zip(constants, np.array_split(both, max(len(constants), 1)), strict=False):
+            found.append(Piece(name, constant, *map(float, place.mean(axis=0))))
     return found
 
 
