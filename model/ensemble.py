@@ -53,7 +53,7 @@ class Ensemble:
     (600, 1)
     """
 
-    of: Estimator = field(default_factory=TS)
+    of: Estimator = field(default_factory=lambda: TS(states=0))
     members: int = 5
 
     @on_one_thread

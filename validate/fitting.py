@@ -91,7 +91,6 @@ def estimators(
     from flysid.model.structured.structured_state_space import StructuredStateSpace
     from flysid.model.transfer_function import TF
     from flysid.model.ts import TS
-    from flysid.model.ts_best import BestTS
     from flysid.model.ts_state_space import TSStateSpace
 
     antecedents: Any = settings.antecedents or "auto"
@@ -111,15 +110,15 @@ def estimators(
         "structured": StructuredStateSpace(_structure_file(settings)),
         "polynarx": PolyNARX(nk_hint=nk_hint),
         "static_ts": StaticTS(seed=settings.seed),
-        "ts": BestTS(**late),
-        "ts_lags": TS(**late),
+        "ts": TS(**late),
+        "ts_lags": TS(**late, states=0),
         "ts_ss": TSStateSpace(**asked),
         "anfis": ANFIS(
             rules=ANFIS.rules if rules == "auto" else rules,
             nk=max([ANFIS.nk, *nk_hint]),
             antecedents=settings.antecedents or (),
         ),
-        "ensemble": Ensemble(of=TS(**late)),
+        "ensemble": Ensemble(of=TS(**late, states=0)),
     }
     _check_models(settings, known)
     wanted = {*REFERENCES, *BESIDE, baseline, *(settings.labels or USUAL)}
