@@ -21,7 +21,6 @@ from flysid.model.polynarx import PolyNARX
 from flysid.model.start import run_from_window, start_window
 from flysid.model.statespace import StateSpace
 from flysid.model.ts import TS
-from flysid.model.ts_best import BestTS
 from flysid.model.ts_state_space import TSStateSpace
 
 Scores = dict[str, list[float]]
@@ -85,10 +84,10 @@ def main(names: list[str]) -> int:
         print(line("ARX", ARX(), case), flush=True)
         print(line("OE", OE(), case), flush=True)
         print(line("SS", StateSpace(), case), flush=True)
-        print(line("TS, 1", TS(rules=1), case), flush=True)
-        print(line("TS", TS(), case), flush=True)
+        print(line("TS, 1", TS(rules=1, states=0), case), flush=True)
+        print(line("TS, lags", TS(states=0), case), flush=True)
         print(line("TS, ss", TSStateSpace(), case), flush=True)
-        print(line("TS, best", BestTS(), case), flush=True)
+        print(line("TS", TS(), case), flush=True)
         print(line("polynarx", PolyNARX(), case), flush=True)
     return 0
 

@@ -15,7 +15,7 @@ from bench.rule_words import FLIGHTS, TRAINED, specimen, vehicle_flights
 from flysid.dataset import Dataset
 from flysid.ingest.excitation.dead_time import dead_times, delays_to_try, least_delays
 from flysid.model.rules.rule_model import RuleModel
-from flysid.model.ts import TS
+from flysid.model.ts import TS, over_lags
 
 STARTED = 100
 SETTLED = 800
@@ -49,7 +49,7 @@ def main() -> None:
         test = vehicle_flights(vehicle, "lateral", seed, range(TRAINED, len(FLIGHTS)))
         late = dead_times(train)
         for floor in ((), least_delays(late, 1)):
-            model = TS(nk_hint=delays_to_try(late, 1), nk_least=floor).fit(train)
+            model = over_lags(TS(nk_hint=delays_to_try(late, 1), nk_least=floor), train)
             said = f"{model.layout.orders}, {len(model.rules())} rules: {free_run_error(model, test):.4f} m/s"
             print(f"{seed} floor {floor}: {said}, early {100 * early_share(model):.2f} %", flush=True)
 

@@ -1,7 +1,7 @@
 """Should rules over hidden states compete by default? `python -m bench.hidden_default [PLANT...]`.
 
-Simulated plants with and without a hidden nonlinear state: errors and CPU seconds of `TS()`, of `BestTS()`,
-which tries hidden states where they are hinted at, and what it took. Errors are free runs on a fresh
+Simulated plants with and without a hidden nonlinear state: errors and CPU seconds of `TS(states=0)`, and of
+`TS()`, which tries hidden states where they are hinted at, and what it took. Errors are free runs on a fresh
 recording against the noise-free outputs, in spreads of the output.
 """
 
@@ -12,7 +12,8 @@ import time
 
 from bench.hidden_plants import LINEAR, PLANTS
 from bench.hidden_rules import SETTINGS, error
-from flysid.model.ts_best import BestTS, contest
+from flysid.model.ts import TS
+from flysid.model.ts_choice import contest
 from flysid.model.ts_state_space import TSStateSpace
 
 SEED = 21
@@ -26,7 +27,7 @@ def main(names: list[str]) -> int:
             train, _ = plants[name].dataset((SEED,), samples, noise)
             test, truth = plants[name].dataset((1000 + SEED,), 1024, noise)
             begin = time.process_time()
-            found = contest(BestTS(), train)
+            found = contest(TS(), train)
             both = time.process_time() - begin
             taken = "hidden state" if found.taken is found.states else "lags"
             tried = "not tried" if found.states is None else f"{error(found.states.bare, test, truth):.4f}"

@@ -31,7 +31,7 @@ from bench.ts_experiment import off
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import FlysidError
 from flysid.model.rules.search_settings import NORMAL, QUARTERS, SearchSettings
-from flysid.model.ts_best import BestTS
+from flysid.model.ts import TS
 
 Change = Callable[[Dataset], Dataset]
 Row = Mapping[str, Any]
@@ -136,7 +136,7 @@ def fitted(record: Record, change: Change, search: SearchSettings = NORMAL) -> R
     begin = time.process_time()
     try:
         validation = None if record.validation is None else change(record.validation)
-        model = BestTS(search=search).fit(change(record.train), validation)
+        model = TS(search=search).fit(change(record.train), validation)
     except FlysidError as error:
         return {"refused": error.message, "cpu": time.process_time() - begin}
     cpu = time.process_time() - begin
@@ -179,7 +179,7 @@ def errors_of(rows: list[Row]) -> dict[str, list[float]]:
 
 def is_linear(row: Row) -> bool:
     """Whether what was delivered is linear."""
-    return row["rules"] == 1
+    return bool(row["rules"] == 1)
 
 
 def moves(rows: list[Row]) -> tuple[FloatArray, list[float], int]:

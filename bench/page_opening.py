@@ -18,7 +18,7 @@ from typing import Any
 
 from flysid.model.arx import ARX
 from flysid.model.base import Fitted
-from flysid.model.ts import TS
+from flysid.model.ts import TS, over_lags
 from flysid.validate.compare_models import across_channels, compare
 from flysid.validate.report import ReportContext, write_report
 from tests.fakes import FirstOrder, flown
@@ -46,7 +46,7 @@ def page(folder: Path) -> Path:
     for i, name in enumerate(("longitudinal", "lateral", "vertical")):
         truth = FirstOrder(a=0.9, b=0.1, d=-0.1 * (i + 1))
         train[name] = flown(truth, [600] * 3, noise=0.02, seed=i)
-        models: list[Fitted] = [ARX().fit(train[name]), TS(rules=5, na=2, nb=2, nk=1).fit(train[name])]
+        models: list[Fitted] = [ARX().fit(train[name]), over_lags(TS(rules=5, na=2, nb=2, nk=1), train[name])]
         comparisons[name] = compare(
             models, flown(truth, [1500] * 12, noise=0.02, seed=9 + i), train=train[name]
         )

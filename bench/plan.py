@@ -22,7 +22,7 @@ from flysid.dataset import Dataset, FloatArray
 from flysid.ingest.synth.manoeuvres import random_phase_multisine
 from flysid.model.arx import ARX
 from flysid.model.rules.fitted import FittedTS
-from flysid.model.ts import TS
+from flysid.model.ts import TS, over_lags
 from flysid.plan.flightplan import CommandedAxis, make_plan
 from flysid.plan.multisines import largest_correlation, relative_peak_factor
 from flysid.plan.precision import Known, known_of_model
@@ -141,7 +141,7 @@ def widths_of_rules(seed: int, truth: FittedTS) -> list[tuple[float, float, floa
     found = []
     for rows in (1500, 6000):
         data = Dataset.from_arrays(u[:rows], y[:rows], DT_S)
-        model = TS(rules=2, na=1, nb=1, nk=1, antecedents=("u(k-1)",)).fit(data)
+        model = over_lags(TS(rules=2, na=1, nb=1, nk=1, antecedents=("u(k-1)",)), data)
         found.append(list(known_of_model(model, rows * DT_S, train=data)))
     return [(a.share, a.share_after(4500 * DT_S), b.share) for a, b in zip(*found, strict=True)]
 

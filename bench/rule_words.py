@@ -31,7 +31,6 @@ from flysid.ingest.synth.vehicles import disperse
 from flysid.model.base import OperatingPoint
 from flysid.model.rules.phrases import answer_alike, meanings
 from flysid.model.ts import TS
-from flysid.model.ts_best import BestTS
 from flysid.model.ts_state_space import TSStateSpace
 
 NOISE = 0.03  # of the output's spread
@@ -280,17 +279,17 @@ STATES = partial(TSStateSpace, states=2, nk=1, ridge=0.1, antecedents=["y(k-1)"]
 OVER_OUTPUT = partial(LAGS, antecedents=["y(k-1)"])
 OVER_INPUT = partial(LAGS, antecedents=["u"])
 FLOWN: dict[str, Flown] = {
-    **{loop: of_vehicle(loop, BestTS) for loop in LOOPS},
-    "drag": of_plant(DRAG, (-2.0, 2.0), BestTS),
-    "Hammerstein": of_plant(PLANTS["Hammerstein"], (-5.0, 5.0), BestTS),
-    "Wiener": of_plant(PLANTS["Wiener"], (-5.0, 5.0), BestTS),
+    **{loop: of_vehicle(loop, TS) for loop in LOOPS},
+    "drag": of_plant(DRAG, (-2.0, 2.0), TS),
+    "Hammerstein": of_plant(PLANTS["Hammerstein"], (-5.0, 5.0), TS),
+    "Wiener": of_plant(PLANTS["Wiener"], (-5.0, 5.0), TS),
     "drag, given": of_plant(DRAG, (-2.0, 2.0), OVER_OUTPUT),
     "Hammerstein, given": of_plant(PLANTS["Hammerstein"], (-5.0, 5.0), OVER_INPUT),
     "Wiener, given": of_plant(PLANTS["Wiener"], (-5.0, 5.0), OVER_OUTPUT),
     "linear, given": of_plant(LINEAR_VEHICLE, (-5.0, 5.0), OVER_OUTPUT),
     "drag, hidden": of_plant(DRAG, (-2.0, 2.0), STATES),
     "Wiener, hidden": of_plant(PLANTS["Wiener"], (-5.0, 5.0), STATES),
-    "two inputs": of_two_inputs(BestTS),
+    "two inputs": of_two_inputs(TS),
     "two inputs, given": of_two_inputs(partial(LAGS, antecedents=["v_x(k-1)"])),
 }
 

@@ -13,7 +13,7 @@ import numpy as np
 from bench.verdict_fairness import TEST, TRAIN, Plant, flights
 from flysid.dataset import FloatArray
 from flysid.model.arx import ARX
-from flysid.model.ts_best import BestTS
+from flysid.model.ts import TS
 from flysid.validate.compare_models import compare
 from flysid.validate.report.narrative import worse_than_constant
 from flysid.validate.terminal import summary
@@ -38,7 +38,7 @@ def main(words: list[str]) -> int:
         rng = np.random.default_rng(seed)
         train = flights(plant, TRAIN, rng, "t")
         test = flights(plant, TEST, rng, "h")
-        c = compare({"arx": ARX().fit(train), "ts": BestTS().fit(train)}, test, train=train)
+        c = compare({"arx": ARX().fit(train), "ts": TS().fit(train)}, test, train=train)
         print("\n".join([f"{seed}:", *worse_than_constant({"": c}), summary({"": c})]), flush=True)
     return 0
 

@@ -21,13 +21,12 @@ from flysid.model.polynarx import PolyNARX
 from flysid.model.start import run_from_window, start_window
 from flysid.model.statespace import StateSpace
 from flysid.model.ts import TS
-from flysid.model.ts_best import BestTS
 
 MODELS: dict[str, Estimator] = {
     "ARX": ARX(),
     "ss": StateSpace(),
-    "ts1": TS(rules=1),
-    "ts": BestTS(),
+    "ts1": TS(rules=1, states=0),
+    "ts": TS(),
     "polynarx": PolyNARX(),
 }
 SEEN = {**ts_plants.PLANTS, **ts_unknown_plants.PLANTS}

@@ -17,7 +17,7 @@ from bench.ts_plants import PLANTS
 from flysid.dataset import Segment
 from flysid.model.polynomials import Z95
 from flysid.model.rules.rule_uncertainty import Uncertainty, uncertainty
-from flysid.model.ts import TS
+from flysid.model.ts import TS, over_lags
 
 USUAL = ("saturated", "duffing", "stiff", "tanks", "arm", "wiener")
 STEP = 1e-4
@@ -51,7 +51,7 @@ def main() -> None:
     print(f"{'plant':12s} {'first / small':>14s} {'draws / first':>14s} {'draws aside':>12s} {'cut off':>8s}")
     for name in sys.argv[1:] or USUAL:
         plant = PLANTS[name](np.random.default_rng(0))
-        sure = uncertainty(TS().fit(plant.train), plant.train)
+        sure = uncertainty(over_lags(TS(), plant.train), plant.train)
         small, wide, aside, cut = compared(sure, plant.test.segments[0])
         print(f"{name:12s} {small:14.3f} {wide:14.1f} {aside:12.2f} {cut:8.2f}", flush=True)
 

@@ -21,15 +21,14 @@ from flysid.errors import FlysidError
 from flysid.model.base import Estimator, Fitted
 from flysid.model.rules.judging import INTEGRATES
 from flysid.model.ts import TS
-from flysid.model.ts_best import BestTS
 from flysid.model.ts_state_space import TSStateSpace
 from flysid.validate.robustness import robustness
 
 SETTINGS: dict[str, Estimator] = {
-    "best": BestTS(),
-    "lags": TS(),
-    "lags, 3 rules": TS(rules=3),
-    "lags, 5 rules, 10 iterations": TS(rules=5, iterations=10),
+    "best": TS(),
+    "lags": TS(states=0),
+    "lags, 3 rules": TS(rules=3, states=0),
+    "lags, 5 rules, 10 iterations": TS(rules=5, iterations=10, states=0),
     "hidden": TSStateSpace(),
     "hidden, 3 rules": TSStateSpace(rules=3),
 }

@@ -15,7 +15,7 @@ import numpy as np
 from bench.ts_experiment import off
 from flysid.dataset import Dataset, FloatArray, Segment, Signal
 from flysid.model.arx import ARX
-from flysid.model.ts import TS
+from flysid.model.ts import TS, over_lags
 
 DT_S = 0.05
 LENGTH = 500
@@ -92,7 +92,7 @@ def main() -> None:
             train = records(plant, 4, (0.02, 0.1)[seed % 2], rng)
             fresh = records(plant, 8, 0.0, rng)
             linear = ARX().fit(train)
-            ts = TS().fit(train)
+            ts = over_lags(TS(), train)
             print(
                 f"| {plant} | {seed} | {off(linear, fresh):.2f} | {off(ts, fresh):.2f} | "
                 f"{len(ts.rules())} | {list(ts.layout.orders.nb)} |",

@@ -19,7 +19,7 @@ from flysid.model.rules.growth import best_started
 from flysid.model.rules.refit import as_problem
 from flysid.model.rules.regressor_layout import runs_of
 from flysid.model.rules.rule_uncertainty import uncertainty
-from flysid.model.ts import TS
+from flysid.model.ts import TS, over_lags
 
 DT_S = 0.05
 
@@ -35,7 +35,7 @@ def known_model() -> FittedTS:
     u = steps(0)
     y = lfilter([0.0, 0.3], [1.0, -0.7], u[:, 0])
     settings = TS(rules=2, na=1, nb=1, nk=1, antecedents=("u(k-1)",), iterations=3)
-    fitted = settings.fit(Dataset.from_arrays(u, np.asarray(y), DT_S))
+    fitted = over_lags(settings, Dataset.from_arrays(u, np.asarray(y), DT_S))
     parameters = fitted.parameters._replace(
         theta=np.array([[[0.8, 0.1, -0.1]], [[0.6, 0.4, 0.2]]]),
         centre=np.array([[-0.8], [0.8]]),

@@ -21,7 +21,7 @@ from flysid.ingest.excitation.dead_time import dead_times, delays_to_try, least_
 from flysid.model.base import Fitted
 from flysid.model.linear_choice import choose_baseline, confirm
 from flysid.model.one_rule import linear_rivals
-from flysid.model.ts_best import BestTS
+from flysid.model.ts import TS
 
 Record = tuple[FloatArray, FloatArray]
 Recorder = Callable[[], Record]
@@ -386,7 +386,7 @@ def fitted(plant: Experiment) -> tuple[str, Fitted, Fitted, float]:
     models = {n: linear[n].fit(train) for n in dict.fromkeys(("arx", choice.label))}
     base = confirm(choice, models, train).label
     begin = time.process_time()
-    ts = BestTS(nk_hint=hint, nk_least=least).fit(train)
+    ts = TS(nk_hint=hint, nk_least=least).fit(train)
     return base, models[base], ts, time.process_time() - begin
 
 

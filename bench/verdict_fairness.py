@@ -4,7 +4,7 @@
 totals, and the row for docs/measured/verdict.md; `--jobs 2` judges two plants at a time; `--journal FILE`
 lets an interrupted campaign go on, with the same code only. Both sides are what `flysid fit` makes: the best
 linear model by validation, and TS (at most 3 rules, to save time) over lags or hidden states, whichever
-`BestTS` takes; `--contender ts_lags` leaves out hidden states. On linear plants TS must be called better
+`TS` takes; `--contender ts_lags` leaves out hidden states. On linear plants TS must be called better
 in at most 5 %; on nonlinear plants, with noise such that a perfect model is 20 % better than the best linear
 one, it should be found in at least 80 %, and the interval should hold the change that the same two fitted
 models show on 120 fresh flights in 93 to 97 %.
@@ -34,7 +34,6 @@ from flysid.model.linear_choice import choose_baseline, confirm
 from flysid.model.one_rule import linear_rivals
 from flysid.model.shared import sharing
 from flysid.model.ts import TS
-from flysid.model.ts_best import BestTS
 from flysid.validate.compare_models import compare
 from flysid.validate.trials import FREE_RUN
 
@@ -45,8 +44,8 @@ FRESH = 120
 VERDICTS = ("better", "contested", "same", "worse", "not enough data")
 LENGTH = 500
 CONTENDERS: dict[str, Callable[[tuple[int, ...], tuple[int, ...]], Estimator]] = {
-    "ts": lambda hint, least: BestTS(most_rules=3, nk_hint=hint, nk_least=least),
-    "ts_lags": lambda hint, least: TS(most_rules=3, nk_hint=hint, nk_least=least),
+    "ts": lambda hint, least: TS(most_rules=3, nk_hint=hint, nk_least=least),
+    "ts_lags": lambda hint, least: TS(states=0, most_rules=3, nk_hint=hint, nk_least=least),
 }
 """Dead times to try, and those not to go below -> what is fitted against the linear side."""
 
@@ -373,7 +372,9 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=0, help="the first seed")
     parser.add_argument("--jobs", type=int, default=1, help="plants judged at a time")
     parser.add_argument("--journal", type=Path, help="append outcomes to this file, and skip those in it")
-    parser.add_argument("--contender", choices=list(CONTENDERS), default="ts", help="BestTS, or TS")
+    parser.add_argument(
+        "--contender", choices=list(CONTENDERS), default="ts", help="with hidden states, or without"
+    )
     order = parser.parse_args()
     seeds = range(order.first, order.first + order.count)
     journal = Journal(order.kind, order.journal, contender=order.contender)

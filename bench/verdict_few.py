@@ -29,7 +29,7 @@ from flysid.dataset import Dataset, FloatArray
 from flysid.errors import FlysidError
 from flysid.model.arx import ARX
 from flysid.model.base import Fitted
-from flysid.model.ts import TS
+from flysid.model.ts import TS, over_lags
 from flysid.split import plan_folds, plan_split
 from flysid.validate.compare_models import Turn, compare
 from flysid.validate.comparison import Pair
@@ -146,7 +146,7 @@ def judge_in_turn(plant: Plant, rng: np.random.Generator, fits: Fits, *, of_all:
 def two_rules(train: Dataset, base: str | None) -> tuple[dict[str, Fitted], str]:
     """ARX of order 3, and TS of two rules over two lags."""
     linear = ARX(na=3, nb=3, nk=1).fit(train)
-    return {"arx": linear, "ts": TS(rules=2, na=2, nb=2, nk=1).fit(train)}, base or "arx"
+    return {"arx": linear, "ts": over_lags(TS(rules=2, na=2, nb=2, nk=1), train)}, base or "arx"
 
 
 def rotation(plants: int, seed: int, fits: Fits = two_rules, *, of_all: bool = True) -> Iterator[str]:

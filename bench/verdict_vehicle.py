@@ -22,7 +22,7 @@ from flysid.ingest.synth.plants import LOOPS
 from flysid.model.base import Fitted
 from flysid.model.linear_choice import choose_baseline, confirm
 from flysid.model.one_rule import linear_rivals
-from flysid.model.ts_best import BestTS
+from flysid.model.ts import TS
 from flysid.validate.compare_models import compare
 from flysid.validate.trials import FREE_RUN
 
@@ -52,7 +52,7 @@ def judged(share: float, column: int, *, alone: bool) -> str:
     choice = choose_baseline(train, linear)
     models: dict[str, Fitted] = {n: linear[n].fit(train) for n in dict.fromkeys(("arx", choice.label))}
     base = confirm(choice, models, train).label
-    models["ts"] = BestTS().fit(train)
+    models["ts"] = TS().fit(train)
     c = compare(models, test, horizons=[FREE_RUN], baseline=base)
     (pair,) = c.verdict.values()
     low, high = pair.ci95 or (np.nan, np.nan)

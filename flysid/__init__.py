@@ -34,6 +34,7 @@ _HOME = {
     "with_stable_rules": "flysid.model.rules.stabilise",
     "refit_consequents": "flysid.model.rules.consequents",
     "SearchSettings": "flysid.model.rules.search_settings",
+    "BestTS": "flysid.model.ts_best",
 }
 """Public names beside those of the model structures, which are the rows of `flysid.model.structures`."""
 

@@ -32,7 +32,7 @@ from flysid.model.rules.phrases import in_words
 from flysid.model.start import FreeRuns
 from flysid.model.structures import all_structures
 from flysid.model.threads import on_one_thread
-from flysid.model.ts import TS
+from flysid.model.ts import TS, of_lags
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ class Ensemble:
     (600, 1)
     """
 
-    of: Estimator = field(default_factory=TS)
+    of: Estimator = field(default_factory=lambda: TS(states=0))
     members: int = 5
 
     @on_one_thread
@@ -92,7 +92,7 @@ class Ensemble:
 
 def of_rules(**asked: Any) -> Ensemble:
     """An ensemble of rules over lags; settings as `TS`."""
-    return Ensemble(of=TS(**asked))
+    return Ensemble(of=of_lags(**asked))
 
 
 def without_block(data: Dataset, block: int, blocks: int, *, least_rows: int = 30) -> Dataset:

@@ -36,6 +36,23 @@ class FreeRunning(Timed, Protocol):
     def output_limits(self) -> FloatArray: ...
 
 
+def in_flight_order(data: Dataset) -> Dataset:
+    """The same segments by the names of their flights and by time.
+
+    Parts are held out by their place in the list, and what is found must not hang on how flights are listed.
+
+    Examples
+    --------
+    >>> from flysid.model.selection import in_flight_order
+    >>> (segment,) = train.segments  # train: see `flysid.Dataset`
+    >>> late = segment.slice(100, 600, train.dt_s)
+    >>> [s.t0_ns for s in in_flight_order(train.with_segments([late, segment])).segments]
+    [0, 10000000000]
+    """
+    ordered = tuple(sorted(data.segments, key=lambda s: (s.flight, s.t0_ns)))
+    return data if ordered == data.segments else data.with_segments(ordered)
+
+
 def parts_to_choose_on(train: Dataset) -> tuple[Dataset, Dataset]:
     """What candidates are fitted to and what they are judged on; raises DataError where there is too little.
 

@@ -219,7 +219,7 @@ OWN: Mapping[str, Structure] = {
         ),
         Structure(
             "ts",
-            estimator="flysid.model.ts_best:BestTS",
+            estimator="flysid.model.ts:TS",
             takes=(*_SEARCH, "nk_least"),
             kind="rules",
             fitted="usually",
@@ -230,7 +230,7 @@ OWN: Mapping[str, Structure] = {
         ),
         Structure(
             "ts_lags",
-            estimator="flysid.model.ts:TS",
+            build="flysid.model.ts:of_lags",
             takes=(*_SEARCH, "nk_least"),
             kind="rules",
             leads=True,

@@ -11,7 +11,7 @@ from contextlib import contextmanager
 
 import pytest
 
-from flysid.model import one_rule, ts_best
+from flysid.model import one_rule, ts_choice
 from flysid.model.base import Estimator
 from flysid.validate import fitting
 from flysid.validate.fitdisk import DiskJob
@@ -28,7 +28,7 @@ def linear_side(*labels: str) -> Iterator[None]:
         return {label: model for label, model in RIVALS(nk_hint).items() if label in labels}
 
     with pytest.MonkeyPatch.context() as patch:
-        for module in (one_rule, ts_best, fitting):
+        for module in (one_rule, ts_choice, fitting):
             patch.setattr(module, "linear_rivals", only)
         yield
 

@@ -81,7 +81,7 @@ def _estimators() -> dict[str, Estimator]:
         "static_ts_3": StaticTS(rules=3),
         "line": Line(),
         "arx": ARX(),
-        "dynamic_ts_3": TS(rules=3),
+        "dynamic_ts_3": TS(rules=3, states=0),
     }
 
 
@@ -141,7 +141,7 @@ def _with_noise(loop: PaperLoop) -> dict[str, float]:
     estimators: dict[str, Estimator] = {
         "arx_one_step": ARX(refine=False),
         "arx": ARX(),
-        "dynamic_ts_3": TS(rules=3),
+        "dynamic_ts_3": TS(rules=3, states=0),
     }
     found = {}
     for label, estimator in estimators.items():

@@ -27,7 +27,7 @@ class SearchSettings:
     lanes : linear starts, those from which two rules do best, that are grown over all parts.
     exchanges : rounds in which a chosen model of long records is found again by way of one rule more.
     hidden_gain : logarithms of the mean square that hidden states must win; 0.3 is about 14 % of the error.
-    hidden_states : rules over hidden states compete where the data hint at them (`BestTS`).
+    hidden_states : rules over hidden states compete where the data hint at them.
     linear_systems : linear state spaces, best first, whose coordinates hidden rules are grown in.
     ridges : weights on the difference of rules, in shares of the error that is left, rising; those after the
         first are for rules that ran away. Over hidden states the first is left out.

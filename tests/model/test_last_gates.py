@@ -21,8 +21,7 @@ from flysid.model.rules import judging, learning, refit
 from flysid.model.rules.growth import split
 from flysid.model.rules.stages import Stage
 from flysid.model.selection import free_run_errors
-from flysid.model.ts import TS
-from flysid.model.ts_best import BestTS
+from flysid.model.ts import TS, over_lags
 from flysid.validate.fitone import fit_one, fitted
 from tests.model_examples import data
 
@@ -144,9 +143,9 @@ def test_a_polynomial_is_never_delivered_that_errs_more_than_its_linear_start(tr
 def test_on_integrating_data_one_rule_is_the_linear_model() -> None:
     train = drifting()
     linear = ARX().fit(train)
-    best = BestTS(rules=1).fit(train)
+    best = TS(rules=1).fit(train)
     assert {**best.to_dict(), "notes": []} == {**linear.to_dict(), "notes": []}
-    assert shortfall(TS(rules=1).fit(train), {"ARX": linear}, train) == ""
+    assert shortfall(over_lags(TS(rules=1), train), {"ARX": linear}, train) == ""
 
 
 def test_a_split_rule_is_the_same_model() -> None:
@@ -171,7 +170,7 @@ def test_rules_that_refinement_drives_away_are_split_from_those_that_stay(
     for module in (judging, refit):
         monkeypatch.setattr(module, "is_bounded", same_rules)
     train = data()
-    model = TS(rules=3, na=2, nb=2, nk=1).fit(train)
+    model = over_lags(TS(rules=3, na=2, nb=2, nk=1), train)
     assert len(model.rules()) == 3
     assert shortfall(model, {"ARX": ARX(na=2, nb=2, nk=1).fit(train)}, train) == ""
     (note,) = [note for note in model.notes if "left their limits" in note]

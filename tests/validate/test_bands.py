@@ -9,7 +9,7 @@ from flysid.dataset import Dataset
 from flysid.model.arx import ARX
 from flysid.model.start import estimate_start
 from flysid.model.statespace import StateSpace
-from flysid.model.ts import TS
+from flysid.model.ts import TS, over_lags
 from flysid.validate.bands import curves, free_run_band
 from flysid.validate.compare_models import compare
 from flysid.validate.diagnostics import diagnose
@@ -63,7 +63,7 @@ def test_the_band_of_arx_is_the_models_own() -> None:
 
 def test_rules_have_a_band_each() -> None:
     data: Dataset = flown(FirstOrder(a=0.9, b=0.1, d=-0.3), [300] * 3, noise=0.02)
-    model = TS(rules=2, na=1, nb=1, nk=1).fit(data)
+    model = over_lags(TS(rules=2, na=1, nb=1, nk=1), data)
     known = intervals(model, data)
     assert known is not None
     found = curves(model, HZ, (0, 0), known.fuzzy)
@@ -89,7 +89,7 @@ def test_a_model_that_does_not_know_has_none() -> None:
 def test_fewer_words_have_a_price_on_the_page_and_in_the_document() -> None:
     """Three rules for a plant that two describe: merging two of them costs next to nothing, and is said."""
     data = flown(FirstOrder(a=0.9, b=0.1, d=-0.3), [300] * 4, noise=0.02)
-    spare = TS(rules=3, na=1, nb=1, nk=1).fit(data)
+    spare = over_lags(TS(rules=3, na=1, nb=1, nk=1), data)
     arx = ARX(na=1, nb=1, nk=1).fit(data)
     c = compare(
         [arx, spare], flown(FirstOrder(a=0.9, b=0.1, d=-0.3), [300] * 6, noise=0.02, seed=4), train=data

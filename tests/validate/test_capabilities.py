@@ -8,7 +8,7 @@ import numpy as np
 
 from flysid.dataset import Dataset, FloatArray
 from flysid.model.rules.fitted import FittedTS
-from flysid.model.ts import TS
+from flysid.model.ts import TS, over_lags
 from flysid.validate.checks import check
 
 
@@ -53,7 +53,7 @@ def _data(seed: int) -> Dataset:
 def test_a_model_of_another_package_is_checked_like_one_of_ours() -> None:
     train = _data(0)
     test = _data(1)
-    ours = TS(rules=2, na=1, nb=1, nk=1).fit(train)
+    ours = over_lags(TS(rules=2, na=1, nb=1, nk=1), train)
     theirs: Any = Theirs(ours)
     own = check(ours, test, train)
     other = check(theirs, test, train)

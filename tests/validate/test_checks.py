@@ -13,7 +13,7 @@ from flysid.dataset import Dataset
 from flysid.datasetfile import write_dataset
 from flysid.model.arx import ARX
 from flysid.model.mean import Mean
-from flysid.model.ts import TS
+from flysid.model.ts import TS, over_lags
 from flysid.validate.cautions import cautions
 from flysid.validate.checks import check
 from flysid.validate.compare_models import compare
@@ -78,7 +78,10 @@ def test_the_condition_is_that_of_the_lagged_signals() -> None:
 
 def test_intervals_hold_the_gain_of_a_linear_plant() -> None:
     data = flown(TRUTH, [800] * 4, noise=0.05)
-    for model, rules in ((ARX(na=1, nb=1, nk=1).fit(data), 1), (TS(rules=2, na=1, nb=1, nk=1).fit(data), 2)):
+    for model, rules in (
+        (ARX(na=1, nb=1, nk=1).fit(data), 1),
+        (over_lags(TS(rules=2, na=1, nb=1, nk=1), data), 2),
+    ):
         found = intervals(model, data)
         assert found is not None
         assert found.gain.shape == (2, rules, 1, 1)
@@ -92,7 +95,7 @@ def test_intervals_hold_the_gain_of_a_linear_plant() -> None:
 def test_the_page_and_the_document_tell_the_checks() -> None:
     train = flown(TRUTH, [600] * 3, noise=0.05)
     test = flown(TRUTH, [400] * 5, noise=0.05, seed=1)
-    ts = TS(rules=2, na=1, nb=1, nk=1).fit(train)
+    ts = over_lags(TS(rules=2, na=1, nb=1, nk=1), train)
     assert "yapunov" in check(ts, test, train).certificate
     c = compare([ARX(na=1, nb=1, nk=1).fit(train), ts], test, train=train)
     page = render(ReportContext({"c": c}, train={"c": train}))

@@ -19,7 +19,7 @@ from bench.verdict_fairness import (
 )
 from flysid.model.arx import ARX
 from flysid.model.one_rule import OneRule
-from flysid.model.ts import TS
+from flysid.model.ts import TS, over_lags
 from flysid.validate.compare_models import compare
 
 
@@ -29,7 +29,7 @@ def test_fuzzy_is_not_called_better_on_a_linear_plant(seed: int) -> None:
     plant = linear_plant(rng)
     train = flights(plant, 3, rng, "t")
     test = flights(plant, 6, rng, "h")
-    ts = TS(rules=2, na=2, nb=2, nk=1).fit(train)
+    ts = over_lags(TS(rules=2, na=2, nb=2, nk=1), train)
     pair = compare([ARX(refine=False).fit(train), ARX().fit(train), ts], test, baseline="arx-2").verdict["y"]
     assert pair.verdict != "better"
 
@@ -39,7 +39,7 @@ def test_a_true_advantage_is_found_with_real_fits() -> None:
     plant = nonlinear_plant(rng)
     train = flights(plant, 3, rng, "t")
     test = flights(plant, 8, rng, "h")
-    pair = compare([ARX().fit(train), TS(rules=3, na=2, nb=2, nk=1).fit(train)], test).verdict["y"]
+    pair = compare([ARX().fit(train), over_lags(TS(rules=3, na=2, nb=2, nk=1), train)], test).verdict["y"]
     assert pair.verdict == "better"
     assert pair.ci95 is not None
     assert -35.0 < pair.ci95[0] < pair.ci95[1] < -5.0

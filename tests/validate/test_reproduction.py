@@ -19,7 +19,7 @@ from flysid.model.arx import ARX
 from flysid.model.base import Fitted
 from flysid.model.rules.search_settings import EFFORTS
 from flysid.model.static_ts import StaticTS
-from flysid.model.ts import TS
+from flysid.model.ts import TS, over_lags
 from flysid.validate import reproduction
 from flysid.validate.compare_models import compare
 from flysid.validate.paper import CANNOT_REPRODUCE, LOOPS, PaperLoop
@@ -47,7 +47,7 @@ def quarter(name: str, signal: str, noise: float = 0.0) -> tuple[Dataset, FloatA
 def dynamic(request: pytest.FixtureRequest) -> tuple[str, Fitted]:
     train, _ = quarter(request.param, "training")
     with linear_side("arx"):
-        return request.param, TS(rules=3).fit(train)
+        return request.param, over_lags(TS(rules=3), train)
 
 
 @pytest.mark.parametrize("rules", [3, 7])
@@ -116,7 +116,7 @@ def test_with_measurement_noise_free_runs_stay_near_the_truth() -> None:
         return float(np.sqrt(np.mean((simulated[:, 0] - truth) ** 2)))
 
     with linear_side("arx"):
-        rules = TS(rules=3, search=EFFORTS["quick"]).fit(train)
+        rules = over_lags(TS(rules=3, search=EFFORTS["quick"]), train)
     for model in (ARX().fit(train), rules):
         assert off(model.simulate(test.segments[0].u)) < 0.01
 

@@ -11,7 +11,7 @@ from flysid.dataset import Dataset, Signal
 from flysid.errors import StoreError, UsageError
 from flysid.model.arx import ARX
 from flysid.model.static_ts import StaticTS
-from flysid.model.ts import TS
+from flysid.model.ts import TS, over_lags
 from flysid.validate.rulesfigure import draw_rules, write_rules_figure
 from tests import model_examples
 
@@ -41,7 +41,7 @@ def test_the_panels_show_what_the_model_says() -> None:
 
 @pytest.mark.parametrize("rules", [1, 2])
 def test_dynamic_rules_are_drawn_in_free_run(rules: int, tmp_path: Path) -> None:
-    model = TS(rules=rules, na=rules, nb=1, nk=1, iterations=3).fit(DATA)
+    model = over_lags(TS(rules=rules, na=rules, nb=1, nk=1, iterations=3), DATA)
     panels = draw_rules(model, SEGMENT).axes
     run = model.free_run(SEGMENT)[:, 0]
     assert np.asarray(panels[1].lines[1].get_ydata()) == pytest.approx(run)

@@ -434,7 +434,7 @@ def test_every_label_makes_an_estimator_that_knows_what_was_asked_for() -> None:
     assert isinstance(anfis, ANFIS)
     assert isinstance(ensemble, Ensemble)
     assert (anfis.rules, anfis.nk, anfis.antecedents) == (2, 4, ("v_x(k-1)",))
-    assert ensemble.of == TS(rules=2, antecedents=("v_x(k-1)",), nk_hint=(4,))
+    assert ensemble.of == TS(rules=2, antecedents=("v_x(k-1)",), nk_hint=(4,), states=0)
     free = estimators(FitSettings(models=("anfis",)))["anfis"]
     assert free == ANFIS()
 

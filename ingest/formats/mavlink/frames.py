@@ -99,9 +99,8 @@ class Frames:
 
     def where(self, kept: npt.NDArray[np.bool_]) -> Frames:
         """Some of the frames."""
-        columns = [getattr(self, name) for name in ROWS]
         stamps = None if self.stamp_us is None else self.stamp_us[kept]
-        return Frames(self.buffer, *(column[kept] for column in columns), stamps)
+        return replace(self, **{name: getattr(self, name)[kept] for name in ROWS}, stamp_us=stamps)
 
 
 def plain_chain(crc_extra: npt.NDArray[np.int16]) -> Chain:

@@ -8,7 +8,7 @@ from flysid.errors import UsageError
 from flysid.ingest.excitation.dead_time import dead_times, delays_to_try, least_delays
 from flysid.model.arx import ARX
 from flysid.model.rules.search_settings import EFFORTS
-from flysid.model.ts import TS
+from flysid.model.ts import TS, over_lags
 from tests.contest import linear_side
 
 DT = 0.02
@@ -51,7 +51,7 @@ def test_ts_on_a_short_record_bridges_a_dead_time_handed_over_or_found_by_the_li
     test = late(7, noise=0.0)
     s = test.segments[0]
     for hint in (delays_to_try(dead_times(train), 1), ()):
-        model = TS(rules=1, nk_hint=hint, search=QUICK).fit(train)
+        model = over_lags(TS(rules=1, nk_hint=hint, search=QUICK), train)
         assert model.layout.orders.nk[0] in (7, 8, 9)
         error = model.simulate(s.u, s.y[: model.n_init])[50:] - s.y[50:]
         assert np.std(error) < 0.1 * np.std(s.y[50:])
@@ -65,10 +65,10 @@ def test_a_dead_time_that_is_certain_is_a_floor_for_rules() -> None:
     (floor,) = least_delays([found], 1)
     assert 5 <= floor <= 7
     assert f"rules none below {floor}" in found.words
-    model = TS(rules=1, nk_least=(floor,), search=QUICK).fit(train)
+    model = over_lags(TS(rules=1, nk_least=(floor,), search=QUICK), train)
     assert model.layout.orders.nk[0] >= floor
     with linear_side("arx"):
-        asked = TS(rules=1, nk=2, nk_least=(floor,), search=QUICK).fit(train)
+        asked = over_lags(TS(rules=1, nk=2, nk_least=(floor,), search=QUICK), train)
     assert asked.layout.orders.nk == (2,)
 
 
@@ -88,4 +88,4 @@ def test_a_hint_that_cannot_be_is_refused(structure: type[ARX] | type[TS], hint:
         structure(nk_hint=hint).fit(late(1))
     if structure is TS:
         with pytest.raises(UsageError, match="nk_least"):
-            TS(nk_least=hint).fit(late(1))
+            over_lags(TS(nk_least=hint), late(1))

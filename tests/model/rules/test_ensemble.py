@@ -16,7 +16,7 @@ from flysid.model.arx import ARX
 from flysid.model.base import Fitted
 from flysid.model.ensemble import Ensemble, FittedEnsemble, without_block
 from flysid.model.static_ts import StaticTS
-from flysid.model.ts import TS
+from flysid.model.ts import TS, over_lags
 from tests.command import call
 from tests.contest import linear_side
 
@@ -139,7 +139,7 @@ def test_an_ensemble_of_rules_is_told_in_words(tmp_path: Path) -> None:
 
 def test_a_member_that_comes_to_no_rest_is_told_by_its_own_gain() -> None:
     u, y = experiment(3)
-    resting = TS(rules=2, na=1, nb=1, nk=1).fit(Dataset.from_arrays(u, y, 0.1))
+    resting = over_lags(TS(rules=2, na=1, nb=1, nk=1), Dataset.from_arrays(u, y, 0.1))
     restless = replace(resting, operating_points=())
     told = str(FittedEnsemble((restless, resting), ())).splitlines()
     assert not any("at rest" in line for line in told if line.strip().startswith("M1."))

@@ -12,7 +12,7 @@ from flysid.dataset import Dataset, FloatArray, Segment
 from flysid.model.rules.fitted import FittedTS
 from flysid.model.rules.free_run_error import started_run
 from flysid.model.rules.lack_of_fit import through_law
-from flysid.model.ts import TS
+from flysid.model.ts import TS, over_lags
 
 ONE = TS(rules=1, na=2, nb=2, nk=1)
 
@@ -38,7 +38,7 @@ def test_a_linear_plant_leaves_nothing_whatever_the_colour_of_its_noise() -> Non
     plain = plant.dataset((1, 2, 3), 800, 0.03)[0]
     gain, _ = truth(plant, 0.1, (-2.0, 2.0))
     for data, widest in ((plain, 0.12), (coloured(plain, 0.2, 0.95), 0.5)):
-        model = ONE.fit(data)
+        model = over_lags(ONE, data)
         for point in model.operating_points:
             assert point.gain_interval[0, 0] < gain < point.gain_interval[1, 0]
         assert widths(model).max() < widest
@@ -48,7 +48,7 @@ def test_a_linear_plant_leaves_nothing_whatever_the_colour_of_its_noise() -> Non
 def test_what_one_rule_cannot_say_is_in_its_intervals(name: str) -> None:
     """A lack in the sensor, and one in the law: of six gains the noise's intervals hold one or none."""
     plant = PLANTS[name]
-    model = ONE.fit(plant.dataset((1, 2, 3), 800, 0.03)[0])
+    model = over_lags(ONE, plant.dataset((1, 2, 3), 800, 0.03)[0])
     true = [truth(plant, float(p.outputs[0]), (-5.0, 5.0))[0] for p in model.operating_points]
     held = [
         p.gain_interval[0, 0] < gain < p.gain_interval[1, 0]
@@ -59,7 +59,7 @@ def test_what_one_rule_cannot_say_is_in_its_intervals(name: str) -> None:
 
 def test_the_law_answers_as_small_constants_in_its_equation_do() -> None:
     data = PLANTS["vehicle with drag and a lagging actuator"].dataset((1, 2), 400, 0.02)[0]
-    model = TS(rules=2, na=2, nb=2, nk=1, antecedents=["y(k-1)-y(k-2)"]).fit(data)
+    model = over_lags(TS(rules=2, na=2, nb=2, nk=1, antecedents=["y(k-1)-y(k-2)"]), data)
     layout, par = model.layout, model.parameters
     run = model.seen(data.segments[0].u, data.segments[0].y)
     start = run[layout.uncompared : layout.depth, : layout.n]

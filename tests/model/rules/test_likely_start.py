@@ -11,7 +11,7 @@ from flysid.dataset import Dataset, FloatArray
 from flysid.model.arx import ARX
 from flysid.model.base import load
 from flysid.model.start import settled_start_rows
-from flysid.model.ts import TS
+from flysid.model.ts import TS, over_lags
 
 DT = 1e-3
 NOISE = 1e-3
@@ -43,7 +43,7 @@ def test_first_samples_of_a_double_integrator_at_a_high_rate_tell_its_speed(
     train: Dataset, rules: int, tmp_path: Path
 ) -> None:
     """Two measured positions do not: they started free runs 0.1 off, 1.9 times what the position spans."""
-    model = TS(rules=rules, na=2, nb=2, nk=1).fit(train)
+    model = over_lags(TS(rules=rules, na=2, nb=2, nk=1), train)
     u, true, measured = positioned(1002)
     run = model.simulate(u, measured[: model.n_init])
     late = slice(600, None)
@@ -68,7 +68,7 @@ def test_a_start_without_noise_is_the_true_one() -> None:
     y = np.zeros(600)
     for k in range(2, 600):
         y[k] = 1.6 * y[k - 1] - 0.7 * y[k - 2] + 0.1 * u[k - 1]
-    model = TS(rules=1, na=2, nb=1, nk=1).fit(Dataset.from_arrays(u, y, DT))
+    model = over_lags(TS(rules=1, na=2, nb=1, nk=1), Dataset.from_arrays(u, y, DT))
     run = model.simulate(u[100:], y[100 : 100 + model.n_init])
     np.testing.assert_allclose(run[:, 0], y[100:], atol=1e-6)
 

@@ -26,8 +26,7 @@ from flysid.model.selection import free_run_errors, parts_to_choose_on
 from flysid.model.shared import sharing
 from flysid.model.statespace import StateSpace
 from flysid.model.subspace.fitted_model import FittedStateSpace
-from flysid.model.ts import TS
-from flysid.model.ts_best import BestTS
+from flysid.model.ts import TS, over_lags
 from flysid.validate.compare_models import compare
 from flysid.validate.report.narrative import heads, subtitle, title
 
@@ -48,7 +47,7 @@ def test_where_rules_do_not_pay_the_baseline_comes_back() -> None:
     train = lag(0)
     quick = EFFORTS["quick"]
     with sharing():
-        found = BestTS(search=quick).fit(train)
+        found = TS(search=quick).fit(train)
         choice, linear = best_linear(train, None, linear_rivals(search=quick))
     assert found.structure == choice.label == linear.structure
     assert isinstance(found, FittedLinear)
@@ -70,7 +69,7 @@ def test_one_rule_over_lags_has_the_linear_models_coefficients(asked: dict[str, 
     train = lag(2)
     settings = TS(rules=1, search=EFFORTS["quick"], **asked)  # type: ignore[arg-type]
     with sharing():
-        model = settings.fit(train)
+        model = over_lags(settings, train)
         choice = linear_choice(settings, train, None)
     assert isinstance(model, FittedTS)
     assert choice is not None
@@ -101,7 +100,7 @@ def test_on_whole_flights_rules_start_from_what_their_rival_of_one_rule_found(
     with sharing():
         OneRule(search=short).fit(*parts_to_choose_on(train))
         rival = len(asked)
-        TS(rules=2, search=short).fit(train)
+        over_lags(TS(rules=2, search=short), train)
     assert rival > 0
     assert len(asked) == rival
 
@@ -164,13 +163,13 @@ def test_one_rule_is_its_equation_over_lags() -> None:
 def test_a_baseline_of_one_rule_is_a_linear_one() -> None:
     train = lag(9)
     models: dict[str, Fitted] = {"arx": ARX(na=1, nb=1, nk=1).fit(train), "linear_lags": OneRule().fit(train)}
-    models["ts"] = TS(rules=2, na=1, nb=1, nk=2).fit(train)
+    models["ts"] = over_lags(TS(rules=2, na=1, nb=1, nk=2), train)
     compared = compare(models, lag(10), baseline="linear_lags", horizons=["free_run"])
     assert set(compared.entry().rivals) == {"arx"}
 
 
 def test_a_model_of_one_rule_that_was_asked_for_claims_no_search() -> None:
-    found = BestTS(rules=1, search=EFFORTS["quick"]).fit(lag(1))
+    found = TS(rules=1, search=EFFORTS["quick"]).fit(lag(1))
     assert found.notes[0] == f"{LINEAR_ENOUGH}one rule was requested, and one rule is a linear model."
 
 

@@ -17,7 +17,7 @@ from flysid.model.rules.fitted import FittedTS
 from flysid.model.rules.local_models import SteadyMap
 from flysid.model.rules.operating_points import describe, operating_points
 from flysid.model.rules.rule_uncertainty import uncertainty
-from flysid.model.ts import TS
+from flysid.model.ts import TS, over_lags
 
 DRAG = PLANTS["vehicle with drag and a lagging actuator"]
 
@@ -26,7 +26,7 @@ DRAG = PLANTS["vehicle with drag and a lagging actuator"]
 def flown() -> tuple[FittedTS, Dataset]:
     """A vehicle with quadratic drag, its orders given."""
     data = DRAG.dataset(tuple(range(6)), 700, 0.02)[0]
-    return TS(na=2, nb=2, nk=1, antecedents=["y(k-1)"], most_rules=4).fit(data), data
+    return over_lags(TS(na=2, nb=2, nk=1, antecedents=["y(k-1)"], most_rules=4), data), data
 
 
 def test_points_are_what_the_free_run_does(flown: tuple[FittedTS, Dataset]) -> None:
@@ -93,7 +93,7 @@ def _delayed(delay: int) -> tuple[Dataset, float]:
 @pytest.mark.parametrize("delay", [0, 3])
 def test_one_rule_is_said_once_with_its_dead_time(delay: int) -> None:
     data, reached = _delayed(delay)
-    model = TS(rules=1, na=1, nb=1, nk=1 + delay).fit(data)
+    model = over_lags(TS(rules=1, na=1, nb=1, nk=1 + delay), data)
     (sentence,) = [line for line in str(model).splitlines() if line.startswith("  * ")]
     point = model.operating_points[0]
     assert point.dead_s[0] == pytest.approx(0.05 * delay)
@@ -110,14 +110,14 @@ def test_a_first_move_the_wrong_way_is_told() -> None:
     u = np.repeat(np.random.default_rng(2).uniform(-1, 1, 80), 15)
     b, a, _ = cont2discrete(([-0.3, 1.0], [0.25, 1.0, 1.0]), dt)
     y = np.asarray(lfilter(b[0], a, u)) + 0.003 * np.random.default_rng(3).standard_normal(len(u))
-    model = TS(rules=1, na=2, nb=2, nk=1).fit(Dataset.from_arrays(u, y, dt))
+    model = over_lags(TS(rules=1, na=2, nb=2, nk=1), Dataset.from_arrays(u, y, dt))
     assert "the wrong way" in str(model)
 
 
 def test_an_integrating_process_has_no_places() -> None:
     u = np.repeat(np.random.default_rng(5).uniform(-1, 1, 60), 10)
     y = 0.05 * np.cumsum(np.concatenate([[0.0], u[:-1]]))
-    model = TS(rules=1, na=1, nb=1, nk=1).fit(Dataset.from_arrays(u, y, 0.05))
+    model = over_lags(TS(rules=1, na=1, nb=1, nk=1), Dataset.from_arrays(u, y, 0.05))
     assert model.operating_points == ()
     assert "[integrates]" in str(model)
 
@@ -133,7 +133,7 @@ def test_a_condition_on_an_input_without_lags_of_its_own() -> None:
         y[k] = 0.8 * y[k - 1] + (0.2 + 0.15 * v[k - 1]) * u[k - 1]
     y += 0.01 * rng.normal(size=n)
     data = Dataset.from_arrays(np.column_stack([u, v]), y, 0.05, inputs=[Signal("u"), Signal("v")])
-    model = TS(na=1, nb=[1, 0], nk=[1, 1], antecedents=["v"], rules=2, most_rules=2).fit(data)
+    model = over_lags(TS(na=1, nb=[1, 0], nk=[1, 1], antecedents=["v"], rules=2, most_rules=2), data)
     assert model.operating_points
     for point in model.operating_points:
         low, high = point.reached_interval_s[:, 0]
@@ -144,7 +144,7 @@ def test_a_condition_on_an_input_leaves_times_as_unsure_as_its_lags_are_apart() 
     """It switches both lags of the input at once: at saturation the answer comes 1.4 samples too late."""
     plant = PLANTS["Hammerstein"]
     data, _ = plant.dataset((0, 1), 500, 0.03)
-    model = TS(na=2, nb=2, nk=1, antecedents=["u"], rules=2, most_rules=2).fit(data)
+    model = over_lags(TS(na=2, nb=2, nk=1, antecedents=["u"], rules=2, most_rules=2), data)
     numbers = SteadyMap(model.layout, model.parameters)
     points = operating_points(numbers, data, uncertainty(model, data))
     assert len(points) > 3

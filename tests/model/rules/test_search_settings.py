@@ -15,8 +15,8 @@ from flysid.errors import UsageError
 from flysid.model.rules import learning, search_settings
 from flysid.model.rules.search import different
 from flysid.model.rules.search_settings import EFFORTS, NORMAL, SearchSettings
-from flysid.model.ts import TS
-from flysid.model.ts_best import BestTS, contest
+from flysid.model.ts import TS, over_lags
+from flysid.model.ts_choice import contest
 from flysid.validate.run import FitSettings
 from flysid.validate.wanted_models import estimators
 
@@ -40,7 +40,7 @@ def test_the_examples_of_the_settings_are_true() -> None:
 )
 def test_settings_that_cannot_be_are_refused(wrong: dict[str, Any]) -> None:
     with pytest.raises(UsageError, match=next(iter(wrong)).split("_")[-1]):
-        TS(search=replace(NORMAL, **wrong)).fit(_data())
+        over_lags(TS(search=replace(NORMAL, **wrong)), _data())
 
 
 def test_an_unknown_effort_names_the_known_ones() -> None:
@@ -53,10 +53,10 @@ def test_an_unknown_effort_names_the_known_ones() -> None:
 def test_what_is_set_is_done() -> None:
     """Fewer parts held out, no order above the highest, and no more rules than win what is asked for."""
     data = _data()
-    usual = TS(search=replace(NORMAL, highest_order=2)).fit(data)
+    usual = over_lags(TS(search=replace(NORMAL, highest_order=2)), data)
     assert any("held out in turn" in note for note in usual.notes)
     assert usual.layout.orders.na <= 2
-    one = TS(search=replace(NORMAL, highest_order=1, folds=1, rule_gain=1e9)).fit(data)
+    one = over_lags(TS(search=replace(NORMAL, highest_order=1, folds=1, rule_gain=1e9)), data)
     assert not any("held out in turn" in note for note in one.notes)
     assert len(one.rules()) == 1 < len(usual.rules())
 
@@ -77,8 +77,8 @@ def test_a_linear_model_that_was_found_twice_is_grown_from_once() -> None:
 def test_a_quick_search_leaves_hidden_states_out() -> None:
     data = PLANTS["hysteresis"].dataset((1,), 400, 0.02)[0]
     quick = replace(EFFORTS["quick"], highest_order=2)
-    assert contest(BestTS(rules=2, search=quick), data).states is None
-    tried = contest(BestTS(rules=2, search=replace(quick, hidden_states=True)), data)
+    assert contest(TS(rules=2, search=quick), data).states is None
+    tried = contest(TS(rules=2, search=replace(quick, hidden_states=True)), data)
     assert tried.states is not None
 
 

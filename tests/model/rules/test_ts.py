@@ -17,7 +17,7 @@ from flysid.errors import DataError, UsageError
 from flysid.model.base import load
 from flysid.model.rules import learning
 from flysid.model.rules.search_settings import EFFORTS
-from flysid.model.ts import TS, FittedTS
+from flysid.model.ts import TS, FittedTS, over_lags
 from flysid.model.ts_state_space import TSStateSpace
 from tests.contest import linear_side
 
@@ -40,7 +40,7 @@ def second_order(n: int, seed: int, bend: float = 0.0) -> tuple[FloatArray, Floa
 def bent() -> FittedTS:
     u, y = second_order(2000, 1, bend=0.1)
     with linear_side("arx"):
-        return TS(most_rules=3, search=QUICK).fit(Dataset.from_arrays(u, y, DT))
+        return over_lags(TS(most_rules=3, search=QUICK), Dataset.from_arrays(u, y, DT))
 
 
 def free_run_rmse(model: FittedTS, u: FloatArray, y: FloatArray) -> float:
@@ -50,7 +50,7 @@ def free_run_rmse(model: FittedTS, u: FloatArray, y: FloatArray) -> float:
 
 def test_linear_plant_needs_one_rule() -> None:
     u, y = second_order(1200, 0)
-    model = TS(search=QUICK).fit(Dataset.from_arrays(u, y, DT))
+    model = over_lags(TS(search=QUICK), Dataset.from_arrays(u, y, DT))
     assert len(model.rules()) == 1
     assert any("One rule is enough" in note for note in model.notes)
     fresh_u, fresh_y = second_order(800, 9)
@@ -59,7 +59,7 @@ def test_linear_plant_needs_one_rule() -> None:
 
 def test_three_rules_on_a_linear_plant_are_nearly_equal() -> None:
     u, y = second_order(1200, 0)
-    model = TS(rules=3).fit(Dataset.from_arrays(u, y, DT))
+    model = over_lags(TS(rules=3), Dataset.from_arrays(u, y, DT))
     assert len(model.rules()) == 3
     fresh_u, fresh_y = second_order(800, 9)
     assert free_run_rmse(model, fresh_u, fresh_y) < 1e-6 * np.ptp(fresh_y)
@@ -67,7 +67,7 @@ def test_three_rules_on_a_linear_plant_are_nearly_equal() -> None:
 
 def test_nonlinear_plant_is_followed_better_with_rules(bent: FittedTS) -> None:
     u, y = second_order(1500, 7, bend=0.1)
-    linear = TS(rules=1, search=QUICK).fit(Dataset.from_arrays(*second_order(2000, 1, bend=0.1), DT))
+    linear = over_lags(TS(rules=1, search=QUICK), Dataset.from_arrays(*second_order(2000, 1, bend=0.1), DT))
     assert len(bent.rules()) > 1
     assert free_run_rmse(bent, u, y) < 0.3 * free_run_rmse(linear, u, y)
 
@@ -145,10 +145,10 @@ def test_a_last_refinement_that_was_not_taken_is_not_claimed(monkeypatch: pytest
 
 def test_named_antecedents_are_used() -> None:
     u, y = second_order(1200, 1, bend=0.1)
-    model = TS(rules=2, antecedents=["u(k-1)"]).fit(Dataset.from_arrays(u, y, DT))
+    model = over_lags(TS(rules=2, antecedents=["u(k-1)"]), Dataset.from_arrays(u, y, DT))
     assert model.antecedents == ("u(k-1)",)
     with pytest.raises(UsageError, match="not understood"):
-        TS(antecedents=["nothing(k-1)"]).fit(Dataset.from_arrays(u, y, DT))
+        over_lags(TS(antecedents=["nothing(k-1)"]), Dataset.from_arrays(u, y, DT))
 
 
 @pytest.mark.parametrize("name", ["u(k)-u(k-1)", "y(k-1)-y(k-1)"])
@@ -157,27 +157,27 @@ def test_an_antecedent_that_stands_still_is_named(name: str) -> None:
     ramp = 1e3 + 0.01 * np.arange(600)
     y = np.random.default_rng(0).normal(size=600)
     with pytest.raises(DataError, match=re.escape(f"the antecedent {name} stays at")):
-        TS(rules=2, antecedents=[name]).fit(Dataset.from_arrays(ramp, y, DT))
+        over_lags(TS(rules=2, antecedents=[name]), Dataset.from_arrays(ramp, y, DT))
     slow = ramp + 1e-3 * np.sin(0.05 * np.arange(600))
-    model = TS(rules=2, antecedents=["u(k)-u(k-1)"]).fit(Dataset.from_arrays(slow, y, DT))
+    model = over_lags(TS(rules=2, antecedents=["u(k)-u(k-1)"]), Dataset.from_arrays(slow, y, DT))
     assert model.antecedents == ("u(k)-u(k-1)",)
 
 
 def test_bad_input_is_named() -> None:
     u, y = second_order(400, 1)
     with pytest.raises(DataError, match="'u' never changes"):
-        TS().fit(Dataset.from_arrays(np.ones(400), y, DT))
+        over_lags(TS(), Dataset.from_arrays(np.ones(400), y, DT))
     with pytest.raises(DataError, match="longest segment"):
-        TS().fit(Dataset.from_arrays(u[:8], y[:8], DT))
+        over_lags(TS(), Dataset.from_arrays(u[:8], y[:8], DT))
     with pytest.raises(UsageError, match="rules"):
-        TS(rules=0).fit(Dataset.from_arrays(u, y, DT))
+        over_lags(TS(rules=0), Dataset.from_arrays(u, y, DT))
 
 
 @pytest.mark.parametrize("samples", [70, 80, 88, 95])
 def test_a_short_record_leaves_no_window_to_judge_on_and_is_fitted(samples: int) -> None:
     u, y = second_order(100, 1)
     noisy = y + 0.01 * np.random.default_rng(samples).standard_normal(len(y))
-    model = TS().fit(Dataset.from_arrays(u[:samples], noisy[:samples], DT))
+    model = over_lags(TS(), Dataset.from_arrays(u[:samples], noisy[:samples], DT))
     assert np.isfinite(model.simulate(u[:samples], noisy[: model.n_init])).all()
 
 
@@ -198,7 +198,7 @@ def test_a_short_record_leaves_no_window_to_judge_on_and_is_fitted(samples: int)
 def test_settings_that_cannot_be_are_named(settings: dict[str, Any], word: str) -> None:
     u, y = second_order(400, 1)
     with pytest.raises(UsageError, match=word):
-        TS(**settings).fit(Dataset.from_arrays(u, y, DT))
+        over_lags(TS(**settings), Dataset.from_arrays(u, y, DT))
 
 
 def test_more_rules_than_data_are_refused_before_they_are_grown(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -209,7 +209,7 @@ def test_more_rules_than_data_are_refused_before_they_are_grown(monkeypatch: pyt
 
     monkeypatch.setattr(learning, "search", never)
     with pytest.raises(DataError, match="90 rules of 3 numbers need more than the"):
-        TS(rules=90, na=1, nb=1, nk=1).fit(Dataset.from_arrays(u, y, DT))
+        over_lags(TS(rules=90, na=1, nb=1, nk=1), Dataset.from_arrays(u, y, DT))
 
 
 def test_numbers_of_numpy_will_do(tmp_path: Path) -> None:
@@ -221,7 +221,7 @@ def test_numbers_of_numpy_will_do(tmp_path: Path) -> None:
 
 def test_without_refinement_the_free_run_is_worse(bent: FittedTS) -> None:
     data = Dataset.from_arrays(*second_order(2000, 1, bend=0.1), DT)
-    plain = TS(rules=len(bent.rules()), na=2, nb=2, nk=1, refine=False).fit(data)
+    plain = over_lags(TS(rules=len(bent.rules()), na=2, nb=2, nk=1, refine=False), data)
     u, y = second_order(1500, 7, bend=0.1)
     assert len(plain.rules()) == len(bent.rules())
     assert free_run_rmse(bent, u, y) < free_run_rmse(plain, u, y)
@@ -251,8 +251,8 @@ def test_an_input_without_a_lag_is_the_one_after_its_delay() -> None:
     y = np.asarray(lfilter([0.0, 0.3], [1.0, -0.7], np.tanh(2.0 * u)))
     data = Dataset.from_arrays(u, y, DT)
     late = TS(rules=2, na=1, nb=1, nk=1, iterations=5)
-    assert replace(late, antecedents=["u"]).fit(data).antecedents == ("u(k-1)",)
-    assert replace(late, antecedents=["u", "u(k)"]).fit(data).antecedents[0].startswith("u(k")
+    assert over_lags(replace(late, antecedents=["u"]), data).antecedents == ("u(k-1)",)
+    assert over_lags(replace(late, antecedents=["u", "u(k)"]), data).antecedents[0].startswith("u(k")
     hidden = TSStateSpace(states=2, rules=2, nk=1, ridge=0.1, antecedents=("u",)).fit(data)
     assert hidden.antecedents == ("u(k-1)",)
     with pytest.raises(UsageError, match="named twice"):

@@ -31,8 +31,8 @@ from flysid.model.rules.search_settings import RuleSettings
 from flysid.model.rules.stages import Stage
 from flysid.model.rules.state_systems import linear_systems, realised_states, saturation_limits, system_stage
 from flysid.model.statespace import StateSpace
-from flysid.model.ts import TS
-from flysid.model.ts_best import BestTS, contest
+from flysid.model.ts import TS, over_lags
+from flysid.model.ts_choice import contest
 from flysid.model.ts_state_space import TSStateSpace
 from flysid.validate.trials import free_run
 from tests.model_examples import data
@@ -238,8 +238,8 @@ def test_a_rule_as_a_difference_equation_has_its_poles_and_gain() -> None:
 
 def test_a_hidden_state_is_hinted_at_where_lags_are_too_few() -> None:
     """One lag cannot show the actuator: its free run's error foretells itself. White noise does not."""
-    blind = TS(rules=1, na=1, nb=1, nk=1).fit(vehicle())
-    seeing = TS(rules=1, na=2, nb=2, nk=1).fit(data())
+    blind = over_lags(TS(rules=1, na=1, nb=1, nk=1), vehicle())
+    seeing = over_lags(TS(rules=1, na=2, nb=2, nk=1), data())
     assert hints_at_hidden_state(blind, vehicle())
     assert not hints_at_hidden_state(seeing, data())
 
@@ -422,7 +422,7 @@ def test_the_contest_takes_the_hidden_state_of_two_tanks() -> None:
     """An overflow behind a hidden level: rules over lags cannot say it, and the contest is sure."""
     tanks, _ = TANKS.dataset((33,), 1024, 0.02)
     test, truth = TANKS.dataset((1033,), 1024, 0.02)
-    found = contest(BestTS(most_rules=2), tanks)
+    found = contest(TS(most_rules=2), tanks)
     assert found.taken is found.states
     assert found.clear
     winner = found.winner
@@ -453,7 +453,7 @@ def test_where_nothing_bends_no_hidden_state_is_tried(monkeypatch: pytest.Monkey
         return search(settings, *data)
 
     monkeypatch.setattr(learning, "over_states", over_states)
-    found = contest(BestTS(), train)
+    found = contest(TS(), train)
     assert hints_at_hidden_state(found.lags.bare, train)
     assert not tried
 

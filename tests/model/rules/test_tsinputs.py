@@ -10,7 +10,7 @@ import pytest
 from flysid.dataset import Dataset, FloatArray, Segment, Signal
 from flysid.model.rules.fitted import FittedTS
 from flysid.model.rules.search_settings import EFFORTS
-from flysid.model.ts import TS
+from flysid.model.ts import TS, over_lags
 
 pytestmark = pytest.mark.usefixtures("arx_alone")
 DT = 0.05
@@ -55,9 +55,9 @@ def free_run_error(model: FittedTS, u: FloatArray, y: FloatArray) -> float:
 def test_inputs_that_do_nothing_cost_nothing() -> None:
     u, y = bent(1500, 2)
     noisy = y + 0.02 * y.std() * np.random.default_rng(2).normal(size=len(y))
-    model = TS(most_rules=2, search=QUICK).fit(dataset(u, noisy, "throttle", "pan", "tilt"))
+    model = over_lags(TS(most_rules=2, search=QUICK), dataset(u, noisy, "throttle", "pan", "tilt"))
     assert any("past values of pan, tilt" in note for note in model.notes)
-    alone = TS(most_rules=2, search=QUICK).fit(dataset(u[:, :1], noisy, "throttle"))
+    alone = over_lags(TS(most_rules=2, search=QUICK), dataset(u[:, :1], noisy, "throttle"))
     fresh_u, fresh_y = bent(1000, 7)
     assert free_run_error(model, fresh_u, fresh_y) < 1.2 * free_run_error(alone, fresh_u[:, :1], fresh_y)
 
@@ -65,15 +65,15 @@ def test_inputs_that_do_nothing_cost_nothing() -> None:
 def test_an_input_that_only_sets_the_gain_speaks_in_the_conditions() -> None:
     u, y = scheduled(2000, 1)
     noisy = y + 0.02 * y.std() * np.random.default_rng(2).normal(size=len(y))
-    model = TS(most_rules=2, search=QUICK).fit(dataset(u, noisy, "aileron", "airspeed"))
+    model = over_lags(TS(most_rules=2, search=QUICK), dataset(u, noisy, "aileron", "airspeed"))
     names = [antecedent.name(model.layout.signals) for antecedent in model.layout.antecedents]
     assert any("airspeed" in name for name in names)
     fresh_u, fresh_y = scheduled(1000, 7)
-    linear = TS(rules=1, search=QUICK).fit(dataset(u, noisy, "aileron", "airspeed"))
+    linear = over_lags(TS(rules=1, search=QUICK), dataset(u, noisy, "aileron", "airspeed"))
     assert free_run_error(model, fresh_u, fresh_y) < 0.3 * free_run_error(linear, fresh_u, fresh_y)
 
 
 def test_orders_that_were_given_are_kept() -> None:
     u, y = bent(800, 1)
-    model = TS(rules=1, na=2, nb=2, nk=1).fit(dataset(u, y, "throttle", "pan", "tilt"))
+    model = over_lags(TS(rules=1, na=2, nb=2, nk=1), dataset(u, y, "throttle", "pan", "tilt"))
     assert model.layout.orders.nb == (2, 2, 2)

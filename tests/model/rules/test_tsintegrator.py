@@ -8,7 +8,7 @@ from flysid.dataset import Dataset
 from flysid.model.rules.judging import INTEGRATES
 from flysid.model.rules.linear_starts import as_difference
 from flysid.model.statespace import StateSpace
-from flysid.model.ts import TS
+from flysid.model.ts import TS, over_lags
 from flysid.model.ts_state_space import TSStateSpace
 
 
@@ -23,7 +23,7 @@ def axis(n: int, seed: int, noise: float) -> Dataset:
 
 
 def test_the_pole_of_a_plant_that_integrates_is_one_and_its_free_run_does_not_drift() -> None:
-    model = TS(rules=1, na=2, nb=1, nk=1).fit(axis(600, 1, 0.02))
+    model = over_lags(TS(rules=1, na=2, nb=1, nk=1), axis(600, 1, 0.02))
     lags = model.parameters.theta[0, 0, :2]
     assert abs(lags.sum() - 1.0) < 1e-12
     assert INTEGRATES in model.notes

@@ -14,11 +14,10 @@ from flysid.model.arx import ARX
 from flysid.model.rules.consequents import refit_consequents
 from flysid.model.rules.edits import simplifications
 from flysid.model.rules.fitted import FittedTS
-from flysid.model.rules.search_settings import SearchSettings
 from flysid.model.rules.stabilise import with_stable_rules
 from flysid.model.rules.update import update
 from flysid.model.static_ts import StaticTS
-from flysid.model.ts import TS
+from flysid.model.ts import TS, over_lags
 from flysid.model.ts_state_space import TSStateSpace
 from tests import model_examples
 
@@ -28,7 +27,7 @@ DATA = model_examples.data()
 @pytest.fixture(scope="module", params=["ts", "ts_ss"])
 def model(request: pytest.FixtureRequest) -> FittedTS:
     if request.param == "ts":
-        return TS(rules=2, na=2, nb=2, nk=1, iterations=5).fit(DATA)
+        return over_lags(TS(rules=2, na=2, nb=2, nk=1, iterations=5), DATA)
     return TSStateSpace(states=2, rules=2, nk=1, iterations=5).fit(DATA)
 
 
@@ -57,7 +56,7 @@ def test_python_control_follows_either(model: FittedTS) -> None:
 
 def test_python_control_follows_one_rule_beyond_its_limits() -> None:
     control = pytest.importorskip("control")
-    model = TS(rules=1, na=2, nb=1, nk=1, iterations=5).fit(DATA)
+    model = over_lags(TS(rules=1, na=2, nb=1, nk=1, iterations=5), DATA)
     u = np.concatenate([np.full(60, 30.0), np.full(60, -1.0)])[:, None]
     run = model.simulate(u)
     d = model.n_init
@@ -95,6 +94,7 @@ def test_states_are_a_setting_of_one_structure() -> None:
     """`TS(states=2)` is `TSStateSpace(states=2)`; what belongs to lags alone is refused beside it."""
     asked: dict[str, Any] = {"states": 2, "rules": 2, "nk": 1, "iterations": 5}
     model = TS(**asked).fit(DATA)
+    assert isinstance(model, FittedTS)
     other = TSStateSpace(**asked).fit(DATA)
     assert model.structure == "ts_ss"
     assert np.array_equal(model.consequents, other.consequents)
@@ -105,12 +105,3 @@ def test_states_are_a_setting_of_one_structure() -> None:
     for states in (-1, 1.5, True, "many"):
         with pytest.raises(UsageError, match="states"):
             TS(states=states).fit(DATA)  # type: ignore[arg-type]
-
-
-@pytest.mark.usefixtures("arx_alone")
-def test_hidden_states_compete_where_states_are_left_open() -> None:
-    """Of a linear plant one rule over lags says all; its model is one of rules, whoever found it."""
-    quick = SearchSettings.of("quick")
-    model = TS(states="auto", most_rules=2, search=quick).fit(DATA)
-    assert isinstance(model, FittedTS)
-    assert model.structure == "ts"

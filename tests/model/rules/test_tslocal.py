@@ -11,7 +11,7 @@ from flysid.dataset import Dataset
 from flysid.errors import UsageError
 from flysid.model.rules.explanation import explain, outside_share
 from flysid.model.rules.fitted import to_nonlinear_system
-from flysid.model.ts import TS, FittedTS
+from flysid.model.ts import TS, FittedTS, over_lags
 from tests.bent_plant import flight
 
 DT = 0.05
@@ -19,8 +19,9 @@ DT = 0.05
 
 @pytest.fixture(scope="module")
 def model() -> FittedTS:
-    return TS(rules=3, na=2, nb=2, nk=1, antecedents=["y(k-1)"], iterations=10).fit(
-        Dataset.from_arrays(*flight(1200, 1), DT)
+    return over_lags(
+        TS(rules=3, na=2, nb=2, nk=1, antecedents=["y(k-1)"], iterations=10),
+        Dataset.from_arrays(*flight(1200, 1), DT),
     )
 
 

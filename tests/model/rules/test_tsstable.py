@@ -11,7 +11,7 @@ from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, FitError, UsageError
 from flysid.model.rules.fitted import FittedTS
 from flysid.model.rules.stabilise import with_stable_rules
-from flysid.model.ts import TS
+from flysid.model.ts import TS, over_lags
 
 DT = 0.05
 
@@ -33,7 +33,7 @@ def data() -> Dataset:
 
 @pytest.fixture(scope="module")
 def model(data: Dataset) -> FittedTS:
-    return TS(rules=3, na=1, nb=1, nk=1, antecedents=["y(k-1)"]).fit(data)
+    return over_lags(TS(rules=3, na=1, nb=1, nk=1, antecedents=["y(k-1)"]), data)
 
 
 def free_run_error(m: FittedTS) -> float:
@@ -72,7 +72,7 @@ def test_only_what_is_beyond_is_drawn(model: FittedTS, data: Dataset) -> None:
 
 def test_rules_that_need_a_common_function_are_drawn_together(data: Dataset) -> None:
     """Two stable rules of second order that can be switched to run away."""
-    truth = TS(rules=2, na=2, nb=1, nk=1, antecedents=["u(k-1)"], iterations=5).fit(data)
+    truth = over_lags(TS(rules=2, na=2, nb=1, nk=1, antecedents=["u(k-1)"], iterations=5), data)
     theta = truth.parameters.theta.copy()
     theta[0, 0, :2] = (1.9, -0.96)
     theta[1, 0, :2] = (0.2, -0.96)
@@ -89,7 +89,7 @@ def test_stable_rules_stay_as_they_are(model: FittedTS, data: Dataset) -> None:
 
 
 def test_on_request_of_the_estimator(data: Dataset) -> None:
-    fitted = TS(rules=3, na=1, nb=1, nk=1, antecedents=["y(k-1)"], stable=True).fit(data)
+    fitted = over_lags(TS(rules=3, na=1, nb=1, nk=1, antecedents=["y(k-1)"], stable=True), data)
     assert max(rule.pole_radius for rule in fitted.rules()) <= 0.999 + 1e-9
     assert any("Made stable" in note for note in fitted.notes)
 

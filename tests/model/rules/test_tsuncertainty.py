@@ -16,7 +16,7 @@ from flysid.model.rules import rule_uncertainty
 from flysid.model.rules.fitted import FittedTS
 from flysid.model.rules.free_run_error import swept
 from flysid.model.rules.rule_uncertainty import uncertainty
-from flysid.model.ts import TS
+from flysid.model.ts import TS, over_lags
 
 
 @pytest.fixture(scope="module")
@@ -107,6 +107,6 @@ def test_noisy_first_outputs_do_not_hide_what_the_data_know() -> None:
     slow = np.polymul([0.4, 1.0], np.polymul([0.1, 1.0], [0.05, 1.0]))
     b, a, _ = cont2discrete(([1.0], slow), dt)
     y = np.asarray(lfilter(b[0], a, u)) + 0.02 * rng.standard_normal(n)
-    model = TS(rules=1, na=3, nb=1, nk=1).fit(Dataset.from_arrays(u, y, dt))
+    model = over_lags(TS(rules=1, na=3, nb=1, nk=1), Dataset.from_arrays(u, y, dt))
     low, high = model.uncertainty(Dataset.from_arrays(u, y, dt)).gain_interval[:, 0, 0, 0]
     assert 0.97 < low < 1.0 < high < 1.03

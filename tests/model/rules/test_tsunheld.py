@@ -13,7 +13,7 @@ from flysid.model.arx import ARX
 from flysid.model.rules.fitted import FittedTS
 from flysid.model.rules.recursion import drop_held, pole_radius
 from flysid.model.start import estimate_start
-from flysid.model.ts import TS
+from flysid.model.ts import TS, over_lags
 
 DT_S = 0.02
 POLES = np.exp(DT_S * np.array([-0.4, -0.7 + 4.4j, -0.7 - 4.4j, -4.8 + 2.7j, -4.8 - 2.7j]))
@@ -36,7 +36,7 @@ def fitted() -> FittedTS:
     u = [steps(rng) for _ in range(4)]
     y = [response(v) + NOISE * rng.normal(size=len(v)) for v in u]
     train = Dataset.from_arrays(u, y, DT_S, inputs=["u"], outputs=["y"])
-    return TS(rules=1, na=5, nb=2, nk=0).fit(train)
+    return over_lags(TS(rules=1, na=5, nb=2, nk=0), train)
 
 
 @pytest.fixture(scope="module")

@@ -11,7 +11,7 @@ import pytest
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, UsageError
 from flysid.model.rules.update import update
-from flysid.model.ts import TS, FittedTS
+from flysid.model.ts import TS, FittedTS, over_lags
 from tests.bent_plant import flight
 
 DT = 0.05
@@ -23,7 +23,7 @@ def data(n: int, seed: int, gain: float = 0.1, noise: float = 0.0) -> Dataset:
 
 @pytest.fixture(scope="module")
 def model() -> FittedTS:
-    return TS(rules=3, na=2, nb=2, nk=1, antecedents=["y(k-1)"], iterations=10).fit(data(1200, 1))
+    return over_lags(TS(rules=3, na=2, nb=2, nk=1, antecedents=["y(k-1)"], iterations=10), data(1200, 1))
 
 
 def free_run_error(m: FittedTS, gain: float) -> float:

@@ -14,7 +14,6 @@ from flysid.model.rules.contest import unproven
 from flysid.model.rules.search_settings import EFFORTS
 from flysid.model.selection import free_run_errors
 from flysid.model.ts import TS
-from flysid.model.ts_best import BestTS
 
 
 @dataclass(frozen=True)
@@ -128,7 +127,7 @@ def more(rng: np.random.Generator, flights: int) -> Dataset:
 @pytest.mark.usefixtures("arx_alone")
 def test_rules_that_noise_chose_give_way_to_the_linear_model() -> None:
     train, rng = drifting(81, 2)
-    found = BestTS(search=EFFORTS["quick"]).fit(train)
+    found = TS(search=EFFORTS["quick"]).fit(train)
     assert found.notes[0].startswith(LINEAR_ENOUGH)
     assert "were found and not kept: on held-out parts of the training data" in found.notes[0]
     choice = linear_choice(TS(), train, None)
