@@ -50,10 +50,11 @@ def linear_text(channel: RunChannel) -> str:
 
 def fuzzy_text(channel: RunChannel) -> str:
     """ "0.035", or "0.035 ts_ss" where it is not the usual one."""
+    from flysid.model.structures import leaders
     from flysid.validate.words import number
 
     label = channel.fuzzy
-    return number(channel.rmse.get(label or "")) + (f" {label}" if label not in (None, "ts") else "")
+    return number(channel.rmse.get(label or "")) + (f" {label}" if label not in (None, leaders()[0]) else "")
 
 
 def row(channel: RunChannel) -> tuple[str, ...]:

@@ -14,7 +14,7 @@ from flysid.design.law import LoopParts
 from flysid.design.rule_gains import law_figures, search_rule_gains
 from flysid.design.rule_plants import RuleLaw, rule_plant
 from flysid.errors import DataError, UsageError
-from flysid.model.structures import kind_of
+from flysid.model.structures import kind_of, leaders
 from flysid.progress import tell
 from flysid.showing import counted
 from flysid.validate.run import Run, held_out
@@ -123,7 +123,7 @@ def design_rules(run: Run, wish: Wish, data: str | Path | None = None) -> RuleDe
         try:
             ready = ready_channel(item, wish)
             rules = [n for n, m in ready.data.models.items() if kind_of(m.structure) == "rules"]
-            label = next((n for n in rules if n.startswith("ts")), "")
+            label = next((n for n in leaders() if n in rules), "")
             if not label:
                 raise DataError("no good model of rules was fitted", hint="--method pid")
             plant = rule_plant(ready.data.models[label])

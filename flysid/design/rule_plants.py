@@ -21,7 +21,7 @@ from flysid.design.law import ComplexArray
 from flysid.errors import DataError
 from flysid.export.lpv import to_lpv
 from flysid.model.base import Fitted
-from flysid.model.capabilities import LocallyLinear
+from flysid.model.capabilities import HasRuleRecursion, LocallyLinear
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,7 +95,8 @@ def rule_plant(model: Fitted) -> RulePlant:
     ------
     DataError : no rules, or over hidden states.
     """
-    if not isinstance(model, LocallyLinear) or model.structure == "ts_ss":
+    hidden = isinstance(model, HasRuleRecursion) and model.layout.hidden
+    if not isinstance(model, LocallyLinear) or hidden:
         raise DataError(
             f"{model.structure} has no rules over what is measured",
             hint="fit TS over lags: flysid fit ... --models ts_lags",
