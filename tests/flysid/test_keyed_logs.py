@@ -11,7 +11,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
 import pytest
+from pyarrow.csv import write_csv
+from pyarrow.parquet import write_table
 
 import flysid
 from flysid.errors import RecipeError, UsageError
@@ -254,6 +257,24 @@ def test_lines_of_mavlogdump_are_apart_by_what_they_declare() -> None:
         **{f"DISTANCE_SENSOR[{nr}]": 5 for nr in range(4)},
     }
     assert flight["TEMP[1]"]["T"].to_pylist() == [float(k) for k in range(1, 20, 2)]
+
+
+@pytest.mark.parametrize("kind", ["csv", "parquet"])
+def test_a_table_of_one_message_is_apart_as_its_log_is(kind: str, tmp_path: Path) -> None:
+    columns = {
+        "TimeUS": [10_000_000 + 10_000 * k for k in range(200)],
+        "I": [k % 2 for k in range(200)],
+        "GyrX": [0.5 * k + OFFSET * (k % 2) for k in range(200)],
+    }
+    path = tmp_path / f"imu.{kind}"
+    (write_csv if kind == "csv" else write_table)(pa.table(columns), path)
+    flight = flysid.read(path)
+    assert {name: table.num_rows for name, table in flight.tables.items()} == {
+        "table[0]": 100,
+        "table[1]": 100,
+    }
+    assert flight["table[1]"]["GyrX"].to_pylist() == columns["GyrX"][1::2]
+    assert "table[0].GyrX" in refused(call("tf", path, "--from", "GyrX", "--to", "I", cwd=tmp_path))
 
 
 def test_more_things_than_are_kept_apart_stay_together_by_another_name() -> None:
