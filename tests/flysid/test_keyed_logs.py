@@ -18,7 +18,7 @@ from pyarrow.parquet import write_table
 
 import flysid
 from flysid.errors import RecipeError, UsageError
-from flysid.flight import Flight, matching_streams, split_address
+from flysid.flight import Flight, matching_streams, message_of, split_address, stem_of, thing_of
 from flysid.ingest.align.recipe import SignalSpec, Source
 from flysid.ingest.align.signals import FlightLog, find_source, load_signal
 from flysid.ingest.formats.base import Limits, collect
@@ -200,6 +200,22 @@ def test_a_unit_that_no_key_can_have_splits_nothing() -> None:
     out.append(dataflash.pack(130, 1, 15, "s#", "F-", types=types))
     rows = [b"\xa3\x95\x0f" + struct.pack("<Q32h", 1000 * k, *range(32)) for k in range(5)]
     assert read(b"".join([*out, *rows]), "dataflash")["LIST"].num_rows == len(rows)
+
+
+def test_a_thing_is_what_the_last_brackets_hold() -> None:
+    names = ["IMU[0]", "F[q[0]]", "1.1/F[a/b]", "/x[0]/y[1]", "F[[]", "F[a]b]", "F[]", "q", "[0]"]
+    split = [(stem_of(name), thing_of(name), message_of(name)) for name in names]
+    assert split == [
+        ("IMU", "0", "IMU[0]"),
+        ("F", "q[0]", "F[q[0]]"),
+        ("1.1/F", "a/b", "F[a/b]"),
+        ("/x[0]/y", "1", "y[1]"),
+        ("F", "[", "F[[]"),
+        ("F", "a]b", "F[a]b]"),
+        ("F", "", "F[]"),
+        ("q", "", "q"),
+        ("[0]", "", "[0]"),
+    ]
 
 
 @pytest.mark.parametrize(
