@@ -277,7 +277,7 @@ def test_lines_of_mavlogdump_are_apart_by_what_they_declare() -> None:
 
 @pytest.mark.parametrize("kind", ["csv", "parquet"])
 def test_a_table_of_one_message_is_apart_as_its_log_is(kind: str, tmp_path: Path) -> None:
-    columns = {
+    columns: dict[str, list[float]] = {
         "TimeUS": [10_000_000 + 10_000 * k for k in range(200)],
         "I": [k % 2 for k in range(200)],
         "GyrX": [0.5 * k + OFFSET * (k % 2) for k in range(200)],
