@@ -209,7 +209,16 @@ class Flight(Shown):
 
 def stem_of(stream: str) -> str:
     """A stream's key without the thing that its rows belong to: `1.1/ESC_INFO` of `1.1/ESC_INFO[0]`."""
-    return stream.partition("[")[0] or stream if stream.endswith("]") else stream
+    if not stream.endswith("]"):
+        return stream
+    opened: list[int] = []
+    begin = 0
+    for at, character in enumerate(stream):
+        if character == "[":
+            opened.append(at)
+        elif character == "]" and opened:
+            begin = opened.pop()  # at last, of the bracket that ends the key
+    return stream[: opened[0] if opened else begin] or stream
 
 
 def thing_of(stream: str) -> str:

@@ -123,7 +123,7 @@ def thing_texts(name: str, count: int) -> list[str]:
 def _things(table: pa.Table, columns: tuple[str, ...]) -> list[tuple[str, IntArray | None]]:
     """The name of each thing and its rows, rising; None where all rows are of one thing."""
     codes, texts = _coded(table[columns[0]])
-    parts = [(text,) for text in texts]
+    parts: list[tuple[str, ...]] = [(text,) for text in texts]
     for column in columns[1:]:
         more, others = _coded(table[column])
         codes = codes.astype(np.int64) * len(others) + more

@@ -11,11 +11,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
 import pytest
+from pyarrow.csv import write_csv
+from pyarrow.parquet import write_table
 
 import flysid
 from flysid.errors import RecipeError, UsageError
-from flysid.flight import Flight, matching_streams, split_address
+from flysid.flight import Flight, matching_streams, message_of, split_address, stem_of, thing_of
 from flysid.ingest.align.recipe import SignalSpec, Source
 from flysid.ingest.align.signals import FlightLog, find_source, load_signal
 from flysid.ingest.formats.base import Limits, collect
@@ -199,6 +202,22 @@ def test_a_unit_that_no_key_can_have_splits_nothing() -> None:
     assert read(b"".join([*out, *rows]), "dataflash")["LIST"].num_rows == len(rows)
 
 
+def test_a_thing_is_what_the_last_brackets_hold() -> None:
+    names = ["IMU[0]", "F[q[0]]", "1.1/F[a/b]", "/x[0]/y[1]", "F[[]", "F[a]b]", "F[]", "q", "[0]"]
+    split = [(stem_of(name), thing_of(name), message_of(name)) for name in names]
+    assert split == [
+        ("IMU", "0", "IMU[0]"),
+        ("F", "q[0]", "F[q[0]]"),
+        ("1.1/F", "a/b", "F[a/b]"),
+        ("/x[0]/y", "1", "y[1]"),
+        ("F", "[", "F[[]"),
+        ("F", "a]b", "F[a]b]"),
+        ("F", "", "F[]"),
+        ("q", "", "q"),
+        ("[0]", "", "[0]"),
+    ]
+
+
 @pytest.mark.parametrize(
     ("address", "parts"),
     [
@@ -254,6 +273,24 @@ def test_lines_of_mavlogdump_are_apart_by_what_they_declare() -> None:
         **{f"DISTANCE_SENSOR[{nr}]": 5 for nr in range(4)},
     }
     assert flight["TEMP[1]"]["T"].to_pylist() == [float(k) for k in range(1, 20, 2)]
+
+
+@pytest.mark.parametrize("kind", ["csv", "parquet"])
+def test_a_table_of_one_message_is_apart_as_its_log_is(kind: str, tmp_path: Path) -> None:
+    columns: dict[str, list[float]] = {
+        "TimeUS": [10_000_000 + 10_000 * k for k in range(200)],
+        "I": [k % 2 for k in range(200)],
+        "GyrX": [0.5 * k + OFFSET * (k % 2) for k in range(200)],
+    }
+    path = tmp_path / f"imu.{kind}"
+    (write_csv if kind == "csv" else write_table)(pa.table(columns), path)
+    flight = flysid.read(path)
+    assert {name: table.num_rows for name, table in flight.tables.items()} == {
+        "table[0]": 100,
+        "table[1]": 100,
+    }
+    assert flight["table[1]"]["GyrX"].to_pylist() == columns["GyrX"][1::2]
+    assert "table[0].GyrX" in refused(call("tf", path, "--from", "GyrX", "--to", "I", cwd=tmp_path))
 
 
 def test_more_things_than_are_kept_apart_stay_together_by_another_name() -> None:

@@ -26,6 +26,7 @@ from flysid.ingest.formats.base import HEAD_BYTES, Limits, Parts, StreamPart, Su
 from flysid.ingest.formats.common.arrow_arrays import RESERVED
 from flysid.ingest.formats.common.clock import SECOND_NS, IntArray, is_outlier
 from flysid.ingest.formats.common.columns import numbers
+from flysid.ingest.formats.common.instance_names import table_key
 from flysid.ingest.formats.common.line_batches import whole_lines
 from flysid.ingest.formats.common.odd_cells import OddCells
 from flysid.ingest.formats.common.table_columns import once_each
@@ -109,7 +110,7 @@ def _schema(layout: Layout) -> pa.Schema:
     for name, column in zip(names, layout.columns, strict=True):
         fields.append(pa.field(name, _kind(column), metadata=field_metadata(column.unit)))
     source = layout.time.source if layout.time is not None else ROW_NUMBER
-    return pa.schema(fields, metadata={"time_source": source, "message": STREAM})
+    return pa.schema(fields, metadata={"time_source": source, "message": STREAM, **table_key(names)})
 
 
 def _kind(column: Column) -> pa.DataType:

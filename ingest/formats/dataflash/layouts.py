@@ -18,6 +18,7 @@ from functools import lru_cache
 import numpy as np
 
 from flysid.ingest.formats.common.columns import Field, RecordLayout
+from flysid.ingest.formats.common.instance_names import INSTANCE_NAMES, TIMES
 
 FMT_ID = 128
 FMT_LENGTH = 89
@@ -55,8 +56,6 @@ LEGACY_UNITS = {"L": "deg"}
 NO_UNIT = "-?\0# "
 INSTANCE = "#"
 """The unit of fields that tell instances apart (AP_Logger/LogStructure.h)."""
-INSTANCE_NAMES = ("I", "Instance", "Inst", "IMU", "C")
-"""What ArduPilot calls them: IMU in VIBE, C of the cores of an estimator."""
 
 
 @dataclass(frozen=True)
@@ -233,7 +232,7 @@ def undeclared_key(definition: Definition) -> list[str]:
     behind the time.
     """
     names = [f.name for f in definition.layout.fields] if definition.layout is not None else []
-    is_key = len(names) > 1 and names[0] in TIME_LABELS and names[1] in INSTANCE_NAMES
+    is_key = len(names) > 1 and names[0] in TIMES and names[1] in INSTANCE_NAMES
     return [names[1]] if is_key and definition.format[1] in "bB" else []
 
 

@@ -20,6 +20,7 @@ from flysid.flight import BOOT, ROW_NUMBER, TIME
 from flysid.ingest.formats.base import Limits, Parts, StreamPart, Summary
 from flysid.ingest.formats.common.arrow_arrays import numeric
 from flysid.ingest.formats.common.clock import is_outlier
+from flysid.ingest.formats.common.instance_names import table_key
 from flysid.ingest.formats.common.odd_cells import OddCells
 from flysid.ingest.formats.common.table_numbers import floats
 from flysid.ingest.formats.common.table_times import NO_TURN, TableClock
@@ -93,7 +94,11 @@ def read(view: memoryview, name: str, limits: Limits) -> Parts:
     source = ROW_NUMBER if time is None else time.source
     made = pa.schema(
         [pa.field(TIME, pa.int64()), pa.field(BOOT, pa.int32()), *(c.field for c in columns)],
-        metadata={"time_source": source, "message": STREAM},
+        metadata={
+            "time_source": source,
+            "message": STREAM,
+            **table_key([column.field.name for column in columns]),
+        },
     )
     if not columns:
         raise FormatError("a parquet file without a column of numbers or words", path=name)
