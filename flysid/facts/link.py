@@ -9,17 +9,12 @@ A pause after which the number goes on is no loss. A silence after which it does
 
 from __future__ import annotations
 
-from collections import deque
 from dataclasses import dataclass, field, fields
 
 import numpy as np
-import numpy.typing as npt
 
-IntArray = npt.NDArray[np.int64]
-BoolArray = npt.NDArray[np.bool_]
+from flysid.facts.repeats import NO_CLOCK, ROUND, BoolArray, CopyFinder, FrameRows, IntArray
 
-ROUND = 256  # numbers of the sequence
-HALF = ROUND // 2  # of a round: a copy from further back may be a frame of the round before
 LATE_WITHIN = ROUND // 4  # places that a frame may be overtaken by
 SILENCE_US = 100_000  # a shorter gap hides no round of numbers: that takes 2,560 frames a second
 STEP_MS = 5_000  # of a vehicle's clock against the arrivals: less is jitter of the link
@@ -29,9 +24,6 @@ COUNTERS = 8  # of one sender that are followed
 NEAR = 8  # frames ago, a counter may have spoken that a late frame came after
 CONVINCING = 3  # frames in order that return to a counter: it goes on
 RARE = 200  # frames to a pause, from which on pauses are no part of a sender's rate
-LATELY = 64  # frames among which copies are common where a loop makes them
-COMMON = 8  # so many frames to a copy, at most: two radios send equal heartbeats, by chance under one number
-NO_CLOCK = -1
 
 
 @dataclass(frozen=True)
@@ -78,32 +70,6 @@ class LinkLoss:
 COUNTED = tuple(each.name for each in fields(LinkLoss))
 
 
-@dataclass(frozen=True, eq=False)
-class FrameRows:
-    """Frames of one sender in the order of their arrival, one row each.
-
-    Attributes
-    ----------
-    sequence : (n,) numbers, 0 to 255.
-    stamp_us : (n,) arrivals; None where nobody noted them.
-    checksum : (n,) of content and number.
-    clock_ms : (n,) since boot, as frames state it; `NO_CLOCK` where they do not.
-    """
-
-    sequence: IntArray
-    stamp_us: IntArray | None
-    checksum: IntArray
-    clock_ms: IntArray
-
-    def __len__(self) -> int:
-        return len(self.sequence)
-
-    def where(self, kept: BoolArray) -> FrameRows:
-        """Some of the rows."""
-        stamps = None if self.stamp_us is None else self.stamp_us[kept]
-        return FrameRows(self.sequence[kept], stamps, self.checksum[kept], self.clock_ms[kept])
-
-
 @dataclass
 class _Counter:
     """One counter of a sender: the number that it will give next, and the jump that it began with."""
@@ -121,6 +87,7 @@ class _Counter:
     returned: int = 0  # frames of the parent that came after it
     instead: int = 0  # frames lost if the parent's return was a jump, too
     is_contested: bool = False  # whether parent and this one go on is seen when this one speaks again
+    is_stray: bool = False  # began behind its parent, without a loss
     is_second: bool = False  # beside another that goes on, too
     clock_ms: int = NO_CLOCK  # of the vehicle, as last stated, and when that was
     clock_at_us: int = 0
@@ -184,12 +151,8 @@ class SequenceCounter:
     """
 
     _counts: dict[str, int] = field(default_factory=lambda: dict.fromkeys(COUNTED, 0))
+    _copies: CopyFinder = field(default_factory=CopyFinder)
     _counters: list[_Counter] = field(default_factory=list)  # the one that spoke last at the end
-    _recent: deque[tuple[int, int, int]] = field(default_factory=lambda: deque(maxlen=ROUND))
-    _last_key: int = -1  # number and checksum of the frame before
-    _lately: BoolArray = field(default_factory=lambda: np.zeros(0, dtype=bool))  # what seemed to come again
-    _advances: int = 0
-    _standing: int = 0  # frames of other content under the number before
     _pace: _Pace = field(default_factory=_Pace)  # since a while
     _older: _Pace = field(default_factory=_Pace)  # the while before
     _pause_us: int = 0
@@ -202,7 +165,10 @@ class SequenceCounter:
         ----------
         rows : (n,) frames, in the order of their arrival.
         """
-        fresh = self._fresh(rows)
+        fresh, taken_back = self._copies.find(rows, self._counts["frames"], self._interval_us)
+        if taken_back:  # they were copies, and no counter began with them
+            self._add(frames=-taken_back, repeated=taken_back)
+            self._counters = [c for c in self._counters if not c.is_stray or c.seen_at - c.born_at > 1]
         rows = rows.where(fresh)
         restarts = np.zeros(len(fresh), dtype=bool)
         if len(rows):
@@ -212,7 +178,7 @@ class SequenceCounter:
 
     def shift(self, step_us: int) -> None:
         """The host's clock was set: what was seen before is dated anew."""
-        self._recent = deque(((key, at, us + step_us) for key, at, us in self._recent), ROUND)
+        self._copies.shift(step_us)
         for counter in self._counters:
             counter.seen_us += step_us
             counter.born_us += step_us
@@ -227,50 +193,6 @@ class SequenceCounter:
     def _add(self, **counts: int) -> None:
         for name, count in counts.items():
             self._counts[name] += count
-
-    # ------------------------------------------------------------------------------------------ repeats
-
-    def _fresh(self, rows: FrameRows) -> BoolArray:
-        """(n,) whether a frame comes for the first time."""
-        if not len(rows):
-            return np.ones(0, dtype=bool)
-        keys = rows.sequence << 16 | rows.checksum
-        stamps = np.zeros(len(rows), np.int64) if rows.stamp_us is None else rows.stamp_us
-        steps = (
-            np.diff(rows.sequence, prepend=self._last_key >> 16 if self._last_key >= 0 else rows.sequence[0])
-            % ROUND
-        )
-        self._advances += int(((steps > 0) & (steps < HALF)).sum())
-        is_back = (steps == 0) | (steps >= HALF)
-        is_back[0] &= self._last_key >= 0
-        fresh = np.ones(len(rows), dtype=bool)
-        if is_back.any():
-            self._standing += int(
-                (is_back & (steps == 0) & (np.diff(keys, prepend=self._last_key) != 0)).sum()
-            )
-            if self._advances > self._standing:  # others do not count, and may well repeat themselves
-                fresh = self._first_copies(keys.tolist(), stamps.tolist())
-        at = self._counts["frames"] + np.cumsum(fresh)
-        tail = np.flatnonzero(fresh)[-ROUND:]
-        self._recent.extend(zip(keys[tail].tolist(), at[tail].tolist(), stamps[tail].tolist(), strict=True))
-        self._last_key = int(keys[-1])
-        return fresh
-
-    def _first_copies(self, keys: list[int], stamps: list[int]) -> BoolArray:
-        known = {key: (at, us) for key, at, us in self._recent}
-        at = self._counts["frames"]
-        longest_us = HALF * (self._interval_us or (stamps[-1] - stamps[0]) / len(stamps))
-        again = np.zeros(len(keys), dtype=bool)
-        for i, (key, stamp_us) in enumerate(zip(keys, stamps, strict=True)):
-            there = known.get(key)
-            if there and at - there[0] < HALF and (not longest_us or stamp_us - there[1] < longest_us):
-                again[i] = True
-            else:
-                at += 1
-                known[key] = (at, stamp_us)
-        often = _is_often(np.concatenate([self._lately, again]))[len(self._lately) :]
-        self._lately = np.concatenate([self._lately, again])[-LATELY:]
-        return ~(again & often)
 
     # ------------------------------------------------------------------------------------------- losses
 
@@ -412,6 +334,7 @@ class SequenceCounter:
         fresh.parent, fresh.hole, fresh.is_second = parent, parent.following, parent.is_second
         if gap >= ROUND - LATE_WITHIN and not self._is_due(gap, waited_us):
             self._add(late=int(size == 1))
+            fresh.is_stray = True
             return fresh
         fresh.gap = fresh.width = gap
         self._add(lost=gap)
@@ -463,14 +386,3 @@ class SequenceCounter:
         silence = _Silence(gap, waited_us, self._interval_us)
         self._silences.append(silence)
         return silence
-
-
-def _is_often(again: BoolArray) -> BoolArray:
-    """(n,) whether copies are common among the frames up to each, or from each on."""
-    sums = np.concatenate([[0], np.cumsum(again)])
-    here = np.arange(len(again))
-    first = np.maximum(here + 1 - LATELY, 0)
-    last = np.minimum(here + LATELY, len(again))
-    before = COMMON * (sums[here + 1] - sums[first]) >= here + 1 - first
-    after = COMMON * (sums[last] - sums[here]) >= last - here
-    return np.asarray(before | after)

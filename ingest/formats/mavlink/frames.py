@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import IntEnum
 
 import numpy as np
@@ -98,13 +98,13 @@ class Frames:
     def checksums(self) -> IntArray:
         """(n,) of header and content, as the frames state them."""
         at = self.payload + self.length
-        return self.buffer[at].astype(np.int64) | self.buffer[at + 1].astype(np.int64) << 8
+        sums: IntArray = self.buffer[at].astype(np.int64) | self.buffer[at + 1].astype(np.int64) << 8
+        return sums
 
     def where(self, kept: npt.NDArray[np.bool_]) -> Frames:
         """Some of the frames."""
-        columns = [getattr(self, name) for name in ROWS]
         stamps = None if self.stamp_us is None else self.stamp_us[kept]
-        return Frames(self.buffer, *(column[kept] for column in columns), stamps)
+        return replace(self, stamp_us=stamps, **{name: getattr(self, name)[kept] for name in ROWS})
 
 
 @dataclass(frozen=True)
