@@ -1,4 +1,4 @@
-"""What a link lost of one sender: told by the sequence numbers, the times and the content of its frames.
+"""What a link lost of one sender, by the numbers, times and content of its frames.
 
 The number has eight bits. A frame that does not carry the next one was preceded by a loss, was overtaken,
 came twice, belongs to a second counter of the same sender (two radios, two vehicles of one number), or was
@@ -187,7 +187,7 @@ class SequenceCounter:
     @property
     def loss(self) -> LinkLoss:
         """What has been counted so far."""
-        hidden = sum(silence.hidden for silence in self._silences)
+        hidden = self._counts["hidden"] + sum(silence.hidden for silence in self._silences)
         return LinkLoss(**{**self._counts, "hidden": hidden})
 
     def _add(self, **counts: int) -> None:
@@ -385,4 +385,6 @@ class SequenceCounter:
             return None
         silence = _Silence(gap, waited_us, self._interval_us)
         self._silences.append(silence)
+        if len(self._silences) > COUNTERS:  # the oldest is past doubt, and recordings last for days
+            self._add(hidden=self._silences.pop(0).hidden)
         return silence
