@@ -87,7 +87,6 @@ class _Counter:
     returned: int = 0  # frames of the parent that came after it
     instead: int = 0  # frames lost if the parent's return was a jump, too
     is_contested: bool = False  # whether parent and this one go on is seen when this one speaks again
-    is_stray: bool = False  # began behind its parent, without a loss
     is_second: bool = False  # beside another that goes on, too
     clock_ms: int = NO_CLOCK  # of the vehicle, as last stated, and when that was
     clock_at_us: int = 0
@@ -165,16 +164,22 @@ class SequenceCounter:
         ----------
         rows : (n,) frames, in the order of their arrival.
         """
-        fresh, taken_back = self._copies.find(rows, self._counts["frames"], self._interval_us)
-        if taken_back:  # they were copies, and no counter began with them
-            self._add(frames=-taken_back, repeated=taken_back)
-            self._counters = [c for c in self._counters if not c.is_stray or c.seen_at - c.born_at > 1]
-        rows = rows.where(fresh)
-        restarts = np.zeros(len(fresh), dtype=bool)
-        if len(rows):
-            restarts[fresh] = self._follow(rows)
-        self._add(repeated=int((~fresh).sum()))
-        return fresh, restarts
+        copies, doubted, taken_back = self._copies.find(rows, self._counts["frames"], self._interval_us)
+        self._add(frames=-taken_back, repeated=taken_back)
+        restarts = np.zeros(len(copies), dtype=bool)
+        sure = np.flatnonzero(~copies & ~doubted)
+        for at in np.flatnonzero(
+            doubted
+        ).tolist():  # two radios, or two boots, may send the same as one number
+            before, sure = sure[sure < at], sure[sure > at]
+            restarts[before] = self._follow(rows.where(before))
+            if self._is_next(int(rows.sequence[at])):
+                self._follow(rows.where(np.array([at])))
+            else:
+                self._add(frames=1)
+        restarts[sure] = self._follow(rows.where(sure))
+        self._add(repeated=int(copies.sum()))
+        return ~copies, restarts
 
     def shift(self, step_us: int) -> None:
         """The host's clock was set: what was seen before is dated anew."""
@@ -198,6 +203,8 @@ class SequenceCounter:
 
     def _follow(self, rows: FrameRows) -> BoolArray:
         """Take in fresh frames run by run, a run being of numbers in a row; returns the restarts."""
+        if not len(rows):
+            return np.zeros(0, dtype=bool)
         numbers = rows.sequence
         stamps = rows.stamp_us if rows.stamp_us is not None else np.zeros(len(rows), np.int64)
         begins = np.flatnonzero(np.diff(numbers, prepend=numbers[:1]) % ROUND != 1)
@@ -271,6 +278,10 @@ class SequenceCounter:
                 return counter
         return None
 
+    def _is_next(self, number: int) -> bool:
+        """Whether the counter that spoke last, or one that goes on beside it, is at this number."""
+        return any(c.following == number for c in self._counters if c.is_second or c is self._counters[-1])
+
     def _silent(self, counter: _Counter, size: int) -> int:
         """Frames of the sender between a counter's last and a run of this size that has been counted."""
         return self._counts["frames"] - size - counter.seen_at
@@ -334,7 +345,6 @@ class SequenceCounter:
         fresh.parent, fresh.hole, fresh.is_second = parent, parent.following, parent.is_second
         if gap >= ROUND - LATE_WITHIN and not self._is_due(gap, waited_us):
             self._add(late=int(size == 1))
-            fresh.is_stray = True
             return fresh
         fresh.gap = fresh.width = gap
         self._add(lost=gap)

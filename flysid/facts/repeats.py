@@ -14,7 +14,7 @@ BoolArray = npt.NDArray[np.bool_]
 ROUND = 256  # numbers of the sequence
 HALF = ROUND // 2  # of a round: a copy from further back may be a frame of the round before
 LATELY = 64  # frames among which copies are common where a loop makes them
-COMMON = 8  # frames to a copy, at most, where none of them states a time
+COMMON = 8  # frames to a copy, at most, where no copy states a time
 NO_CLOCK = -1
 
 
@@ -38,7 +38,7 @@ class FrameRows:
     def __len__(self) -> int:
         return len(self.sequence)
 
-    def where(self, kept: BoolArray) -> FrameRows:
+    def where(self, kept: BoolArray | IntArray) -> FrameRows:
         """Some of the rows."""
         stamps = None if self.stamp_us is None else self.stamp_us[kept]
         return FrameRows(self.sequence[kept], stamps, self.checksum[kept], self.clock_ms[kept])
@@ -60,8 +60,8 @@ class CopyFinder:
         """The host's clock was set: what was seen before is dated anew."""
         self._recent = deque(((key, at, us + step_us) for key, at, us in self._recent), ROUND)
 
-    def find(self, rows: FrameRows, frames: int, interval_us: float) -> tuple[BoolArray, int]:
-        """(n,) whether a frame comes for the first time; and how many copies were taken for new before.
+    def find(self, rows: FrameRows, frames: int, interval_us: float) -> tuple[BoolArray, BoolArray, int]:
+        """(n,) which frames are copies, (n,) which seem to be, and how many were taken for new before.
 
         Parameters
         ----------
@@ -69,7 +69,7 @@ class CopyFinder:
         interval_us : from frame to frame; 0 where it is not known.
         """
         if not len(rows):
-            return np.ones(0, dtype=bool), 0
+            return np.zeros(0, dtype=bool), np.zeros(0, dtype=bool), 0
         keys = (rows.clock_ms + 1) << 24 | rows.checksum << 8 | rows.sequence
         stamps = np.zeros(len(rows), np.int64) if rows.stamp_us is None else rows.stamp_us
         before = self._last_key % ROUND if self._last_key >= 0 else rows.sequence[0]
@@ -89,21 +89,21 @@ class CopyFinder:
         tail = np.flatnonzero(fresh)[-ROUND:]
         self._recent.extend(zip(keys[tail].tolist(), at[tail].tolist(), stamps[tail].tolist(), strict=True))
         self._last_key = int(keys[-1])
-        return fresh, taken_back
+        return copies, again & ~copies, taken_back
 
     def _confirmed(self, again: BoolArray, tells_time: BoolArray) -> tuple[BoolArray, int]:
         """(n,) which of what seems to come again does; and how many copies earlier batches took for new.
 
-        Two radios send equal heartbeats, by chance under one number, but never one time of the vehicle. Where
-        frames state none, copies must be common.
+        Two radios send equal heartbeats, by chance under one number, but never one time of the vehicle. So a
+        copy near states a time, or copies are common there.
         """
         size = len(self._lately)
         all_again = np.concatenate([self._lately, again])
         all_told = np.concatenate([self._told, tells_time])
         sure = _near(all_again & all_told) > 0
-        counts = self._advances > self._standing
+        near = _near(all_again)
         common = (
-            counts & (_near(all_told) == 0) & (COMMON * _near(all_again) >= _near(np.ones_like(all_again)))
+            (self._advances > self._standing) & (near > 1) & (COMMON * near >= _near(np.ones_like(all_again)))
         )
         copies = again & (sure | common)[size:]
         self._lately, self._told = all_again[-LATELY:], all_told[-LATELY:]
