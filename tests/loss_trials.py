@@ -42,6 +42,7 @@ class Sender:
     ----------
     each_us : from frame to frame.
     now_us, boot_ms : the time, and the vehicle's own.
+    told_every : frames to one that states the vehicle's time.
     """
 
     system: int
@@ -50,6 +51,7 @@ class Sender:
     now_us: int = EPOCH_US
     boot_ms: float = 60_000.0
     made: int = 0
+    told_every: int = 1
 
     def __post_init__(self) -> None:
         self.link = mavlink.MAVLink(None, self.system, 1)
@@ -65,7 +67,9 @@ class Sender:
         self.wait(int(self.each_us * self.rng.uniform(0.5, 1.5)) if wait_us is None else wait_us)
         self.made += 1
         angle = self.rng.uniform(-1.0, 1.0)
-        message = mavlink.MAVLink_attitude_message(int(self.boot_ms), angle, 0.1, 0, 0, 0, 0)
+        message = mavlink.MAVLink_vfr_hud_message(angle, 0.1, 0, 0, 0, 0)
+        if self.made % self.told_every == 0:
+            message = mavlink.MAVLink_attitude_message(int(self.boot_ms), angle, 0.1, 0, 0, 0, 0)
         if self.made % 20 == 1:
             message = mavlink.MAVLink_heartbeat_message(2, 3, 209, 0, 4, 3)
         frame = bytes(message.pack(self.link))
@@ -101,7 +105,7 @@ def draw(seed: int) -> Trial:
     trial = Trial(seed)
     for system in rng.sample(range(1, 200), rng.choice((1, 1, 2))):
         kind = rng.choice(KINDS)
-        sender = Sender(system, rng.choice((2_000, 5_000, 20_000)), rng)
+        sender = Sender(system, rng.choice((2_000, 5_000, 20_000)), rng, told_every=rng.choice((1, 3, 10)))
         frames, lost, copies = _made(kind, sender, rng)
         trial.kinds[system] = kind
         trial.arrived += frames
@@ -149,7 +153,8 @@ def _made(kind: str, sender: Sender, rng: random.Random) -> tuple[Arrived, int, 
         kept = [f for k, f in enumerate(sent) if k in (0, count - 1) or rng.random() > share]
     if kind in ("loop", "lossy loop"):
         lag_us = rng.choice((1, 3, 20)) * sender.each_us
-        copies = [(at + lag_us, frame) for at, frame in kept]
+        share = rng.choice((1.0, rng.uniform(0.3, 1.0)))
+        copies = [(at + lag_us, frame) for at, frame in kept if rng.random() < share]
         return sorted(kept + copies, key=lambda f: f[0]), count - len(kept), len(copies)
     if kind == "late":
         kept = [

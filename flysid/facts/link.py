@@ -1,4 +1,4 @@
-"""What a link lost of one sender: told by the sequence numbers, the times and the content of its frames.
+"""What a link lost of one sender, by the numbers, times and content of its frames.
 
 The number has eight bits. A frame that does not carry the next one was preceded by a loss, was overtaken,
 came twice, belongs to a second counter of the same sender (two radios, two vehicles of one number), or was
@@ -9,17 +9,12 @@ A pause after which the number goes on is no loss. A silence after which it does
 
 from __future__ import annotations
 
-from collections import deque
 from dataclasses import dataclass, field, fields
 
 import numpy as np
-import numpy.typing as npt
 
-IntArray = npt.NDArray[np.int64]
-BoolArray = npt.NDArray[np.bool_]
+from flysid.facts.repeats import NO_CLOCK, ROUND, BoolArray, CopyFinder, FrameRows, IntArray
 
-ROUND = 256  # numbers of the sequence
-HALF = ROUND // 2  # of a round: a copy from further back may be a frame of the round before
 LATE_WITHIN = ROUND // 4  # places that a frame may be overtaken by
 SILENCE_US = 100_000  # a shorter gap hides no round of numbers: that takes 2,560 frames a second
 STEP_MS = 5_000  # of a vehicle's clock against the arrivals: less is jitter of the link
@@ -29,9 +24,6 @@ COUNTERS = 8  # of one sender that are followed
 NEAR = 8  # frames ago, a counter may have spoken that a late frame came after
 CONVINCING = 3  # frames in order that return to a counter: it goes on
 RARE = 200  # frames to a pause, from which on pauses are no part of a sender's rate
-LATELY = 64  # frames among which copies are common where a loop makes them
-COMMON = 8  # so many frames to a copy, at most: two radios send equal heartbeats, by chance under one number
-NO_CLOCK = -1
 
 
 @dataclass(frozen=True)
@@ -76,32 +68,6 @@ class LinkLoss:
 
 
 COUNTED = tuple(each.name for each in fields(LinkLoss))
-
-
-@dataclass(frozen=True, eq=False)
-class FrameRows:
-    """Frames of one sender in the order of their arrival, one row each.
-
-    Attributes
-    ----------
-    sequence : (n,) numbers, 0 to 255.
-    stamp_us : (n,) arrivals; None where nobody noted them.
-    checksum : (n,) of content and number.
-    clock_ms : (n,) since boot, as frames state it; `NO_CLOCK` where they do not.
-    """
-
-    sequence: IntArray
-    stamp_us: IntArray | None
-    checksum: IntArray
-    clock_ms: IntArray
-
-    def __len__(self) -> int:
-        return len(self.sequence)
-
-    def where(self, kept: BoolArray) -> FrameRows:
-        """Some of the rows."""
-        stamps = None if self.stamp_us is None else self.stamp_us[kept]
-        return FrameRows(self.sequence[kept], stamps, self.checksum[kept], self.clock_ms[kept])
 
 
 @dataclass
@@ -184,12 +150,8 @@ class SequenceCounter:
     """
 
     _counts: dict[str, int] = field(default_factory=lambda: dict.fromkeys(COUNTED, 0))
+    _copies: CopyFinder = field(default_factory=CopyFinder)
     _counters: list[_Counter] = field(default_factory=list)  # the one that spoke last at the end
-    _recent: deque[tuple[int, int, int]] = field(default_factory=lambda: deque(maxlen=ROUND))
-    _last_key: int = -1  # number and checksum of the frame before
-    _lately: BoolArray = field(default_factory=lambda: np.zeros(0, dtype=bool))  # what seemed to come again
-    _advances: int = 0
-    _standing: int = 0  # frames of other content under the number before
     _pace: _Pace = field(default_factory=_Pace)  # since a while
     _older: _Pace = field(default_factory=_Pace)  # the while before
     _pause_us: int = 0
@@ -202,17 +164,26 @@ class SequenceCounter:
         ----------
         rows : (n,) frames, in the order of their arrival.
         """
-        fresh = self._fresh(rows)
-        rows = rows.where(fresh)
-        restarts = np.zeros(len(fresh), dtype=bool)
-        if len(rows):
-            restarts[fresh] = self._follow(rows)
-        self._add(repeated=int((~fresh).sum()))
-        return fresh, restarts
+        copies, doubted, taken_back = self._copies.find(rows, self._counts["frames"], self._interval_us)
+        self._add(frames=-taken_back, repeated=taken_back)
+        restarts = np.zeros(len(copies), dtype=bool)
+        sure = np.flatnonzero(~copies & ~doubted)
+        for at in np.flatnonzero(
+            doubted
+        ).tolist():  # two radios, or two boots, may send the same as one number
+            before, sure = sure[sure < at], sure[sure > at]
+            restarts[before] = self._follow(rows.where(before))
+            if self._is_next(int(rows.sequence[at])):
+                self._follow(rows.where(np.array([at])))
+            else:
+                self._add(frames=1)
+        restarts[sure] = self._follow(rows.where(sure))
+        self._add(repeated=int(copies.sum()))
+        return ~copies, restarts
 
     def shift(self, step_us: int) -> None:
         """The host's clock was set: what was seen before is dated anew."""
-        self._recent = deque(((key, at, us + step_us) for key, at, us in self._recent), ROUND)
+        self._copies.shift(step_us)
         for counter in self._counters:
             counter.seen_us += step_us
             counter.born_us += step_us
@@ -221,61 +192,19 @@ class SequenceCounter:
     @property
     def loss(self) -> LinkLoss:
         """What has been counted so far."""
-        hidden = sum(silence.hidden for silence in self._silences)
+        hidden = self._counts["hidden"] + sum(silence.hidden for silence in self._silences)
         return LinkLoss(**{**self._counts, "hidden": hidden})
 
     def _add(self, **counts: int) -> None:
         for name, count in counts.items():
             self._counts[name] += count
 
-    # ------------------------------------------------------------------------------------------ repeats
-
-    def _fresh(self, rows: FrameRows) -> BoolArray:
-        """(n,) whether a frame comes for the first time."""
-        if not len(rows):
-            return np.ones(0, dtype=bool)
-        keys = rows.sequence << 16 | rows.checksum
-        stamps = np.zeros(len(rows), np.int64) if rows.stamp_us is None else rows.stamp_us
-        steps = (
-            np.diff(rows.sequence, prepend=self._last_key >> 16 if self._last_key >= 0 else rows.sequence[0])
-            % ROUND
-        )
-        self._advances += int(((steps > 0) & (steps < HALF)).sum())
-        is_back = (steps == 0) | (steps >= HALF)
-        is_back[0] &= self._last_key >= 0
-        fresh = np.ones(len(rows), dtype=bool)
-        if is_back.any():
-            self._standing += int(
-                (is_back & (steps == 0) & (np.diff(keys, prepend=self._last_key) != 0)).sum()
-            )
-            if self._advances > self._standing:  # others do not count, and may well repeat themselves
-                fresh = self._first_copies(keys.tolist(), stamps.tolist())
-        at = self._counts["frames"] + np.cumsum(fresh)
-        tail = np.flatnonzero(fresh)[-ROUND:]
-        self._recent.extend(zip(keys[tail].tolist(), at[tail].tolist(), stamps[tail].tolist(), strict=True))
-        self._last_key = int(keys[-1])
-        return fresh
-
-    def _first_copies(self, keys: list[int], stamps: list[int]) -> BoolArray:
-        known = {key: (at, us) for key, at, us in self._recent}
-        at = self._counts["frames"]
-        longest_us = HALF * (self._interval_us or (stamps[-1] - stamps[0]) / len(stamps))
-        again = np.zeros(len(keys), dtype=bool)
-        for i, (key, stamp_us) in enumerate(zip(keys, stamps, strict=True)):
-            there = known.get(key)
-            if there and at - there[0] < HALF and (not longest_us or stamp_us - there[1] < longest_us):
-                again[i] = True
-            else:
-                at += 1
-                known[key] = (at, stamp_us)
-        often = _is_often(np.concatenate([self._lately, again]))[len(self._lately) :]
-        self._lately = np.concatenate([self._lately, again])[-LATELY:]
-        return ~(again & often)
-
     # ------------------------------------------------------------------------------------------- losses
 
     def _follow(self, rows: FrameRows) -> BoolArray:
         """Take in fresh frames run by run, a run being of numbers in a row; returns the restarts."""
+        if not len(rows):
+            return np.zeros(0, dtype=bool)
         numbers = rows.sequence
         stamps = rows.stamp_us if rows.stamp_us is not None else np.zeros(len(rows), np.int64)
         begins = np.flatnonzero(np.diff(numbers, prepend=numbers[:1]) % ROUND != 1)
@@ -348,6 +277,10 @@ class SequenceCounter:
                 self._returned(counter, number, size)
                 return counter
         return None
+
+    def _is_next(self, number: int) -> bool:
+        """Whether the counter that spoke last, or one that goes on beside it, is at this number."""
+        return any(c.following == number for c in self._counters if c.is_second or c is self._counters[-1])
 
     def _silent(self, counter: _Counter, size: int) -> int:
         """Frames of the sender between a counter's last and a run of this size that has been counted."""
@@ -462,15 +395,6 @@ class SequenceCounter:
             return None
         silence = _Silence(gap, waited_us, self._interval_us)
         self._silences.append(silence)
+        if len(self._silences) > COUNTERS:  # the oldest is past doubt, and recordings last for days
+            self._add(hidden=self._silences.pop(0).hidden)
         return silence
-
-
-def _is_often(again: BoolArray) -> BoolArray:
-    """(n,) whether copies are common among the frames up to each, or from each on."""
-    sums = np.concatenate([[0], np.cumsum(again)])
-    here = np.arange(len(again))
-    first = np.maximum(here + 1 - LATELY, 0)
-    last = np.minimum(here + LATELY, len(again))
-    before = COMMON * (sums[here + 1] - sums[first]) >= here + 1 - first
-    after = COMMON * (sums[last] - sums[here]) >= last - here
-    return np.asarray(before | after)

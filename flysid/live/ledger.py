@@ -13,7 +13,8 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-from flysid.facts.link import NO_CLOCK, FrameRows, LinkLoss, SequenceCounter
+from flysid.facts.link import LinkLoss, SequenceCounter
+from flysid.facts.repeats import NO_CLOCK, FrameRows
 from flysid.live.batches import ByteArray, IntArray
 
 SENDER = np.dtype(

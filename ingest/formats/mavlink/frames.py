@@ -95,7 +95,8 @@ class Frames:
     def checksums(self) -> IntArray:
         """(n,) of header and content, as the frames state them."""
         at = self.payload + self.length
-        return self.buffer[at].astype(np.int64) | self.buffer[at + 1].astype(np.int64) << 8
+        sums: IntArray = self.buffer[at].astype(np.int64) | self.buffer[at + 1].astype(np.int64) << 8
+        return sums
 
     def where(self, kept: npt.NDArray[np.bool_]) -> Frames:
         """Some of the frames."""

@@ -6,7 +6,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from flysid.facts.link import NO_CLOCK, FrameRows, IntArray, SequenceCounter
+from flysid.facts.link import SequenceCounter
+from flysid.facts.repeats import NO_CLOCK, FrameRows, IntArray
 from flysid.ingest.formats.common.columns import gather
 from flysid.ingest.formats.mavlink.frames import Frames, MessageId
 

@@ -28,8 +28,11 @@ from flysid.ingest.formats.common.odd_cells import OddCells
 from flysid.ingest.formats.common.tally import Tally
 from flysid.ingest.formats.common.vehicle_time import Clocked, Source, VehicleTime
 from flysid.ingest.formats.dataflash.layouts import Definitions, Units
+from flysid.ingest.formats.dataflash.reader import firmware_in
+from flysid.ingest.formats.dataflash.reader import vehicle_facts as on_board
 from flysid.ingest.formats.mavlink.dialect import KEYS, load_dialect
 from flysid.ingest.formats.mavlink.parameters import NUMBERS, REAL32, SENT, VALUE, Encodings
+from flysid.ingest.formats.mavlink.reader import AUTOPILOT_INVALID, vehicle_facts
 from flysid.ingest.formats.messages.json_schema import as_numbers
 
 MAX_LINE_BYTES = 1 << 20
@@ -83,6 +86,8 @@ class _Reader:
     rows: dict[Source, int] = field(default_factory=dict)
     odd: OddCells = field(default_factory=OddCells)
     lost_to: int = -1
+    info: dict[str, str] = field(default_factory=dict)
+    parameters: set[str] = field(default_factory=set)
 
 
 def read(view: memoryview, name: str, limits: Limits) -> Parts:
@@ -107,7 +112,15 @@ def read(view: memoryview, name: str, limits: Limits) -> Parts:
         reader.tally.time_outliers[_stream(reader, source)] += rejected
     for source, late in reader.time.out_of_order.items():
         reader.tally.out_of_order[_stream(reader, source)] += late
-    return Summary(reader.tally.freeze(), reader.time.fit().clocks(), {"printed_by": "mavlogdump"})
+    return Summary(reader.tally.freeze(), reader.time.fit().clocks(), _about(reader))
+
+
+def _about(reader: _Reader) -> dict[str, str]:
+    """Whose log it is: by the heartbeats of telemetry, by the banner or the parameters of a log on board."""
+    known = reader.info if "autopilot" in reader.info else {}
+    if not known and (reader.formats or reader.parameters or reader.info):
+        known = on_board(reader.info, reader.parameters)
+    return {"printed_by": "mavlogdump", **known}
 
 
 # ----------------------------------------------------------------------------------------------- lines
@@ -166,8 +179,7 @@ def _parts(reader: _Reader, messages: list[_Message]) -> Iterator[StreamPart]:
             _note_units(reader, message.data)
         groups.setdefault(_source(reader, message), []).append(row)
         _note_encoding(reader.encodings, message)
-        if message.kind == "HEARTBEAT" and message.data.get("autopilot") != 8:
-            reader.time.vehicles.add(message.sender[0])
+        _note_vehicle(reader, message)
     arrival = np.array([message.stamp_ns for message in messages], dtype=np.int64)
     clocked = {}
     for source, rows in groups.items():
@@ -180,6 +192,21 @@ def _parts(reader: _Reader, messages: list[_Message]) -> Iterator[StreamPart]:
         picked = np.array(rows, dtype=np.int64)
         times = reader.time.times(source, picked, clocked.get(source))
         yield _part(reader, source, [messages[row] for row in rows], times, arrival[picked])
+
+
+def _note_vehicle(reader: _Reader, message: _Message) -> None:
+    """What a message tells of the vehicle: the first that does counts."""
+    data = message.data
+    if message.kind == "HEARTBEAT" and data.get("autopilot") != AUTOPILOT_INVALID:
+        reader.time.vehicles.add(message.sender[0])
+        kinds = [data.get("autopilot"), data.get("type")]
+        if "autopilot" not in reader.info and all(isinstance(kind, int) for kind in kinds):
+            autopilot, kind = (np.array([value]) for value in kinds)
+            reader.info |= vehicle_facts(load_dialect(), autopilot, kind)
+    elif message.kind == "MSG" and "firmware" not in reader.info:
+        reader.info |= firmware_in([str(data.get("Message", ""))])
+    elif message.kind == "PARM":
+        reader.parameters.add(str(data.get("Name", "")))
 
 
 def _note_encoding(encodings: Encodings, message: _Message) -> None:

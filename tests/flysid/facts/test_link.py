@@ -9,8 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from flysid.facts.link import NO_CLOCK, FrameRows, SequenceCounter
+from flysid.facts.link import SequenceCounter
 from flysid.facts.losses import link_words
+from flysid.facts.repeats import NO_CLOCK, FrameRows
 from tests.command import call
 from tests.loss_trials import Sender, draw, faults, trials
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -114,3 +115,30 @@ def test_show_prints_the_modes_by_name(
     log.write_bytes(_flight(kind, autopilot, numbers))
     printed = call("show", log, "--events", cwd=tmp_path).stdout
     assert [line.split("mode", 1)[1].strip() for line in printed.splitlines()] == words
+
+
+@pytest.mark.parametrize(
+    ("lines", "word"),
+    [
+        (
+            [("HEARTBEAT", {"type": 10, "autopilot": 3, "base_mode": 209, "custom_mode": 11})],
+            "RTL",
+        ),
+        (
+            [("MSG", {"Message": "ArduSub V4.1.0"}), ("MODE", {"ModeNum": 9, "Mode": 9})],
+            "SURFACE",
+        ),
+    ],
+)
+def test_what_mavlogdump_printed_has_modes_by_name(
+    tmp_path: Path, lines: list[tuple[str, dict[str, Any]]], word: str
+) -> None:
+    log = tmp_path / "f.json"
+    printed = []
+    for second in range(20):
+        for kind, data in lines:
+            meta = {"type": kind, "timestamp": 1_700_000_000.0 + second}
+            clock = {} if kind == "HEARTBEAT" else {"TimeUS": 1_000_000 * second}
+            printed.append(json.dumps({"meta": meta, "data": clock | data}))
+    log.write_text("\n".join(printed) + "\n")
+    assert word in call("show", log, "--events", cwd=tmp_path).stdout

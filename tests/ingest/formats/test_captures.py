@@ -441,7 +441,8 @@ def test_a_datagram_that_is_forwarded_with_another_address_is_the_same_one() -> 
     assert not flight.damage.lossy
 
 
-def test_genuine_repeats_stay() -> None:
+def test_genuine_repeats_are_packets_and_copies_of_messages() -> None:
+    """The capture holds two packets, whose message is one: a loop of routers sends it again."""
     frames = flying(sender(), 40)
     packets = [(START_NS + 20 * 10**6 * i, udp(frames[i])) for i in range(40)]
     again = [(t + 5 * 10**6, d) for t, d in packets]  # sent again: another packet of the same flow
@@ -449,7 +450,9 @@ def test_genuine_repeats_stay() -> None:
     for second in (numbered(again, 1000), numbered(late)):
         both = sorted([*numbered(packets), *second], key=lambda packet: packet[0])
         flight = read(pcap(both))
-        assert flight["ATTITUDE"].num_rows == 80
+        attitudes = flight["ATTITUDE"].num_rows
+        assert attitudes + sum(flight.damage.repeats.values()) == 80
+        assert attitudes == 40
         assert "captured_twice" not in flight.info
 
 

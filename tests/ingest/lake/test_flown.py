@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import pytest
@@ -10,6 +11,7 @@ import flysid
 from flysid.ingest.align.signals import FlightLog
 from flysid.ingest.lake.suggest import suggest
 from flysid.ingest.lake.survey import survey, verdict
+from tests.command import call
 from tests.samplelogs import tlog
 
 DISARMED, ARMED = 81, 81 | 128
@@ -81,3 +83,19 @@ def test_flight_without_the_stream_of_interest_does_not_count(tmp_path: Path) ->
     suggested = [s for s in suggested if s.duration_s]
     assert {round(s.duration_s) for s in suggested} == {19}
     assert all(s.advice in advice for s in suggested)
+
+
+def test_a_log_that_states_no_arming_was_flown_for_an_unknown_time(tmp_path: Path) -> None:
+    """All of such a log counted as flown."""
+    vehicle = tlog.sender()
+    path = tmp_path / "bare.tlog"
+    sent = (vehicle.attitude_encode(5000 + 20 * k, 0.1 * (k % 7), 0, 0, 0, 0, 0) for k in range(1000))
+    frames = (
+        tlog.stamped(tlog.EPOCH_US + 20_000 * k, tlog.frame(vehicle, one)) for k, one in enumerate(sent)
+    )
+    path.write_bytes(b"".join(frames))
+    assert survey(path).flown.seconds is None
+    document = json.loads(call("doctor", path, "--json", cwd=tmp_path).stdout)["logs"][0]
+    assert document["flown_s"] is None
+    shown = call("show", path, cwd=tmp_path).stdout
+    assert "unknown: the log states neither arming nor landing" in shown
