@@ -34,6 +34,7 @@ class Op(IntEnum):
 
 
 MAX_HEADER_BYTES = 1 << 16
+_LENGTHS = struct.Struct("<II")
 _U32 = struct.Struct("<I")
 _NEEDS: Mapping[int, Mapping[bytes, int]] = {  # size of each field; 0 for any
     Op.MESSAGE: {b"conn": 4, b"time": 8},
@@ -113,11 +114,22 @@ def record_at(view: memoryview | bytes, at: int, limit: int) -> BagRecord | None
 def next_record(view: memoryview | bytes, at: int, limit: int) -> int:
     """Where the next whole record begins at or after `at`; `limit` where there is none."""
     while (found := _START.search(view, at, limit)) is not None:
-        record = record_at(view, found.start(), limit)
+        fits = _begins_header(view, found.start(), limit)
+        record = record_at(view, found.start(), limit) if fits else None
         if record is not None and (record.end <= limit or _is_plain_chunk(record)):
             return found.start()
         at = found.start() + 1
     return limit
+
+
+def _begins_header(view: memoryview | bytes, at: int, limit: int) -> bool:
+    """Whether the first field of a header ends in it, and the second one, too, or the header."""
+    length, first = _LENGTHS.unpack_from(view, at)
+    end = at + 4 + length
+    second = at + 8 + first
+    if second == end:
+        return True
+    return second + 4 <= min(end, limit) and second + 4 + _U32.unpack_from(view, second)[0] <= end
 
 
 def _is_plain_chunk(record: BagRecord) -> bool:
