@@ -271,9 +271,13 @@ def _judge_recording(found: Found, path: Path) -> bool:
         if first_listed:
             found.pass_over(path, f"part of {first_listed}")
         return first_listed != ""
-    if judge_name(path.name) != LOG or not ending_of(path.name):
+    kind = judge_name(path.name)
+    if kind not in (LOG, "") or not ending_of(path.name):
         return False
-    first = recording_at(path)[0][0]
+    files, _ = recording_at(path)
+    if not kind and len(files) == 1:
+        return False
+    first = files[0]
     found.paths[first] = None
     if path != first:
         found.pass_over(path, f"part of {first.name}")

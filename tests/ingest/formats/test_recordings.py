@@ -13,6 +13,7 @@ import pytest
 
 import flysid
 from tests.command import call
+from tests.samplelogs import pcap, pcapng
 from tests.split_recordings import MAKERS, bag_of, compare, lay, metadata
 
 PARTS = [range(0, 40), range(40, 77), range(77, 120)]
@@ -168,3 +169,35 @@ def test_recordings_cut_at_random_are_whole_again(ending: str, tmp_path: Path) -
     rng = random.Random(seed)
     said = [compare(tmp_path / str(trial), ending, rng) for trial in range(6)]
     assert said == [""] * 6, seed
+
+
+CAPTURES = {
+    "tcpdump": ["x.pcap", "x.pcap1", "x.pcap2"],
+    "ring": ["x.pcap0", "x.pcap1", "x.pcap2"],
+    "dumpcap": [f"x_0000{k}_2026050410111{k}.pcap" for k in (1, 2, 3)],
+    "wireshark": [f"x_0000{k}_2026050410111{k}.pcapng" for k in (1, 2, 3)],
+}
+
+
+@pytest.mark.parametrize("program", CAPTURES)
+def test_split_captures_are_one_flight(program: str, tmp_path: Path) -> None:
+    maker = pcapng if program == "wireshark" else pcap
+    blob = maker.build()
+    head, *packets = [blob[record.start : record.end] for record in maker.records(blob)]
+    (tmp_path / "logs").mkdir()
+    paths = [tmp_path / "logs" / name for name in CAPTURES[program]]
+    for path, part in zip(paths, (packets[:40], packets[40:90], packets[90:]), strict=True):
+        path.write_bytes(head + b"".join(part))
+    (tmp_path / "whole.cap").write_bytes(blob)
+    whole = flysid.read(tmp_path / "whole.cap")
+    for path in paths:
+        flight = flysid.read(path)
+        assert not flight.damage.lossy
+        assert {name: table.to_pylist() for name, table in flight.tables.items()} == {
+            name: table.to_pylist() for name, table in whole.tables.items()
+        }
+    done = call("ingest", "logs", "-o", "data", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert [facts.rows for facts in flysid.open(tmp_path / "data").facts] == [whole.rows]
+    paths[1].write_bytes(head + b"".join(packets[60:90]))  # a pause longer than any inside
+    assert flysid.read(paths[0]).rows < whole.rows // 2
