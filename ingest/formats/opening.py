@@ -252,10 +252,7 @@ def side_files(path: Path) -> dict[str, Path]:
 
 
 def recording_at(path: Path, limits: Limits | None = None) -> tuple[tuple[Path, ...], tuple[Lacking, ...]]:
-    """The files of the recording that a file belongs to, in order, and those that are not there.
-
-    Whether files that nothing lists belong together, their messages tell: then they are read for it.
-    """
+    """The files of the recording that a file belongs to, in order, and those that are not there."""
     limits = limits or Limits()
     if not ending_of(path.name) or not (part_named(path.name) or names_log(path.with_name(METADATA))):
         return (path,), ()

@@ -129,7 +129,7 @@ def _begins_header(view: memoryview | bytes, at: int, limit: int) -> bool:
     second = at + 8 + first
     if second == end:
         return True
-    return second + 4 <= min(end, limit) and second + 4 + _U32.unpack_from(view, second)[0] <= end
+    return second + 4 <= min(end, limit) and second + 4 + int(_U32.unpack_from(view, second)[0]) <= end
 
 
 def _is_plain_chunk(record: BagRecord) -> bool:
