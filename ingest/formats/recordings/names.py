@@ -14,7 +14,8 @@ in a folder of the recorder's own, which bears the name of its files. Elsewhere 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections import Counter
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 
 METADATA = "metadata.yaml"
@@ -93,6 +94,16 @@ def ending_of(name: str) -> str:
     if found is None:
         return CAPTURE if _capture_named(name) is not None else ""
     return found["ending"].lower()
+
+
+def possible_parts(names: Collection[str]) -> frozenset[str]:
+    """Of the files of a folder those that may be parts of one recording, by their names, and its list."""
+    parts = [part for name in names if (part := part_named(name)) is not None]
+    sizes = Counter(part.family for part in parts)
+    found = {part.name for part in parts if sizes[part.family] > 1 or part.date}
+    if METADATA in names:
+        found |= {METADATA, *(name for name in names if ending_of(name))}
+    return frozenset(found)
 
 
 def relatives(part: Part, names: Iterable[str]) -> list[Part]:
