@@ -128,8 +128,8 @@ def next_record(view: memoryview | bytes, at: int, limit: int) -> int:
 def _begins_header(view: memoryview | bytes, at: int, limit: int) -> bool:
     """Whether the first field of a header ends in it, and the second one, too, or the header."""
     length, first = _LENGTHS.unpack_from(view, at)
-    end = at + 4 + length
-    second = at + 8 + first
+    end: int = at + 4 + length
+    second: int = at + 8 + first
     if second == end:
         return True
     return second + 4 <= min(end, limit) and second + 4 + int(_U32.unpack_from(view, second)[0]) <= end
