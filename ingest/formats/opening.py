@@ -31,6 +31,7 @@ from flysid.ingest.formats.base import (
     source_of,
 )
 from flysid.ingest.formats.blame import blaming
+from flysid.ingest.formats.common.capture import join_captures
 from flysid.ingest.formats.common.compression import (
     GZIP_MAGIC,
     ZSTD_MAGIC,
@@ -39,13 +40,20 @@ from flysid.ingest.formats.common.compression import (
     first_bytes,
     unpacked_pieces,
 )
-from flysid.ingest.formats.common.packed_names import PACKED_SUFFIXES, own_name
+from flysid.ingest.formats.common.packed_names import PACKED_SUFFIXES, own_name, readable
 from flysid.ingest.formats.common.transfer import harm_of
 from flysid.ingest.formats.common.zip_members import ZIP_MAGICS, Member, member_pieces, read_archive
 from flysid.ingest.formats.recognised import TAR_MAGIC, TAR_MAGIC_AT, is_office, packing_of
 from flysid.ingest.formats.recordings.continued import Heard, heard
 from flysid.ingest.formats.recordings.finding import READERS, Folder, Lacking, recording_of
-from flysid.ingest.formats.recordings.names import MARK, METADATA, ending_of, part_named
+from flysid.ingest.formats.recordings.names import (
+    CAPTURE,
+    MARK,
+    METADATA,
+    ending_of,
+    part_named,
+    second_capture,
+)
 from flysid.ingest.formats.rosbag2.side_files import READ, recover
 from flysid.ingest.formats.rosbag2.sqlite_pages import MAGIC as SQLITE_MAGIC
 
@@ -167,7 +175,14 @@ def open_log(path: Path, limits: Limits | None = None, *, alone: bool = False) -
         if not logs:
             raise next(iter(unusable.values()))
         lacking += tuple(Lacking(name, error.message) for name, error in unusable.items())
-        yield replace(logs[0], rest=tuple(logs[1:]), lacking=lacking)
+        whole = replace(logs[0], rest=tuple(logs[1:]), lacking=lacking)
+        yield _as_one(whole, stack) if ending_of(path.name) == CAPTURE else whole
+
+
+def _as_one(log: OpenLog, stack: ExitStack) -> OpenLog:
+    """The files of a capture as one: what begins in one may go on in the next."""
+    joined = stack.enter_context(expand(join_captures((log.view, *(o.view for o in log.rest)))))
+    return replace(log, view=joined.view, rest=tuple(replace(o, view=memoryview(b"")) for o in log.rest))
 
 
 def _opened_whole(path: Path, limits: Limits, stack: ExitStack) -> OpenLog:
@@ -237,12 +252,11 @@ def side_files(path: Path) -> dict[str, Path]:
 
 
 def recording_at(path: Path, limits: Limits | None = None) -> tuple[tuple[Path, ...], tuple[Lacking, ...]]:
-    """The files of the recording that a file belongs to, in order, and those that are not there.
-
-    Whether files that nothing lists belong together, their messages tell: then they are read for it.
-    """
+    """The files of the recording that a file belongs to, in order, and those that are not there."""
     limits = limits or Limits()
     if not ending_of(path.name) or not (part_named(path.name) or names_log(path.with_name(METADATA))):
+        return (path,), ()
+    if (second := second_capture(path.name)) and not names_log(path.with_name(second)):
         return (path,), ()
     folder = folder_of(path)
 
@@ -279,11 +293,6 @@ def _heard(path: Path, state: tuple[int, int], limits: Limits) -> Heard | None: 
             return heard(importlib.import_module(READERS[ending_of(path.name)]).listen(view, limits))
     except (FormatError, OSError):
         return None
-
-
-def readable(name: str) -> str:
-    """A file's name as text that can be stored: bytes of another encoding are replaced."""
-    return os.fsencode(name).decode("utf-8", "replace")
 
 
 def identify(path: Path, limits: Limits) -> tuple[str, int]:

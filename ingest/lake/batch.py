@@ -21,7 +21,8 @@ from flysid.facts.vehicle import vehicle_named
 from flysid.flight import Damage, Source
 from flysid.ingest.formats.base import Limits
 from flysid.ingest.formats.blame import blamed
-from flysid.ingest.formats.opening import identify, locate, open_log, readable
+from flysid.ingest.formats.common.packed_names import readable
+from flysid.ingest.formats.opening import identify, locate, open_log
 from flysid.ingest.formats.registry import format_of
 from flysid.ingest.lake.finding import FoundLogs
 from flysid.ingest.lake.workers import Bounds, Lost, memory_reason, read_bounded

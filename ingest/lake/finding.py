@@ -28,7 +28,7 @@ from flysid.ingest.formats.common.zip_members import read_archive
 from flysid.ingest.formats.opening import begins_archive, folder_of, head_of, names_log, recording_at
 from flysid.ingest.formats.recognised import TEXT, kind_of, packing_of, stranger
 from flysid.ingest.formats.recordings.finding import present
-from flysid.ingest.formats.recordings.names import METADATA, ending_of, listed, part_named
+from flysid.ingest.formats.recordings.names import METADATA, ending_of, listed, possible_parts
 from flysid.ingest.formats.registry import confidence_of, known_suffixes, refusal_of
 from flysid.ingest.formats.rosbag2.side_files import ALL as SIDE_SUFFIXES
 from flysid.ingest.lake.workers import Bounds, Lost, read_bounded
@@ -140,11 +140,6 @@ def part_of(name: str, names: Container[str]) -> str:
     return ""
 
 
-def may_be_part(name: str, names: Container[str]) -> bool:
-    """Whether a file may be one of a recording of several, or the list of them: its contents tell."""
-    return part_named(name) is not None or name == METADATA or (ending_of(name) != "" and METADATA in names)
-
-
 @dataclass
 class Found:
     """What has been found so far, each path once."""
@@ -177,6 +172,7 @@ class _LogSearch:
 
     def __init__(self, bounds: Bounds | None) -> None:
         self._tasks: deque[Path] = deque()
+        self._parts: dict[Path, frozenset[str]] = {}
         self._outcomes = read_bounded(judge_file, self._tasks, 1, bounds)
 
     def close(self) -> None:
@@ -190,9 +186,8 @@ class _LogSearch:
             self._walk(path, found)
         elif _is_archive(path):
             self._open(path, found)
-        elif part_named(path.name):
-            self._open(path, found)
-            found = found if found.paths else Found({path: None})
+        elif ending_of(path.name) and path.name in self._parts_beside(path):
+            found = self._open_part(path)
         else:
             found.paths[path] = None
         if not found.paths and not found.unread:
@@ -207,6 +202,21 @@ class _LogSearch:
             found.fail(path, inside.reason)
         else:
             found.add(inside)
+
+    def _parts_beside(self, path: Path) -> frozenset[str]:
+        """What may be parts of recordings where a file lies; nothing where that cannot be listed."""
+        if path.parent not in self._parts:
+            try:
+                self._parts[path.parent] = possible_parts(folder_of(path).files)
+            except (FormatError, OSError):
+                self._parts[path.parent] = frozenset()
+        return self._parts[path.parent]
+
+    def _open_part(self, path: Path) -> Found:
+        """A log that may be part of a recording; where nothing tells, it is tried, which says why."""
+        inside = Found()
+        self._open(path, inside)
+        return inside if inside.paths else Found({path: None})
 
     def _walk(self, folder: Path, found: Found) -> None:
         def note(error: OSError) -> None:
@@ -223,10 +233,13 @@ class _LogSearch:
                 elif Path(parent, name).is_symlink():
                     found.fail(Path(parent, name), "a link to a folder; name it to have it read")
             folders[:] = sorted(name for name in folders if not name.startswith("."))
+            parts = possible_parts(files)
             for name in sorted(files):
                 path = Path(parent, name)
                 kind = part_of(name, files) or judge_name(name)
-                if kind and not (kind == LOG and may_be_part(name, files)):
+                if kind == LOG and name in parts:
+                    found.add(self._open_part(path))
+                elif kind:
                     found.sort_in(path, kind)
                 elif os.path.isfile(path):
                     self._open(path, found)
@@ -271,9 +284,13 @@ def _judge_recording(found: Found, path: Path) -> bool:
         if first_listed:
             found.pass_over(path, f"part of {first_listed}")
         return first_listed != ""
-    if judge_name(path.name) != LOG or not ending_of(path.name):
+    kind = judge_name(path.name)
+    if kind not in (LOG, "") or not ending_of(path.name):
         return False
-    first = recording_at(path)[0][0]
+    files, _ = recording_at(path)
+    if not kind and len(files) == 1:
+        return False
+    first = files[0]
     found.paths[first] = None
     if path != first:
         found.pass_over(path, f"part of {first.name}")

@@ -109,7 +109,6 @@ def sort_packets(data: Bytes, at: Index, stop: Index) -> Sorted:
         if not len(todo):
             break
         first = int(todo[0])
-        todo = todo
         try:
             makeup = parse_makeup(data, int(at[first]), int(stop[first]))
         except EOFError:
@@ -118,13 +117,14 @@ def sort_packets(data: Bytes, at: Index, stop: Index) -> Sorted:
         if makeup is None:
             todo = todo[1:]
             continue
-        same = todo[_alike(data, at, stop, (todo, first, makeup))]
+        alike = _alike(data, at, stop, (todo, first, makeup))
+        same = todo[alike]
         good = same[_sums(data, at[same], makeup)]
         fate[same] = Fate.BAD_SUM
         fate[good] = Fate.GOOD
         end[same] = at[same] + makeup.size
         groups.append(Packets(makeup, at[good]))
-        todo = np.setdiff1d(todo, same, assume_unique=True)
+        todo = todo[~alike]
     return Sorted(tuple(g for g in groups if len(g.at)), fate, end)
 
 

@@ -239,7 +239,9 @@ def _before(batch: Batch, found: Sorted, stop: int) -> tuple[Batch, Sorted]:
 
 def _pick(batch: Batch, found: Sorted, keep: Values) -> tuple[Batch, Sorted]:
     at = batch.at[keep]
-    groups = tuple(Packets(g.makeup, g.at[np.isin(g.at, at)]) for g in found.groups)
+    kept = np.zeros(len(batch.data), dtype=np.bool_)  # by place: garbage may hold very many headers
+    kept[at] = True
+    groups = tuple(Packets(g.makeup, g.at[kept[g.at]]) for g in found.groups)
     received = batch.received_ns[keep] if batch.received_ns is not None else None
     return (
         Batch(batch.data, at, batch.stop[keep], received),

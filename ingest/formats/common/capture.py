@@ -10,11 +10,12 @@ that says the same within REPEAT_NS is such a second sight, unless one flow numb
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
 from socket import IPPROTO_TCP, IPPROTO_UDP
 
+from flysid.ingest.formats.base import Limits
 from flysid.ingest.formats.common import pcap, pcapng
 from flysid.ingest.formats.common.internet import Fragments, HeaderError, IpPacket, ip_packet
 from flysid.ingest.formats.common.located import Located
@@ -41,6 +42,7 @@ UDP_BYTES = 8  # of a header
 TCP_BYTES = 20
 SYN = 2  # the flag of a TCP header that opens a connection
 SEQUENCES = 1 << 32  # of the bytes of a TCP stream
+JOINED_BYTES = 1 << 22  # at a time
 REPEAT_NS = 10 * 10**6  # MAVLink's 256 numbers come round within 10 ms only at 25,600 frames a second
 MOST_SEEN = 4096
 VLAN_TYPES = (0x8100, 0x88A8)
@@ -90,6 +92,34 @@ class Payload:
 def is_capture(head: bytes) -> bool:
     """Whether bytes begin as a capture does."""
     return pcap.is_pcap(head) or pcapng.is_pcapng(head)
+
+
+def sniff(head: bytes, name: str) -> float:  # noqa: ARG001 - as readers have it
+    """1 for the beginning of a capture."""
+    return float(is_capture(head))
+
+
+def listen(view: memoryview, limits: Limits) -> Iterator[tuple[str, int]]:  # noqa: ARG001 - as readers have it
+    """The flow and the time of each datagram and segment; flows of captures of other kinds are others."""
+    kind = _kind_of(view).hex()
+    for found in payloads(view, Tally()):
+        yield f"{kind} {found.flow.hex()}", found.time_ns
+
+
+def _kind_of(view: memoryview) -> bytes:
+    """Byte order, resolution of times and link of a capture; of pcapng, which states them anew, only that."""
+    head = bytes(view[: pcap.FILE_HEAD_BYTES])
+    return head[:4] if pcapng.is_pcapng(head) else head[:4] + head[20:]
+
+
+def join_captures(views: Sequence[memoryview]) -> Iterator[bytes]:
+    """Captures of one kind as one: the head of the first, and the packets of all."""
+    head = bytes(views[0][: pcap.FILE_HEAD_BYTES])
+    skipped = 0 if pcapng.is_pcapng(head) else pcap.FILE_HEAD_BYTES
+    yield head[:skipped]
+    for view in views:
+        for start in range(skipped, len(view), JOINED_BYTES):
+            yield bytes(view[start : start + JOINED_BYTES])
 
 
 def datagrams(view: memoryview, tally: Tally) -> Iterator[Payload]:

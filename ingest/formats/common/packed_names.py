@@ -1,7 +1,8 @@
-"""Names of packed logs, and the packing that a name asks for."""
+"""Names of logs, and the packing that a name asks for."""
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from pathlib import PurePosixPath
 
@@ -31,3 +32,8 @@ def packed_as(name: str, pieces: Iterator[bytes]) -> Iterator[bytes]:
     for piece in pieces:
         yield packer.compress(piece)
     yield packer.flush()
+
+
+def readable(name: str) -> str:
+    """A file's name as text that can be stored: bytes of another encoding are replaced."""
+    return os.fsencode(name).decode("utf-8", "replace")

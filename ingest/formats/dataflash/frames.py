@@ -39,6 +39,7 @@ from flysid.ingest.formats.dataflash.layouts import (
     HEADER_BYTES,
     Definitions,
     is_consistent,
+    may_define,
     stated_definition,
 )
 
@@ -286,7 +287,8 @@ def _likely(batch: _Batch, begin: int, lengths: IntArray) -> Iterator[int]:
         at = np.minimum(ends, size - 2)  # a header that the end of the batch cuts is looked at closely
         follows = (ends >= size - 2) | (ends >= batch.end)
         follows |= (batch.raw[at] == HEAD[0]) | (batch.raw[at + 1] == HEAD[1])
-        yield from heads[(length > 0) & (ends <= size) & (follows | (ids == FMT_ID))].tolist()
+        defines = (ids == FMT_ID) & may_define(batch.raw, heads)
+        yield from heads[(length > 0) & (ends <= size) & (follows | defines)].tolist()
 
 
 def _is_followed(batch: _Batch, end: int, lengths: IntArray) -> bool:

@@ -11,11 +11,13 @@ for a known name begins a new stream with "~2" behind its name.
 
 from __future__ import annotations
 
+import string
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 
 import numpy as np
+import numpy.typing as npt
 
 from flysid.ingest.formats.common.columns import Field, RecordLayout
 from flysid.ingest.formats.common.instance_names import INSTANCE_NAMES, TIMES
@@ -151,6 +153,26 @@ def stated_definition(data: memoryview, at: int) -> tuple[int, int, str, str, st
     body = bytes(data[at + HEADER_BYTES : at + FMT_LENGTH]).ljust(FMT_LENGTH - HEADER_BYTES, b"\0")
     name, form, labels = (_text(body[a:b]) for a, b in ((2, 6), (6, 22), (22, 86)))
     return body[0], body[1], name, form, labels
+
+
+def may_define(raw: npt.NDArray[np.uint8], at: npt.NDArray[np.int64]) -> npt.NDArray[np.bool_]:
+    """Which FMT messages at `at` have a name and a format that begin as such do; see `is_consistent`."""
+    last = len(raw) - 1
+    name = raw[np.minimum(at + HEADER_BYTES + 2, last)]
+    form = raw[np.minimum(at + HEADER_BYTES + 6, last)]
+    found: npt.NDArray[np.bool_] = _FIRST_OF_NAMES[name] & _FIRST_OF_FORMATS[form]
+    return found
+
+
+def _bytes_in(characters: str) -> npt.NDArray[np.bool_]:
+    """(256,) which bytes are among these characters."""
+    table = np.zeros(256, dtype=np.bool_)
+    table[list(characters.encode())] = True
+    return table
+
+
+_FIRST_OF_NAMES = _bytes_in(string.ascii_letters + string.digits)
+_FIRST_OF_FORMATS = _bytes_in("".join(CHARACTERS) + "\0")
 
 
 def _text(raw: bytes) -> str:

@@ -161,6 +161,12 @@ def record_end(view: memoryview, at: int, limit: int, *, intact: bool = False) -
     return -1
 
 
+_FIRST_STRING = np.full(256, -1, dtype=np.int64)
+"""Where in the body of a record its first string stands, by opcode; -1 where it has none."""
+for _op, _place in ((Opcode.HEADER, 0), (Opcode.SCHEMA, 2), (Opcode.CHANNEL, 4), (Opcode.CHUNK, 28)):
+    _FIRST_STRING[_op] = _place
+
+
 def known_fields(view: memoryview, op: int, body: int, end: int) -> bytes:
     """The body of a sound record without what a later version has put behind the fields."""
     return bytes(view[body : _FIELDS_END[op](view, body, end)])
@@ -239,7 +245,23 @@ def _whole(data: Bytes, places: Index, limit: int, registry: Registry) -> list[i
     is_message = (data[places] == Opcode.MESSAGE) & (places + HEAD_BYTES + 2 <= limit)
     number = numbers(data, np.where(is_message, places + HEAD_BYTES, 0), "<u2")
     is_lost = is_message & (registry.bound[number] < 0)
-    return (places[is_magic | ((ends <= limit) & ~is_lost)]).tolist()  # type: ignore[no-any-return]
+    whole = is_magic | ((ends <= limit) & ~is_lost)
+    places = places[whole]
+    return (places[_strings_fit(data, places, ends[whole], limit)]).tolist()  # type: ignore[no-any-return]
+
+
+def _strings_fit(data: Bytes, places: Index, ends: Index, limit: int) -> NDArray[np.bool_]:
+    """Of which records the first string ends in them, and of chunks the data behind it."""
+    first = _FIRST_STRING[data[places]]
+    at = places + HEAD_BYTES + first
+    has_text = (first >= 0) & (at + 4 <= limit)
+    at = np.where(has_text, at, 0)
+    behind = at + 4 + numbers(data, at, "<u4").astype(np.int64)
+    is_chunk = has_text & (data[places] == Opcode.CHUNK)
+    fits = ~has_text | (behind + 8 * is_chunk <= ends)
+    size = numbers(data, np.where(is_chunk & fits, behind, 0), "<u8")
+    fits &= ~is_chunk | (size <= np.maximum(ends - behind - 8, 0).astype(np.uint64))
+    return fits  # type: ignore[no-any-return]
 
 
 def _convincing(view: memoryview, at: int, limit: int, registry: Registry) -> bool:

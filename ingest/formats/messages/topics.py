@@ -102,14 +102,19 @@ def gather(
     to `place()`, is released.
     """
     queues: dict[Channel, _Queue] = {}
+    same: dict[
+        int, tuple[Channel, _Queue]
+    ] = {}  # by identity: a channel's hash takes in its whole definition
     waiting = 0
     released = 0
     for message in messages:
-        if message.channel is None:
+        channel = message.channel
+        if channel is None:
             continue
-        queue = queues.get(message.channel)
-        if queue is None:
-            queue = queues[message.channel] = _Queue()
+        known = same.get(id(channel))
+        if known is None:
+            known = same[id(channel)] = (channel, queues.setdefault(channel, _Queue()))
+        queue = known[1]
         queue.payloads.append(message.payload)
         queue.times.append(message.log_ns)
         waiting += len(message.payload) + _HELD_BYTES

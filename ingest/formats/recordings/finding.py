@@ -18,6 +18,7 @@ READERS: Mapping[str, str] = {
     ".bag": "flysid.ingest.formats.rosbag1.reader",
     ".db3": "flysid.ingest.formats.rosbag2.reader",
     ".mcap": "flysid.ingest.formats.mcap.reader",
+    ".pcap": "flysid.ingest.formats.common.capture",
 }
 Listen = Callable[[str], Heard | None]
 """The times of the messages of a file of the folder, by its name; None where it has none."""
@@ -79,7 +80,7 @@ def recording_of(name: str, folder: Folder, listen: Listen) -> Recording:
         behind = [other for other in unlisted if other.number > _last_number(of_list.files)]
         found = _grown(of_list, behind, folder, listen)
         return found if name in found.files else _by_times(part, unlisted, listen, True)
-    if part.stem == folder.name and not part.date:
+    if part.stem == folder.name and part.family[1] in (".db3", ".mcap"):
         files = tuple(other.name for other in family)
         return Recording(files, () if _files_of_list(folder) else tuple(_holes(family)))
     return _by_times(part, family, listen, len(folder.files) > 1)

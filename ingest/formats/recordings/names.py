@@ -3,6 +3,9 @@
     rosbag2   NAME/NAME_0.db3, NAME/NAME_1.db3 ... or .mcap, and NAME/metadata.yaml, which lists them
     rosbag    NAME_0.bag, NAME_1.bag ...; or NAME_2026-05-04-10-11-12_0.bag, each with the time when it began
 
+    tcpdump   NAME.pcap, NAME.pcap1, NAME.pcap2 ...
+    dumpcap   NAME_00001_20260504101112.pcapng, NAME_00002_...: numbers and the time when each began
+
 People number files, too: flight_1.bag and flight_2.bag are two flights. So names alone prove nothing, but
 in a folder of the recorder's own, which bears the name of its files. Elsewhere contents decide
 (`continued`).
@@ -11,7 +14,8 @@ in a folder of the recorder's own, which bears the name of its files. Elsewhere 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections import Counter
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 
 METADATA = "metadata.yaml"
@@ -20,6 +24,14 @@ _PART = re.compile(
     r"(?P<stem>.+)_(?P<number>\d{1,9})(?P<ending>\.(?:db3|mcap|bag))(?P<behind>(?:\.active)?(?:\.gz|\.zst|\.zstd)?)",
     re.IGNORECASE,
 )
+_CAPTURES = (
+    re.compile(r"(?P<stem>.+)(?P<ending>\.p?cap)(?P<number>\d{0,9})(?P<behind>(?:\.gz|\.zst|\.zstd)?)", re.I),
+    re.compile(
+        r"(?P<stem>.+)_(?P<number>\d{5})_\d{14}(?P<ending>\.pcapng|\.pcap)(?P<behind>(?:\.gz|\.zst|\.zstd)?)",
+        re.I,
+    ),
+)
+CAPTURE = ".pcap"
 _SPLITTABLE = re.compile(
     r".+(?P<ending>\.(?:db3|mcap|bag))(?:\.active)?(?:\.gz|\.zst|\.zstd)?", re.IGNORECASE
 )
@@ -53,7 +65,7 @@ def part_named(name: str) -> Part | None:
     """What a file's name says of its place in a recording; None where it says nothing."""
     found = _PART.fullmatch(name)
     if found is None:
-        return None
+        return _capture_named(name)
     stem = found["stem"]
     ending = found["ending"].lower()
     dated = _DATED.fullmatch(stem) if ending == ".bag" else None
@@ -61,10 +73,37 @@ def part_named(name: str) -> Part | None:
     return Part(family, dated["date"] if dated else "", int(found["number"]), found["behind"], name, stem)
 
 
+def _capture_named(name: str) -> Part | None:
+    """What the name of a capture says; one without a number may be the first of several."""
+    found = next(filter(None, (names.fullmatch(name) for names in reversed(_CAPTURES))), None)
+    if found is None:
+        return None
+    family = (found["stem"], found["ending"].lower())
+    return Part(family, "", int(found["number"] or 0), found["behind"], name, found["stem"])
+
+
+def second_capture(name: str) -> str:
+    """How the second file of a capture is called whose first file has this name; "" for other names."""
+    is_first = name.lower().endswith((".pcap", ".cap")) and _CAPTURES[1].fullmatch(name) is None
+    return f"{name}1" if is_first else ""
+
+
 def ending_of(name: str) -> str:
     """The ending of a file of a kind that recorders split, in lower case; "" for other files."""
     found = _SPLITTABLE.fullmatch(name)
-    return found["ending"].lower() if found else ""
+    if found is None:
+        return CAPTURE if _capture_named(name) is not None else ""
+    return found["ending"].lower()
+
+
+def possible_parts(names: Collection[str]) -> frozenset[str]:
+    """Of the files of a folder those that may be parts of one recording, by their names, and its list."""
+    parts = [part for name in names if (part := part_named(name)) is not None]
+    sizes = Counter(part.family for part in parts)
+    found = {part.name for part in parts if sizes[part.family] > 1 or part.date}
+    if METADATA in names:
+        found |= {METADATA, *(name for name in names if ending_of(name))}
+    return frozenset(found)
 
 
 def relatives(part: Part, names: Iterable[str]) -> list[Part]:

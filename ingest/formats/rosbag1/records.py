@@ -34,6 +34,7 @@ class Op(IntEnum):
 
 
 MAX_HEADER_BYTES = 1 << 16
+_LENGTHS = struct.Struct("<II")
 _U32 = struct.Struct("<I")
 _NEEDS: Mapping[int, Mapping[bytes, int]] = {  # size of each field; 0 for any
     Op.MESSAGE: {b"conn": 4, b"time": 8},
@@ -43,6 +44,8 @@ _NEEDS: Mapping[int, Mapping[bytes, int]] = {  # size of each field; 0 for any
     Op.CHUNK_INFO: {b"ver": 4, b"chunk_pos": 8, b"start_time": 8, b"end_time": 8, b"count": 4},
     Op.CONNECTION: {b"conn": 4, b"topic": 0},
 }
+_MESSAGE = re.compile(rb"(?s)\x26\0\0\0\x09\0\0\0conn=(.{4})\x04\0\0\0op=\x02\x0d\0\0\0time=(.{8})(.{4})")
+"""A message as recorders write it, most of what there is: up to its data, whose length is last."""
 _START = re.compile(
     rb"(?s)..\0\0..\0\0(?:op|conn|topic|time|ver|count|size|compression|index_pos|conn_count|chunk_count"
     rb"|chunk_pos|start_time|end_time)="
@@ -91,33 +94,45 @@ def split_fields(raw: bytes) -> dict[bytes, bytes] | None:
 
 def record_at(view: memoryview | bytes, at: int, limit: int) -> BagRecord | None:
     """The record that begins at `at`; its end may be behind `limit`. None where there is none."""
+    if (message := _MESSAGE.match(view, at, limit)) is not None:
+        fields = {b"conn": message[1], b"op": b"\2", b"time": message[2]}
+        return BagRecord(Op.MESSAGE, fields, at, message.end(), message.end() + _U32.unpack(message[3])[0])
     if at + 8 > limit:
         return None
     (length,) = _U32.unpack_from(view, at)
     data_at = at + 8 + length
     if not 4 < length <= MAX_HEADER_BYTES or data_at > limit:
         return None
-    fields = split_fields(bytes(view[at + 4 : at + 4 + length]))
-    op = fields.get(b"op", b"") if fields is not None else b""
+    split = split_fields(bytes(view[at + 4 : at + 4 + length]))
+    op = split.get(b"op", b"") if split is not None else b""
     needs = _NEEDS.get(op[0]) if len(op) == 1 else None
-    if fields is None or needs is None:
+    if split is None or needs is None:
         return None
-    if any(
-        len(fields.get(name, b"")) != size if size else name not in fields for name, size in needs.items()
-    ):
+    if any(len(split.get(name, b"")) != size if size else name not in split for name, size in needs.items()):
         return None
     (size,) = _U32.unpack_from(view, data_at - 4)
-    return BagRecord(op[0], fields, at, data_at, data_at + size)
+    return BagRecord(op[0], split, at, data_at, data_at + size)
 
 
 def next_record(view: memoryview | bytes, at: int, limit: int) -> int:
     """Where the next whole record begins at or after `at`; `limit` where there is none."""
     while (found := _START.search(view, at, limit)) is not None:
-        record = record_at(view, found.start(), limit)
+        fits = _begins_header(view, found.start(), limit)
+        record = record_at(view, found.start(), limit) if fits else None
         if record is not None and (record.end <= limit or _is_plain_chunk(record)):
             return found.start()
         at = found.start() + 1
     return limit
+
+
+def _begins_header(view: memoryview | bytes, at: int, limit: int) -> bool:
+    """Whether the first field of a header ends in it, and the second one, too, or the header."""
+    length, first = _LENGTHS.unpack_from(view, at)
+    end: int = at + 4 + length
+    second: int = at + 8 + first
+    if second == end:
+        return True
+    return second + 4 <= min(end, limit) and second + 4 + int(_U32.unpack_from(view, second)[0]) <= end
 
 
 def _is_plain_chunk(record: BagRecord) -> bool:
@@ -132,6 +147,8 @@ class BagReader:
         self.place = 0
         self.seen = 0  # records of any kind
         self._listed = 0  # connections and chunks in the index at the end
+        self._asked = -1
+        self._found: BagRecord | None = None
         self._view = view
         self._limits = limits
         self._tally = tally
@@ -144,7 +161,7 @@ class BagReader:
         self._tally.skip(len(MAGIC), 0 if start else at, "no record here")
         while at < len(self._view):
             self.place = at
-            record = record_at(self._view, at, len(self._view))
+            record = self._at(at)
             if record is None:
                 at = self._lost(at, at, "no record here")
             elif _is_plain_chunk(record):
@@ -154,6 +171,13 @@ class BagReader:
             else:
                 at = yield from self._whole(record)
         self._tally.truncated |= self._is_unfinished()
+
+    def _at(self, at: int) -> BagRecord | None:
+        """The record that begins at `at`; the last one is remembered, as each is looked for twice."""
+        if at != self._asked:
+            self._asked = at
+            self._found = record_at(self._view, at, len(self._view))
+        return self._found
 
     def _is_unfinished(self) -> bool:
         """Whether nothing is damaged and yet the index that the bag's header tells of is not all there.
@@ -177,7 +201,7 @@ class BagReader:
     def _whole(self, record: BagRecord) -> Generator[Found, None, int]:
         """A record and what follows it; returns where to go on."""
         limit = len(self._view)
-        if record.end < limit and record_at(self._view, record.end, limit) is None:
+        if record.end < limit and self._at(record.end) is None:
             resume = next_record(self._view, record.start + 1, limit)
             if resume < record.end:
                 self._tally.skip(record.start, resume, "record of a wrong length")

@@ -19,6 +19,7 @@ from flysid.ingest.formats.parquet import reader
 from soak import Outcome, peak_memory
 from tests.command import call
 from tests.format_trials import read, sample
+from tests.marked_garbage import MARKS, seconds_a_mb
 
 RESYNCHRONISE = (
     "tlog",
@@ -145,3 +146,8 @@ def test_text_of_times_and_numbers_is_judged_within_bounds() -> None:
         for _ in reader.read(memoryview(sink.getvalue()), "t.parquet", Limits()):
             pass
     assert (outcome.peak_mb or 0) < MOST_MB, outcome
+
+
+@pytest.mark.parametrize("name", MARKS)
+def test_garbage_dense_with_beginnings_of_records_costs_little(name: str) -> None:
+    assert seconds_a_mb(name, int(MEGABYTES * 1e6), random.Random(20_262)) < MOST_S

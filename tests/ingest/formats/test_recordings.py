@@ -7,76 +7,17 @@ import json
 import random
 import shutil
 import zipfile
-from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import pytest
 
 import flysid
 from tests.command import call
-from tests.samplelogs import mcap, rosbag, rosbag2
+from tests.samplelogs import pcap, pcapng
+from tests.split_recordings import MAKERS, bag_of, compare, lay, metadata
 
-FIRST_NS = 1_700_000_000 * 10**9
-STEP_NS = 10**7
-Messages = Sequence[int]
-"""Numbers of messages: number k is recorded STEP_NS * k after the first."""
-
-
-def bag_of(numbers: Messages) -> bytes:
-    """A ROS 1 bag."""
-    chunk = rosbag.chunk(
-        b"".join([rosbag.connection(0), rosbag.connection(1), *(rosbag.message(k % 2, k) for k in numbers)])
-    )
-    head = rosbag.record(
-        b" " * 300, op=b"\x03", index_pos=bytes(8), conn_count=bytes(4), chunk_count=bytes(4)
-    )
-    at = (len(rosbag.MAGIC) + len(head) + len(chunk)).to_bytes(8, "little")
-    head = rosbag.record(b" " * 300, op=b"\x03", index_pos=at, conn_count=bytes(4), chunk_count=bytes(4))
-    return rosbag.MAGIC + head + chunk
-
-
-def database_of(numbers: Messages) -> bytes:
-    """A file of a ROS 2 bag."""
-    messages = [
-        (topic, FIRST_NS + STEP_NS * k, raw) for k in numbers for topic, _, raw in [rosbag2.payload(k % 200)]
-    ]
-    return rosbag2.database(rosbag2.TOPICS, messages)
-
-
-def mcap_of(numbers: Messages) -> bytes:
-    """An MCAP file."""
-    schema = {"properties": {"k": {"type": "integer"}}}
-    rows = [json.dumps({"k": k}).encode() for k in numbers]
-    times = [FIRST_NS + STEP_NS * k for k in numbers]
-    topic = mcap.Topic(
-        "/a", "json", "s", "jsonschema", json.dumps(schema).encode(), list(zip(times, rows, strict=True))
-    )
-    return mcap.mcap_file([topic], chunk_size=300)
-
-
-MAKERS: dict[str, Callable[[Messages], bytes]] = {".bag": bag_of, ".db3": database_of, ".mcap": mcap_of}
 PARTS = [range(0, 40), range(40, 77), range(77, 120)]
 ENDINGS = pytest.mark.parametrize("ending", MAKERS)
-
-
-def lay(folder: Path, stem: str, ending: str, parts: Sequence[Messages] = PARTS) -> list[Path]:
-    """The files of a recording, numbered from 0."""
-    folder.mkdir(parents=True, exist_ok=True)
-    paths = [folder / f"{stem}_{k}{ending}" for k in range(len(parts))]
-    for path, numbers in zip(paths, parts, strict=True):
-        path.write_bytes(MAKERS[ending](numbers))
-    return paths
-
-
-def metadata(paths: Sequence[Path], counts: Sequence[int] = ()) -> str:
-    """What a ROS 2 recorder writes when it is closed; of each file its messages where `counts` are given."""
-    lines = ["rosbag2_bagfile_information:", "  version: 5", "  message_count: 120", "  relative_file_paths:"]
-    lines += [f"    - {path.name}" for path in paths]
-    lines += ["  files:"] if counts else []
-    for path, count in zip(paths, counts, strict=False):
-        lines += [f"  - path: {path.name}", "    starting_time:", "      nanoseconds_since_epoch: 1"]
-        lines += [f"    message_count: {count}"]
-    return "\n".join(lines) + "\n"
 
 
 def rows_of(path: Path) -> int:
@@ -85,7 +26,7 @@ def rows_of(path: Path) -> int:
 
 @ENDINGS
 def test_split_files_are_one_flight_to_every_verb(ending: str, tmp_path: Path) -> None:
-    parts = lay(tmp_path / "logs", "flight", ending)
+    parts = lay(tmp_path / "logs", "flight", ending, PARTS)
     (tmp_path / "whole").mkdir()
     whole = tmp_path / "whole" / f"whole{ending}"
     whole.write_bytes(MAKERS[ending](range(120)))
@@ -126,7 +67,7 @@ def test_numbered_flights_are_never_joined(ending: str, tmp_path: Path) -> None:
     for name, parts in cases.items():
         for path, numbers in zip(lay(tmp_path / "logs", name, ending, parts), parts, strict=True):
             assert rows_of(path) == len(numbers), name
-    gap = lay(tmp_path / "logs", "gap", ending)
+    gap = lay(tmp_path / "logs", "gap", ending, PARTS)
     gap[1].unlink()
     assert [rows_of(gap[0]), rows_of(gap[2])] == [40, 43]
     done = call("ingest", "logs", "-o", "data", cwd=tmp_path)
@@ -139,7 +80,7 @@ def test_numbered_flights_are_never_joined(ending: str, tmp_path: Path) -> None:
 def test_a_file_that_the_list_names_and_that_is_gone_is_a_loss(
     ending: str, absent: int, tmp_path: Path
 ) -> None:
-    parts = lay(tmp_path / "logs", "bag", ending)
+    parts = lay(tmp_path / "logs", "bag", ending, PARTS)
     (tmp_path / "logs" / "metadata.yaml").write_text(metadata(parts, [len(part) for part in PARTS]))
     parts[absent].unlink()
     done = call("ingest", "logs", "-o", "data", cwd=tmp_path)
@@ -155,7 +96,7 @@ def test_a_file_that_the_list_names_and_that_is_gone_is_a_loss(
 
 @pytest.mark.parametrize("ending", [".db3", ".mcap"])
 def test_a_recorders_own_folder_needs_no_list(ending: str, tmp_path: Path) -> None:
-    parts = lay(tmp_path / "bag", "bag", ending)
+    parts = lay(tmp_path / "bag", "bag", ending, PARTS)
     parts[1].unlink()
     flight = flysid.read(parts[2])
     assert flight.rows == 120 - len(PARTS[1])
@@ -164,7 +105,7 @@ def test_a_recorders_own_folder_needs_no_list(ending: str, tmp_path: Path) -> No
 
 
 def test_a_list_that_is_old_or_of_another_bag_joins_nothing_and_loses_nothing(tmp_path: Path) -> None:
-    parts = lay(tmp_path / "old", "bag", ".db3")
+    parts = lay(tmp_path / "old", "bag", ".db3", PARTS)
     (tmp_path / "old" / "metadata.yaml").write_text(metadata(parts[:2]))
     assert rows_of(parts[0]) == rows_of(parts[2]) == 120
     (tmp_path / "other").mkdir()
@@ -178,7 +119,7 @@ def test_a_list_that_is_old_or_of_another_bag_joins_nothing_and_loses_nothing(tm
 
 @ENDINGS
 def test_parts_lie_packed_and_in_archives_too(ending: str, tmp_path: Path) -> None:
-    parts = lay(tmp_path / "logs", "flight", ending)
+    parts = lay(tmp_path / "logs", "flight", ending, PARTS)
     with zipfile.ZipFile(tmp_path / "logs.zip", "w", zipfile.ZIP_DEFLATED) as archive:
         for path in parts:
             archive.write(path, f"monday/{path.name}")
@@ -196,7 +137,7 @@ def test_parts_lie_packed_and_in_archives_too(ending: str, tmp_path: Path) -> No
 @ENDINGS
 def test_an_empty_or_foreign_part_is_named_and_costs_no_other(ending: str, tmp_path: Path) -> None:
     for number, blob in enumerate((b"", b"no log at all\n" * 20)):
-        parts = lay(tmp_path / str(number), "bag", ending)
+        parts = lay(tmp_path / str(number), "bag", ending, PARTS)
         (tmp_path / str(number) / "metadata.yaml").write_text(metadata(parts))
         parts[1].write_bytes(blob)
         if ending == ".bag":
@@ -221,15 +162,42 @@ def test_dated_bags_of_one_prefix_are_recordings_of_their_own(tmp_path: Path) ->
     assert not flysid.read(alone).damage.lossy
 
 
-def test_recordings_cut_at_random_are_whole_again(tmp_path: Path) -> None:
+@ENDINGS
+def test_recordings_cut_at_random_are_whole_again(ending: str, tmp_path: Path) -> None:
     """Seeds are drawn anew in every run; a failure names its own."""
     seed = random.SystemRandom().randrange(1 << 40)
     rng = random.Random(seed)
-    for trial in range(12):
-        ending = rng.choice(list(MAKERS))
-        cuts = sorted(rng.sample(range(2, 118), rng.randint(1, 6)))
-        bounds = list(zip([0, *cuts], [*cuts, 120], strict=True))
-        if any(stop - start < 2 for start, stop in bounds):
-            continue
-        parts = lay(tmp_path / str(trial), "x", ending, [range(*bound) for bound in bounds])
-        assert rows_of(rng.choice(parts)) == 120, (seed, trial)
+    said = [compare(tmp_path / str(trial), ending, rng) for trial in range(6)]
+    assert said == [""] * 6, seed
+
+
+CAPTURES = {
+    "tcpdump": ["x.pcap", "x.pcap1", "x.pcap2"],
+    "ring": ["x.pcap0", "x.pcap1", "x.pcap2"],
+    "dumpcap": [f"x_0000{k}_2026050410111{k}.pcap" for k in (1, 2, 3)],
+    "wireshark": [f"x_0000{k}_2026050410111{k}.pcapng" for k in (1, 2, 3)],
+}
+
+
+@pytest.mark.parametrize("program", CAPTURES)
+def test_split_captures_are_one_flight(program: str, tmp_path: Path) -> None:
+    maker = pcapng if program == "wireshark" else pcap
+    blob = maker.build()
+    head, *packets = [blob[record.start : record.end] for record in maker.records(blob)]
+    (tmp_path / "logs").mkdir()
+    paths = [tmp_path / "logs" / name for name in CAPTURES[program]]
+    for path, part in zip(paths, (packets[:40], packets[40:90], packets[90:]), strict=True):
+        path.write_bytes(head + b"".join(part))
+    (tmp_path / "whole.cap").write_bytes(blob)
+    whole = flysid.read(tmp_path / "whole.cap")
+    for path in paths:
+        flight = flysid.read(path)
+        assert not flight.damage.lossy
+        assert {name: table.to_pylist() for name, table in flight.tables.items()} == {
+            name: table.to_pylist() for name, table in whole.tables.items()
+        }
+    done = call("ingest", "logs", "-o", "data", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert [facts.rows for facts in flysid.open(tmp_path / "data").facts] == [whole.rows]
+    paths[1].write_bytes(head + b"".join(packets[60:90]))  # a pause longer than any inside
+    assert flysid.read(paths[0]).rows < whole.rows // 2
