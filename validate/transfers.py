@@ -12,6 +12,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, FitError, RecipeError, UsageError
@@ -40,6 +41,7 @@ from flysid.model.frequency.response import (
 from flysid.model.polynomials import DB, Z95, ComplexArray
 from flysid.model.transfer_function import TF, FittedTF
 from flysid.progress import tell
+from flysid.validate.agreement import agree, parting
 from flysid.validate.fitone import nothing_done
 from flysid.validate.metrics import scores
 from flysid.validate.trials import FREE_RUN, run_trials
@@ -109,12 +111,14 @@ class ChannelTransfers:
         )
         if band is None:
             highest = measured.coherence[:, source].max()
+            if measured.band(source) is not None:
+                return "no band can be trusted: model and measurement part everywhere; try other orders"
             where = "at too few frequencies" if highest > GOOD_COHERENCE else "nowhere"
             return f"{of or 'the coherence'} is above {GOOD_COHERENCE:g} {where} (at most {highest:.2f})"
         return (
             f"trust it from {band[0]:.3g} to {band[1]:.3g} rad/s "
             f"({band[0] / 2 / np.pi:.2g} to {band[1] / 2 / np.pi:.2g} Hz), where "
-            f"{of or 'the coherence'} is above {GOOD_COHERENCE:g}"
+            f"{of or 'the coherence'} is above {GOOD_COHERENCE:g}{parting(measured.band(source), band)}"
         )
 
     def is_looped(self, output: int) -> bool:
@@ -141,10 +145,17 @@ class ChannelTransfers:
         measured = self.measured[output]
         if measured is None:
             return None
+        near = self.agrees(output, source)
         if not self.is_looped(output):
-            return measured.band(source)
+            return measured.band(source, near)
         view = self._view(output)
-        return None if view is None else measured.band(source, view.plants)
+        return None if view is None else measured.band(source, near & view.plants)
+
+    def agrees(self, output: int, source: int) -> npt.NDArray[np.bool_]:
+        """(F,) where the model follows the measured response; see `validate.agreement`."""
+        measured = self.measured[output]
+        assert measured is not None
+        return agree(measured, source, self.response(output, source, measured.omega)[0])
 
     def response(
         self, output: int, source: int, omega: FloatArray
