@@ -165,7 +165,7 @@ def test_gains_that_did_not_fly_are_refused(change: dict[str, float]) -> None:
     low, high = trusted_band(loop)
     assert refuse_misfit(PID, loop, low, high) < 0.1
     wrong = replace(PID, **{name: getattr(PID, name) * by for name, by in change.items()})
-    with pytest.raises(DataError, match="do not give what the log recorded.*does not show why") as refused:
+    with pytest.raises(DataError, match=r"do not give what the log recorded.*does not show why") as refused:
         refuse_misfit(wrong, loop, low, high)
     assert refused.value.hint.startswith("possible causes")  # none of them was shown
 
