@@ -153,8 +153,8 @@ def _good(item: HeldOut, *, not_worse_than: float = 1.5) -> dict[str, Fitted]:
 
 
 def _check_followed(item: HeldOut, verdict: str, *, share: float = 0.8, known_to: float = 0.1) -> None:
-    """Raise DataError where a linear model that no verdict prefers to a constant is not right either about the
-    response of the held-out flights, which is what gains hang on.
+    """Raise DataError where a linear model that no verdict prefers to a constant is not right either about
+    the response of the held-out flights, which is what gains hang on.
 
     Few flights may show no difference of free runs, in which drift counts most, and yet the response near a
     crossover to a tenth.

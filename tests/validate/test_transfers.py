@@ -24,10 +24,12 @@ from flysid.ingest.synth.plants import LOOPS
 from flysid.ingest.synth.rigid_body import Vehicle
 from flysid.ingest.synth.synth import WRITERS, Order, flights
 from flysid.ingest.synth.tuning import linearise
+from flysid.model.frequency.continuous_transfer import ContinuousTransfer
 from flysid.model.frequency.rational import Rational, hold_response
 from flysid.model.frequency.response import measure_response
 from flysid.model.frequency.sampling import sample
 from flysid.model.transfer_function import TF
+from flysid.validate.agreement import transfer_figures
 from flysid.validate.bodeplot import draw_bode
 from flysid.validate.transfers import ChannelTransfers, identify_channel
 from tests.command import call
@@ -221,3 +223,36 @@ def test_a_band_ends_where_model_and_measurement_part() -> None:
     else:
         assert band[1] < 0.8 * coherent[1]
         assert "the model follows the measurement (coherent from" in text
+
+
+def test_no_figure_is_printed_outside_its_band() -> None:
+    """A pole of "16.4 +- 1.3 rad/s" stood beside a band that ended at 1.18, a gain of 6e9 beside no band."""
+    plant = ContinuousTransfer(
+        np.array([30.0]), np.array([1.0, 16.4, 6.56]), np.diag([0.1, 0.01, 0.01, 0.0]), 0.0, "u", "y"
+    )
+    whole = plant.told((0.1, 40.0))
+    assert whole == str(plant)
+    assert "time constant" in whole
+    fast_unseen = plant.told((0.1, 1.2))
+    assert "not determined (16 rad/s is outside it)" in fast_unseen
+    assert "steady gain: 4.57" in fast_unseen
+    slow_unseen = plant.told((2.0, 40.0))
+    assert "steady gain: not determined: a pole lies below the trusted band" in slow_unseen
+    nowhere = plant.told(None)
+    assert "+-" not in nowhere
+    assert "no band can be trusted" in nowhere
+    figures = transfer_figures(plant, (2.0, 40.0))
+    assert figures["gain"] is None
+    assert [m["frequency_rad_s"] is None for m in figures["modes"]] == [True, False]
+
+
+def test_noise_has_no_gain(tmp_path: Path) -> None:
+    rng = np.random.default_rng(11)
+    rows = np.column_stack([np.arange(3000) * 0.02, rng.standard_normal((3000, 2))])
+    log = tmp_path / "noise.csv"
+    np.savetxt(log, rows, delimiter=",", header="time_s,u,y", comments="", fmt="%.9g")
+    order = ("tf", str(log), "--from", "u", "--to", "y", "--poles", "1", "--zeros", "0", "-q")
+    done = call(*order, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "gain and poles: not determined" in done.stdout
+    assert "+-" not in done.stdout
