@@ -94,6 +94,7 @@ def step_response(
     most_taps: int = 200,
     rounds: int = 3,
     first_s: float = 2.0,
+    anyway: bool = False,
 ) -> StepResponse:
     """The step response of one input and one output; other inputs are fitted along.
 
@@ -103,6 +104,7 @@ def step_response(
         twice the length agrees, or the record holds no longer one.
     above, below : count only samples within a horizon of which the input's size went above, or stayed below,
         this (as PID analysers tell a fast stick from a slow one), in the input's unit.
+    anyway : also where the input answers the output; `words` then says so, beside every figure.
 
     Raises
     ------
@@ -112,8 +114,14 @@ def step_response(
     """
     if horizon_s is not None and not horizon_s > 0.0:
         raise UsageError(f"horizon_s must be positive, not {horizon_s}")
-    _check_loop(data, output)
+    caution = _check_loop(data, output, anyway)
     how = _How(output, source, above, below, most_taps, rounds)
+    found = _settled(data, how, first_s, horizon_s)
+    return replace(found, words=", ".join(filter(None, (found.words, caution))))
+
+
+def _settled(data: Dataset, how: _How, first_s: float, horizon_s: float | None) -> StepResponse:
+    """Lengthened until it has settled where no length is given, and held against a longer one."""
     found = _respond(data, how, first_s if horizon_s is None else horizon_s)
     while True:
         longer = _longer(data, how, found.length_s)
@@ -308,10 +316,15 @@ def _runs(errors: Sequence[FloatArray], masks: Sequence[BoolArray], taps: int) -
     return found
 
 
-def _check_loop(data: Dataset, output: int) -> None:
+def _check_loop(data: Dataset, output: int, anyway: bool) -> str:
+    """What to say beside the figures of an input that answers the output; "" in open loop."""
     found = feedback(data)[output]
-    if found.closed:
-        raise DataError(
-            f"loop: not a step response. {found.seen}",
-            hint="take the command that the pilot gives as input, or fly without the outer loop",
-        )
+    if not found.closed:
+        return ""
+    if anyway:
+        return f"a loop seems closed ({100 * found.share:.0f} % of what is new comes back): it bends this"
+    raise DataError(
+        f"loop: not a step response. {found.seen}",
+        hint="take the command that the pilot gives as input, or fly without the outer loop; a loop that "
+        "brings back little bends little: --anyway",
+    )

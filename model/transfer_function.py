@@ -7,7 +7,8 @@ it (`frequency/response`, `frequency/fit`), and, from there, its simulation erro
 is minimised (`frequency/continuous_error`; the output-error estimate with the parameters of the plant
 itself, Ljung, 1999, 4.2 and 10.2). Orders: the zeros by BIC on the measured response, the poles as the
 simplest within one standard error of the best validation free run. Where no frequency can be trusted, a
-discrete output-error model gives the start.
+discrete output-error model gives the start. A number of poles that leaves the measured response where it is
+known is out, however well it runs free: below the band drift rules the free run.
 
 The fitted model is the transfer functions sampled exactly behind their hold, a linear model like any other.
 """
@@ -257,13 +258,15 @@ class TF:
         if not tried:
             kept, words = starts.unrefined()
             return kept.refit(parts, refine=False), words
-        best, words = _simplest(parts, [c for c, _ in tried], _lowest(train))
-        final = tried[best][0].refit(parts, refine=True)
+        near = [t for t in tried if not starts.strays(t[0])]
+        best, words = _simplest(parts, [c for c, _ in near or tried], _lowest(train))
+        chosen, origin = (near or tried)[best]
+        final = chosen.refit(parts, refine=True)
         strays = starts.strays(final)
         if strays:
             kept, said = starts.unrefined()
             return kept.refit(parts, refine=False), said + strays
-        return final, f"{tried[best][1]}{words}"
+        return final, f"{origin}{words}"
 
 
 def _single(data: Dataset | None, output: int) -> Any:

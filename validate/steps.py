@@ -62,12 +62,14 @@ def channel_steps(
     horizon_s: float | None = None,
     fast: float | None = None,
     of: str = "",
+    anyway: bool = False,
 ) -> tuple[list[ChannelStep], Mapping[str, str]]:
     """Step responses of every channel, and why the others have none.
 
     Parameters
     ----------
     horizon_s : length of the responses; None lengthens each until it has settled.
+    anyway : also where a loop is closed, with a caution beside the figures.
     fast : tells a slow stick from a fast one, in the input's unit: two responses then.
 
     Raises
@@ -88,7 +90,7 @@ def channel_steps(
             data, left_out = commanded_by_sticks(lake.dataset(recipe, name), recipe.channel(name).stick_modes)
             without = f"without {' and '.join(left_out)}" if left_out else ""
             for above, below in ((None, None),) if fast is None else ((None, fast), (fast, None)):
-                response = step_response(data, horizon_s=horizon_s, above=above, below=below)
+                response = step_response(data, horizon_s=horizon_s, above=above, below=below, anyway=anyway)
                 words = ", ".join(filter(None, (response.words, without)))
                 found.append(ChannelStep(name, of, replace(response, words=words)))
         except (DataError, RecipeError) as error:

@@ -12,6 +12,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, FitError, RecipeError, UsageError
@@ -40,6 +41,7 @@ from flysid.model.frequency.response import (
 from flysid.model.polynomials import DB, Z95, ComplexArray
 from flysid.model.transfer_function import TF, FittedTF
 from flysid.progress import tell
+from flysid.validate.agreement import agree, parting, transfer_figures
 from flysid.validate.fitone import nothing_done
 from flysid.validate.metrics import scores
 from flysid.validate.trials import FREE_RUN, run_trials
@@ -87,7 +89,10 @@ class ChannelTransfers:
         said = [self.title]
         for i, output in enumerate(self.data.outputs):
             for j in range(len(self.data.inputs)):
-                said += ["", str(self.model.transfer(i, j)), self._band(i, j)]
+                transfer = self.model.transfer(i, j)
+                known = self.measured[i] is not None
+                text = transfer.told(self.band(i, j)) if known else str(transfer)
+                said += ["", text, self._band(i, j)]
             fit = self.fit_pct[i]
             if fit is not None and not self.reference:
                 said.append(f"free run of {output.name} over these flights: fit {fit:.0f} %")
@@ -109,12 +114,14 @@ class ChannelTransfers:
         )
         if band is None:
             highest = measured.coherence[:, source].max()
+            if measured.band(source) is not None:
+                return "no band can be trusted: model and measurement part everywhere; try other orders"
             where = "at too few frequencies" if highest > GOOD_COHERENCE else "nowhere"
             return f"{of or 'the coherence'} is above {GOOD_COHERENCE:g} {where} (at most {highest:.2f})"
         return (
             f"trust it from {band[0]:.3g} to {band[1]:.3g} rad/s "
             f"({band[0] / 2 / np.pi:.2g} to {band[1] / 2 / np.pi:.2g} Hz), where "
-            f"{of or 'the coherence'} is above {GOOD_COHERENCE:g}"
+            f"{of or 'the coherence'} is above {GOOD_COHERENCE:g}{parting(measured.band(source), band)}"
         )
 
     def is_looped(self, output: int) -> bool:
@@ -141,10 +148,17 @@ class ChannelTransfers:
         measured = self.measured[output]
         if measured is None:
             return None
+        near = self.agrees(output, source)
         if not self.is_looped(output):
-            return measured.band(source)
+            return measured.band(source, near)
         view = self._view(output)
-        return None if view is None else measured.band(source, view.plants)
+        return None if view is None else measured.band(source, near & view.plants)
+
+    def agrees(self, output: int, source: int) -> npt.NDArray[np.bool_]:
+        """(F,) where the model follows the measured response; see `validate.agreement`."""
+        measured = self.measured[output]
+        assert measured is not None
+        return agree(measured, source, self.response(output, source, measured.omega)[0])
 
     def response(
         self, output: int, source: int, omega: FloatArray
@@ -203,7 +217,11 @@ class ChannelTransfers:
             "seconds": len(self.data) * self.data.dt_s,
             "dt_s": self.data.dt_s,
             "fit_pct": list(self.fit_pct),
-            "transfers": [t.to_dict() | _figures(t) for t in self.model.transfers],
+            "transfers": [
+                self.model.transfer(i, j).to_dict() | self._transfer_figures(i, j)
+                for i in range(len(self.data.outputs))
+                for j in range(len(self.data.inputs))
+            ],
             "reference": list(self.reference),
             "follows_controller_rad_s": [list(map(list, self._follows(i))) for i in range(len(self.views))],
             "measured": [
@@ -217,6 +235,13 @@ class ChannelTransfers:
             "figures": {g: {f.name: f.to_dict() for f in found} for g, found in self.figures.items()},
             "notes": list(self.model.notes),
         }
+
+    def _transfer_figures(self, output: int, source: int) -> dict[str, Any]:
+        """Gain and modes with 95 % intervals, None for what the trusted band does not carry."""
+        transfer = self.model.transfer(output, source)
+        measured = self.measured[output] is not None
+        band = self.band(output, source) if measured else (0.0, np.inf)
+        return transfer_figures(transfer, band)
 
 
 def _in_a_loop(band: tuple[float, float] | None, follows: Sequence[tuple[float, float]]) -> str:
@@ -236,30 +261,6 @@ def _in_a_loop(band: tuple[float, float] | None, follows: Sequence[tuple[float, 
 
 def _width(value: float) -> str:
     return f"{value:.2g}" if np.isfinite(value) and value < 1000 else "-"
-
-
-def _figures(transfer: Any) -> dict[str, Any]:
-    """Gain and modes with 95 % intervals."""
-
-    def both(estimate: Any) -> dict[str, float | None] | None:
-        if estimate is None:
-            return None
-        values = (estimate.value, *estimate.interval)
-        return {k: _number(v) for k, v in zip(("value", "low", "high"), values, strict=True)}
-
-    return {
-        "gain": both(transfer.gain),
-        "dead_time": both(transfer.dead_time),
-        "modes": [
-            {
-                "pole": [m.pole.real, m.pole.imag],
-                "frequency_rad_s": both(m.frequency_rad_s),
-                "damping": both(m.damping),
-                "time_constant_s": both(m.time_constant_s),
-            }
-            for m in transfer.modes
-        ],
-    }
 
 
 def _number(value: float) -> float | None:

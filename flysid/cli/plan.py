@@ -132,7 +132,7 @@ def command(
     recipe.toml for its log, and parameters for autopilots that can fly it. Exit code 3: a run does not
     determine some of its figures.
     """
-    from flysid.plan.flightplan import axis_of, check_limits, make_plan, within
+    from flysid.plan.flightplan import axis_of, check_limits, lowest_hz, make_plan, within
 
     if out is not None:
         check_target(out, force)
@@ -149,7 +149,8 @@ def command(
     chosen = within(own or begun.axes, bounds)
     plan = None
     if band or begun.band_hz or not begun.known:
-        plan = make_plan(kind, chosen, _band(band, begun, rate), seconds, rate)
+        lowest = lowest_hz(kind, len(chosen), seconds)
+        plan = make_plan(kind, chosen, _band(band, begun, rate, lowest), seconds, rate)
     files = _files(plan, begun, words.outputs, place, px4_plane) if plan is not None else {}
     if as_json:
         click.echo(json.dumps(_document(plan, begun, more, files), indent=1, allow_nan=False))
@@ -256,13 +257,17 @@ def _once(found: list[tuple[CommandedAxis, ...]]) -> tuple[CommandedAxis, ...]:
     return tuple({axis.name: axis for axes in found for axis in axes}.values())
 
 
-def _band(band: tuple[float, float] | None, begun: Beginning, rate: float) -> tuple[float, float]:
+def _band(
+    band: tuple[float, float] | None, begun: Beginning, rate: float, lowest: float
+) -> tuple[float, float]:
+    """As asked for, or that of the models as far as this flight can show it: a pole that a run takes for
+    nearly an integrator would ask for days."""
     if band:
         return band
     if begun.band_hz is None:
         raise no_band()
     low, high = begun.band_hz
-    return low, min(high, 0.2 * rate)
+    return max(low, lowest), min(high, 0.2 * rate)
 
 
 def no_band() -> UsageError:

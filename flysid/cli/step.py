@@ -44,6 +44,11 @@ if TYPE_CHECKING:
     metavar="SIZE",
     help="Two responses: where the input exceeds SIZE within the horizon, and where it does not.",
 )
+@click.option(
+    "--anyway",
+    is_flag=True,
+    help="Also where the input reacts to the output, with a caution beside the figures.",
+)
 @click.option("--against", type=SOURCE, help="A second log or folder, drawn over the first.")
 @click.option("--plot", type=click.Path(dir_okay=False, path_type=Path), help="Write a plot to this file.")
 @click.option("--force", cls=Own, is_flag=True, help="Replace the plot if it exists.")
@@ -56,6 +61,7 @@ def command(
     channels: tuple[str, ...],
     horizon: float | None,
     fast: float | None,
+    anyway: bool,
     against: Path | None,
     plot: Path | None,
     force: bool,
@@ -66,7 +72,8 @@ def command(
 
     DATA is an ingested folder, a log or table (.csv), a folder of logs or a quoted pattern. Without a recipe
     and fields, the shipped recipe is taken that fits, with its channels of a command and the response to
-    it. A channel whose input reacts to its output is refused, because its record holds no step response.
+    it. A channel whose input reacts to its output is refused, because its record holds no step response
+    (--anyway estimates it, with a caution).
     Exit code 3: --channel named such a channel.
     """
     if plot is not None:
@@ -93,7 +100,7 @@ def command(
                 wanted = channels or commands_of(recipe)
                 asked = replace(asked, words=replace(words, recipe=chosen), channels=wanted)
             steps, why = channel_steps(
-                lake, chosen, channels=asked.channels, horizon_s=horizon, fast=fast, of=of
+                lake, chosen, channels=asked.channels, horizon_s=horizon, fast=fast, of=of, anyway=anyway
             )
             say_mixed_gains(lake, quiet)
         found += steps

@@ -182,7 +182,8 @@ def refuse_misfit(
     if not miss <= largest:
         raise DataError(
             f"the stated gains do not give what the log recorded: {100.0 * miss:.0f} % off between "
-            f"{low:.0f} and {high:.0f} Hz, {100.0 * largest:.0f} % are allowed",
-            hint="gains were changed in flight, another profile or mode was flown, or units differ",
+            f"{low:.0f} and {high:.0f} Hz, {100.0 * largest:.0f} % are allowed; the log does not show why",
+            hint="possible causes to look at: a term of the firmware's law that this log does not carry, "
+            "another profile or mode, gains changed in flight, another unit",
         )
     return miss

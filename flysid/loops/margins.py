@@ -115,21 +115,25 @@ def margins(loop: Loop, controller: Controller) -> Margins:
     centre, draws, other = _least_off(loop, at)
     one, more = (np.array(_figures(f, g, back, forward)) for g in (centre, other))
     if np.isnan(one[0]):
+        under = bool(np.abs(centre * back)[0] <= 1.0)
         raise DataError(
-            f"the loop's gain does not pass 1 between {low:.0f} and {high:.0f} Hz, the band in which "
-            "the plant is known",
-            hint="fly quicker stick movements: steps and flicks, on this axis",
+            f"the loop's gain does not pass 1 between {low:.1f} and {high:.0f} Hz, the band in which "
+            f"the plant is known: it is {'below' if under else 'above'} 1 there, and crosses "
+            f"{'below' if under else 'above'} the band",
+            hint="fly slower stick movements: long sweeps, held attitudes, on this axis"
+            if under
+            else "fly quicker stick movements: steps and flicks, on this axis",
         )
     every = np.array([_figures(f, g, back, forward) for g in draws])
     blocks = sum(len(b) for b in loop.blocks)
-    beyond = f"above {high:.0f} Hz, which the sticks do not excite"
+    lost = _reasons(f, np.vstack([centre, draws]), (back, forward))
     turned = np.append(every[:, -1], one[-1])
     one = one[:-1]
     reach = _reach(one, more[:-1], every[:, :-1], blocks)
     least = (0.0, 0.0, 0.0, 0.0, LEAST_MS, 0.0, 0.0)
-    named = [_figure(*figure, beyond) for figure in zip(one, reach, least, strict=True)]
+    named = [_figure(*figure) for figure in zip(one, reach, least, lost, strict=True)]
     if not turned.max() < high / CLEAR:
-        named[2] = _at_least(one[2] - reach[2], named[2].why or beyond)
+        named[2] = _at_least(one[2] - reach[2], named[2].why or lost[2])
     return Margins((low, high), *named)
 
 
@@ -281,6 +285,23 @@ def _figures(f: FloatArray, g: ComplexArray, back: ComplexArray, forward: Comple
     ]
 
 
+def _reasons(
+    f: FloatArray, plants: ComplexArray, controller: tuple[ComplexArray, ComplexArray]
+) -> tuple[str, ...]:
+    """Why a figure is not reached, in the order of `Margins`: it lies above the band, or below.
+
+    Below lies what some draw of the plant (D, F) has passed before the band begins.
+    """
+    back, forward = controller
+    loop = plants * back
+    above = f"above {f[-1]:.0f} Hz, which the sticks do not excite"
+    below = f"below {f[0]:.1f} Hz, slower than such a record tells; an outer loop's logs or a sweep would"
+    crossing = below if (np.abs(loop[:, 0]) <= 1.0).any() else above
+    answer = np.abs(plants * forward / (1.0 + loop))[:, 0] * np.sqrt(2.0)
+    bandwidth = below if (answer <= 1.0).any() else above
+    return (crossing, crossing, above, crossing, above, bandwidth, above)
+
+
 def _falls(f: FloatArray, values: FloatArray) -> float:
     """The last frequency at which values fall through zero; NaN where they do not."""
     down = np.flatnonzero((values[:-1] > 0.0) & (values[1:] <= 0.0))
@@ -302,7 +323,10 @@ def _reach(one: FloatArray, more: FloatArray, every: FloatArray, blocks: int) ->
 
 
 def _figure(value: float, reach: float, least: float, beyond: str) -> Figure:
-    """With its interval, nothing of it below the least that the figure can be; or why there is none."""
+    """With its interval, nothing of it below the least that the figure can be; or why there is none.
+
+    `beyond`: where it lies where it is not reached; see `_reasons`.
+    """
     if np.isnan(value) or np.isnan(reach):
         return Figure(None, why=beyond)
     if value <= reach:

@@ -31,6 +31,8 @@ LINES_AN_AXIS = 5
 """Each tells a gain and a phase; the largest transfer function of `flysid tf` (4 poles, 4 zeros and a dead
 time for every input) has nine numbers."""
 CYCLES = 2
+LONGEST_S = 3600.0
+"""An hour: no longer flight is proposed."""
 """Of the lowest frequency: what `flysid tf` asks of a record before it speaks of one."""
 MOST_SAMPLES = 10_000_000
 _AXIS = re.compile(
@@ -219,9 +221,28 @@ def _lines(axes: int, band_hz: tuple[float, float], seconds: float) -> list[Line
         raise UsageError(
             f"{seconds:g} s is too short: {len(lines)} frequencies for {of_axes} between {low:g} and "
             f"{high:g} Hz, the lowest {low * seconds:.2g} times",
-            hint=f"--seconds {math.ceil(enough)}, fewer axes at once, or a band that begins higher",
+            hint=_what_would_do(axes, band_hz, seconds, enough),
         )
     return shared_out(lines, axes)
+
+
+def lowest_hz(kind: str, axes: int, seconds: float) -> float:
+    """The lowest frequency that a flight of so many seconds can show, with a little to spare."""
+    cycles = 2 * CYCLES * axes if kind == "chirp" else CYCLES
+    return 1.01 * cycles / seconds
+
+
+def _what_would_do(axes: int, band_hz: tuple[float, float], seconds: float, enough: float) -> str:
+    """A longer flight where one battery lasts for it, else the band that this time can show."""
+    low, high = band_hz
+    if enough <= LONGEST_S:
+        return f"--seconds {math.ceil(enough)}, fewer axes at once, or a band that begins higher"
+    shown = lowest_hz("multisine", axes, seconds)
+    upper = max(high, shown + (LINES_AN_AXIS * axes + 1) / seconds)
+    return (
+        f"--band {shown:.2g} {upper:.3g}: what {seconds:g} s can show; {low:.2g} Hz would take "
+        f"{enough / 3600.0:.2g} hours at one go, which no battery lasts"
+    )
 
 
 def _multisines(lines: Sequence[Lines], axes: Sequence[CommandedAxis], n: int) -> FloatArray:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -12,6 +12,9 @@ from flysid.dataset import FloatArray
 from flysid.errors import UsageError
 from flysid.model.polynomials import Z95, ComplexArray
 from flysid.showing import significant
+
+Band = tuple[float, float]
+"""Lowest and highest frequency, rad/s."""
 
 
 @dataclass(frozen=True)
@@ -233,22 +236,57 @@ class ContinuousTransfer:
         names = str(document["input"]), str(document["output"])
         return cls(numerator, denominator, covariance, float(document["dead_time_s"]), *names)
 
+    def carries_gain(self, band: Band) -> bool:
+        """The steady gain is seen in a band (rad/s): no mode lies below it."""
+        return all(abs(p) >= band[0] for p in self.poles)
+
+    def carries_mode(self, mode: ContinuousMode, band: Band) -> bool:
+        """A mode is seen in a band: it lies in it, or within an octave, where it bends the response still."""
+        return band[0] / 2.0 <= abs(mode.pole) <= 2.0 * band[1] or mode.pole == 0
+
+    def told(self, band: Band | None) -> str:
+        """As `str`, without figures that a trusted band (rad/s) does not carry; None carries none."""
+        if band is None:
+            bare = replace(self, covariance=np.zeros_like(self.covariance))
+            lines = bare._fraction()
+            return "\n".join([*lines, "gain and poles: not determined, as no band can be trusted"])
+        span = f"{band[0]:.3g} to {band[1]:.3g} rad/s"
+        words = []
+        if not np.isnan(self.gain.value):
+            seen = self.carries_gain(band)
+            why = f"not determined: a pole lies below the trusted band, {span}; fly longer, more slowly"
+            words.append(self._gain_words() if seen else f"steady gain: {why}")
+        modes = [
+            str(m)
+            if self.carries_mode(m, band)
+            else f"not determined ({abs(m.pole):.3g} rad/s is outside it)"
+            for m in self.modes
+        ]
+        words += [f"poles: {'; '.join(modes)}"] if modes else []
+        return "\n".join([*self._fraction(), *words, *self._legend()])
+
     def __str__(self) -> str:
+        words = [] if np.isnan(self.gain.value) else [self._gain_words()]
+        words += ["poles: " + "; ".join(str(m) for m in self.modes)] if self.modes else []
+        return "\n".join([*self._fraction(), *words, *self._legend()])
+
+    def _fraction(self) -> list[str]:
         top = _text(self.numerator, self.numerator_error)
         bottom = _text(self.denominator, self.denominator_error)
         dead = f" e^(-{_exponent(self.dead_time)} s)" if self.dead_time_s else ""
-        rule = "-" * max(len(top), len(bottom))
-        lines = [f"{self.output} / {self.input} ={dead}", top, rule, bottom]
         if len(self.denominator) == 1:
-            lines = [f"{self.output} / {self.input} = {top}{dead}"]
+            return [f"{self.output} / {self.input} = {top}{dead}"]
+        rule = "-" * max(len(top), len(bottom))
+        return [f"{self.output} / {self.input} ={dead}", top, rule, bottom]
+
+    def _gain_words(self) -> str:
         gain = self.gain
-        words = [] if np.isnan(gain.value) else [f"steady gain: {gain}"]
-        if Z95 * gain.error > abs(gain.value):
-            words = ["steady gain: not determined"]
-        words += ["poles: " + "; ".join(str(m) for m in self.modes)] if self.modes else []
-        if np.isfinite(self.errors).all() and self.errors.any():
-            words.append("(+- is half the width of a 95 % interval)")
-        return "\n".join([*lines, *words])
+        known = Z95 * gain.error <= abs(gain.value) or np.isnan(gain.error)
+        return f"steady gain: {gain}" if known else "steady gain: not determined"
+
+    def _legend(self) -> list[str]:
+        known = np.isfinite(self.errors).all() and self.errors.any()
+        return ["(+- is half the width of a 95 % interval)"] if known else []
 
 
 def _same_sign(value: float, error: float) -> TransferEstimate:

@@ -16,11 +16,13 @@ from flysid.model.frequency.assemble import OneTransfer
 from flysid.model.frequency.continuous_error import ContinuousError
 from flysid.model.frequency.rational import Coordinates, Form, Hold, Rational, forms
 from flysid.model.frequency.response import MeasuredResponse, Method, measure_response
+from flysid.model.frequency.sampling import sampled_response
 from flysid.model.frequency.simulation_fit import (
     ACCEPTABLE,
     ResponseFit,
     best_fit,
     fit_response,
+    response_bic,
     response_cost,
 )
 from flysid.model.frequency.transfer import inverse_hold
@@ -129,22 +131,32 @@ class Starts:
         best, words = best_fit(self.fits)
         return _keep_plain(self.settings, self.parts, best), words
 
-    def strays(self, found: OneTransfer, *, most: float = 3.0) -> str:
+    def strays(self, found: OneTransfer, *, most: float = 2.0, seen: float = 2.0) -> str:
         """Why a refined model is not to be kept: it has left the measured response; "" where it has not.
 
-        `most`: times the least cost J on the measured response, beyond which a refined model has left it.
+        It has where BIC on the measured response is strongly against it and the eye would see it, too.
+
+        Parameters
+        ----------
+        most : times the least cost J on the measured response.
+        seen : and this much above it: 0.3 dB or 2.4 degrees over the whole band.
         """
         if self.measured is None or not self.fits:
             return ""
         bands = _bands(self.settings, len(self.measured.inputs))
         rational = found.problem.rational(found.theta)
         cost = float(response_cost(self.measured, rational, self.settings.hold, bands).mean())
-        least = float(best_fit(self.fits)[0].cost.mean())
-        if least > ACCEPTABLE or cost <= max(ACCEPTABLE, most * least):
+        best = best_fit(self.fits)[0]
+        least = float(best.cost.mean())
+        if least > ACCEPTABLE or cost <= max(most * least, least + seen):
+            return ""
+        sampled = sampled_response(rational, self.measured.omega, self.measured.dt_s, self.settings.hold)
+        if response_bic(self.measured, sampled, found.poles) <= best.bic + STRONG:
             return ""
         return (
             "; refined on the simulation error it leaves the measured response "
-            f"(J {cost:.3g}: drift, disturbances or a loop rule the free run), so that was not kept"
+            f"(J {cost:.3g}, of the best fit {least:.3g}: drift, disturbances or a loop rule the free run), "
+            "so that was not kept"
         )
 
 

@@ -124,6 +124,9 @@ def _place(group: Sequence[OperatingPoint], own: Sequence[OperatingPoint], signa
     skipped = any(low < _level(p) < high for p in own if p not in group)
     if len(group) == 1:
         return f"Near {signal.name} = {_round_off(low, own)}{unit}"
+    if not skipped and not _is_covered(levels):
+        each = [_round_off(float(v), own) for v in levels]
+        return f"Near {signal.name} = {', '.join(each[:-1])} and {each[-1]}{unit}"
     if not skipped:
         return f"From {signal.name} = {_round_off(low, own)} to {_round_off(high, own)}{unit}"
     size = np.abs(levels)
@@ -132,6 +135,20 @@ def _place(group: Sequence[OperatingPoint], own: Sequence[OperatingPoint], signa
     return (
         f"From {number(float(size.min()))} to {number(float(size.max()))}{unit} of {signal.name} either way"
     )
+
+
+def _is_covered(levels: FloatArray, *, widest: float = 0.5) -> bool:
+    """Whether places stand for the range from the first to the last of them: what a model does between two of
+    them alone, above all around zero, where a vehicle hovers, nobody has computed.
+
+    `widest`: gap between neighbours, of the range.
+    """
+    placed = np.sort(levels)
+    gaps = np.diff(placed)
+    around = (placed[:-1] < 0.0) & (placed[1:] > 0.0)
+    ends = np.minimum(np.abs(placed[:-1]), np.abs(placed[1:]))
+    hollow = around & (ends > 0.25 * gaps)
+    return len(levels) > 2 and not (gaps > widest * np.ptp(placed) + 1e-12).any() and not hollow.any()
 
 
 def _round_off(level: float, own: Sequence[OperatingPoint]) -> str:

@@ -8,8 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from scipy.signal import lfilter
 
 from bench.closed_loop import SWEPT_HZ, Loop, direct
+from bench.truth.records import draw_record
 from flysid.cli.tf import command
 from flysid.dataset import Dataset
 from flysid.errors import UsageError
@@ -22,9 +24,12 @@ from flysid.ingest.synth.plants import LOOPS
 from flysid.ingest.synth.rigid_body import Vehicle
 from flysid.ingest.synth.synth import WRITERS, Order, flights
 from flysid.ingest.synth.tuning import linearise
-from flysid.model.frequency.rational import hold_response
+from flysid.model.frequency.continuous_transfer import ContinuousTransfer
+from flysid.model.frequency.rational import Rational, hold_response
 from flysid.model.frequency.response import measure_response
+from flysid.model.frequency.sampling import sample
 from flysid.model.transfer_function import TF
+from flysid.validate.agreement import transfer_figures
 from flysid.validate.bodeplot import draw_bode
 from flysid.validate.transfers import ChannelTransfers, identify_channel
 from tests.command import call
@@ -177,3 +182,77 @@ def test_wrong_orders_are_named(logs: dict[str, Path], tmp_path: Path, wrong: li
     done = CliRunner().invoke(command, [str(tmp_path / "data"), "-r", "ardrone-synthetic", *wrong])
     assert isinstance(done.exception, UsageError)
     assert words in str(done.exception)
+
+
+@pytest.mark.parametrize("seed", [77001000, 60005, 60052])
+def test_a_model_follows_its_own_measurement_where_it_is_trusted(seed: int) -> None:
+    """Gusts and drift chose the order by the free run: in "trust it from" the phase was off by 32 degrees."""
+    record = draw_record(seed)
+    names = ("r",) if record.controller else ()
+    found = identify_channel("x", record.data, TF(reference=names))
+    band = found.band(0, 0)
+    measured = found.measured[0]
+    assert band is not None
+    assert measured is not None
+    inside = (measured.omega >= band[0]) & (measured.omega <= band[1])
+    off = np.log(found.response(0, 0, measured.omega)[0] / measured.response[:, 0])[inside]
+    allowed = measured.half_width()[inside, 0]
+    near = (np.abs(off.real) < allowed + 0.12) & (np.abs(off.imag) < allowed + np.radians(8.0))
+    assert np.mean(near) > 0.9
+    assert np.ptp(np.log2(measured.omega[inside])) > 2.0
+
+
+def test_a_band_ends_where_model_and_measurement_part() -> None:
+    """One pole asked for of a plant of three: its high end is no band of this model, and that is said."""
+    rng = np.random.default_rng(5)
+    dt_s = 0.02
+    plant = Rational(np.poly([-2.0, -6.0, -9.0]), (np.array([108.0]),), np.zeros(1))
+    a, (b,) = sample(plant, dt_s, "zero")
+    u = np.repeat(rng.standard_normal(600), 5)
+    y = lfilter(b, a, u)
+    data = Dataset.from_arrays(u, y + 0.01 * y.std() * rng.standard_normal(len(y)), dt_s)
+    found = identify_channel("x", data, TF(poles=1, zeros=0, dead_time_s=0.0))
+    measured = found.measured[0]
+    band = found.band(0, 0)
+    assert measured is not None
+    coherent = measured.band(0)
+    assert coherent is not None
+    text = "\n".join(found.lines())
+    if band is None:
+        assert "model and measurement part everywhere" in text
+    else:
+        assert band[1] < 0.8 * coherent[1]
+        assert "the model follows the measurement (coherent from" in text
+
+
+def test_no_figure_is_printed_outside_its_band() -> None:
+    """A pole of "16.4 +- 1.3 rad/s" stood beside a band that ended at 1.18, a gain of 6e9 beside no band."""
+    plant = ContinuousTransfer(
+        np.array([30.0]), np.array([1.0, 16.4, 6.56]), np.diag([0.1, 0.01, 0.01, 0.0]), 0.0, "u", "y"
+    )
+    whole = plant.told((0.1, 40.0))
+    assert whole == str(plant)
+    assert "time constant" in whole
+    fast_unseen = plant.told((0.1, 1.2))
+    assert "not determined (16 rad/s is outside it)" in fast_unseen
+    assert "steady gain: 4.57" in fast_unseen
+    slow_unseen = plant.told((2.0, 40.0))
+    assert "steady gain: not determined: a pole lies below the trusted band" in slow_unseen
+    nowhere = plant.told(None)
+    assert "+-" not in nowhere
+    assert "no band can be trusted" in nowhere
+    figures = transfer_figures(plant, (2.0, 40.0))
+    assert figures["gain"] is None
+    assert [m["frequency_rad_s"] is None for m in figures["modes"]] == [True, False]
+
+
+def test_noise_has_no_gain(tmp_path: Path) -> None:
+    rng = np.random.default_rng(11)
+    rows = np.column_stack([np.arange(3000) * 0.02, rng.standard_normal((3000, 2))])
+    log = tmp_path / "noise.csv"
+    np.savetxt(log, rows, delimiter=",", header="time_s,u,y", comments="", fmt="%.9g")
+    order = ("tf", str(log), "--from", "u", "--to", "y", "--poles", "1", "--zeros", "0", "-q")
+    done = call(*order, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "gain and poles: not determined" in done.stdout
+    assert "+-" not in done.stdout

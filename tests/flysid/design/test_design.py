@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.signal import lfilter
 
 from flysid.design.designed import Design, DesignMeaning, open_design
 from flysid.design.designing import Wish, _design, _new, ready_channel, with_feedforward
@@ -23,6 +24,7 @@ from flysid.design.law import Gains, LoopParts
 from flysid.design.loopfigures import Laws, figures
 from flysid.errors import DataError, StoreError, UsageError
 from flysid.ingest.align.doubts import Doubt
+from flysid.ingest.synth.manoeuvres import chirp
 from flysid.ingest.synth.plants import LOOPS
 from flysid.validate.run import HeldOut
 from tests.flysid.design.flights import DT_S, LIMIT, answer, channel, good, steps
@@ -270,6 +272,23 @@ def test_flights_that_do_not_identify_are_refused_with_what_to_fly(case: str) ->
     with pytest.raises(DataError, match=words) as refused:
         identify(made(), LIMIT)
     assert refused.value.hint
+
+
+@pytest.mark.parametrize(("drift", "accepted"), [(0.02, True), (0.2, False)])
+def test_few_flights_are_enough_where_the_response_is_known(drift: float, accepted: bool) -> None:
+    """Six minutes of a clean sweep in two flights: no verdict on free runs, but the response to a tenth."""
+    rng = np.random.default_rng(1)
+    u = chirp(np.arange(9000) * DT_S, (0.1, 3.0), 4.0)[:, None]
+    parts = []
+    for _ in range(2):
+        slow = lfilter([1.0], [1.0, -0.9995], rng.standard_normal(len(u)))
+        parts.append((u, answer(u, rng) + drift * (slow / slow.std())[:, None]))
+    item = channel(parts)
+    if accepted:
+        assert identify(item, LIMIT).band[1] > 10.0
+    else:
+        with pytest.raises(DataError, match=r"follows the response measured there in \d+ % of the band"):
+            identify(item, LIMIT)
 
 
 def test_remarks_do_not_refuse() -> None:

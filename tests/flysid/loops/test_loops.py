@@ -124,6 +124,18 @@ def test_in_still_air_a_band_that_reaches_far_bends_no_crossover() -> None:
     assert found.gain_db.value == pytest.approx(truth(vehicle, PID)["gain_db"], abs=0.05)
 
 
+def test_a_crossover_below_the_band_is_not_said_to_lie_above_it() -> None:
+    """A soft loop crosses at 1.5 Hz, where the band begins; "above 14 Hz" was printed."""
+    loop = Loop.of([fly(Vehicle(), PID, 60.0, 2)])
+    soft = replace(PID, p=0.1 * PID.p, i=0.1 * PID.i, d=0.1 * PID.d)
+    found = margins(loop, soft).crossover_hz
+    assert found.value is None
+    assert found.why.startswith("below 1.5 Hz")
+    with pytest.raises(DataError, match="it is below 1 there") as refused:
+        margins(loop, replace(PID, p=0.02 * PID.p, i=0.02 * PID.i, d=0.02 * PID.d))
+    assert "slower stick movements" in refused.value.hint
+
+
 @pytest.mark.parametrize("stick", [0.0, 0.5])
 def test_without_sticks_nothing_is_known(stick: float) -> None:
     with pytest.raises(DataError, match=r"stick|known between|not one"):
@@ -153,8 +165,9 @@ def test_gains_that_did_not_fly_are_refused(change: dict[str, float]) -> None:
     low, high = trusted_band(loop)
     assert refuse_misfit(PID, loop, low, high) < 0.1
     wrong = replace(PID, **{name: getattr(PID, name) * by for name, by in change.items()})
-    with pytest.raises(DataError, match="do not give what the log recorded"):
+    with pytest.raises(DataError, match=r"do not give what the log recorded.*does not show why") as refused:
         refuse_misfit(wrong, loop, low, high)
+    assert refused.value.hint.startswith("possible causes")  # none of them was shown
 
 
 def test_a_prediction_for_other_gains_holds_on_another_vehicle_of_the_kind() -> None:

@@ -12,7 +12,7 @@ from flysid.errors import UsageError
 from flysid.ingest.align.recipe import parse_recipe
 from flysid.plan.autopilots import ardupilot, px4_plane
 from flysid.plan.briefing import axes_of_last_flight, briefing, recipe_for
-from flysid.plan.flightplan import CommandedAxis, Kind, axis_of, make_plan, within
+from flysid.plan.flightplan import CommandedAxis, Kind, axis_of, lowest_hz, make_plan, within
 
 ROLL = CommandedAxis("roll", 0.1)
 PITCH = CommandedAxis("pitch", 0.1)
@@ -52,6 +52,18 @@ def test_a_flight_too_short_names_one_that_is_long_enough() -> None:
     hint = refused("too short for a sweep", band=(0.1, 4.0), seconds=20.0, kind="chirp")
     assert "40 s" in hint
     refused("room for", band=(0.01, 0.1), seconds=20.0, kind="doublets")
+
+
+def test_no_flight_of_days_is_proposed() -> None:
+    """479054 s were, 5.5 days, for a band that a spurious slow pole began."""
+    hint = refused("too short", axes=(ROLL, PITCH), band=(4.2e-6, 1.0), seconds=60.0)
+    assert "--seconds" not in hint
+    found = re.search(r"--band ([\d.]+) ([\d.]+): what 60 s can show", hint)
+    assert found is not None
+    plan = make_plan("multisine", (ROLL, PITCH), (float(found[1]), float(found[2])), 60.0, 50.0)
+    assert min(map(len, plan.lines)) >= 5
+    for kind in ("multisine", "chirp"):
+        assert make_plan(kind, (ROLL, PITCH), (lowest_hz(kind, 2, 60.0), 1.0), 60.0, 50.0).seconds <= 61.0
 
 
 @pytest.mark.parametrize(

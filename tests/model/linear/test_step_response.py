@@ -57,8 +57,11 @@ def test_taps_of_a_low_order_give_its_coefficients_back() -> None:
 
 
 def test_an_input_that_answers_the_output_is_refused() -> None:
-    with pytest.raises(DataError, match="loop: not a step response"):
-        step_response(direct(Loop(0.2, rate_hz=100.0, seconds=30.0).flown(1)), horizon_s=1.0)
+    data = direct(Loop(0.2, rate_hz=100.0, seconds=30.0).flown(1))
+    with pytest.raises(DataError, match="loop: not a step response") as refused:
+        step_response(data, horizon_s=1.0)
+    assert "--anyway" in refused.value.hint
+    assert "a loop seems closed" in step_response(data, horizon_s=1.0, anyway=True).words
 
 
 def test_a_fast_stick_and_a_slow_one() -> None:

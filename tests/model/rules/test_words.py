@@ -338,3 +338,12 @@ def test_places_that_are_poorly_determined_are_not_called_alike() -> None:
     (said,) = sentences([slow, fast], ([V], [TILT]))
     assert "adds 0.9 to 2 m/s (poorly determined) to v_x" in said
     assert answers_like(point(-0.5, [1.0], [0.5], 1.1), point(0.5, [1.05], [0.5], 1.1))
+
+
+@pytest.mark.parametrize("places", [[-0.4, 0.4], [-2.0, -1.0, 1.0, 2.0], [-1.0, -0.4, 0.4], [0.1, 0.2, 2.0]])
+def test_a_range_is_said_only_where_it_was_computed(places: list[float]) -> None:
+    """From -0.394 to 0.394 one gain of 2.39 was said, of two places; at zero, in hover, it was 2.95."""
+    (said,) = sentences([point(at, [0.5], [0.8], 1.1) for at in places], ([V], [TILT]))
+    assert said.startswith(f"Near v_x = {', '.join(map(number, places[:-1]))} and {number(places[-1])} m/s")
+    (filled,) = sentences([point(at, [0.5], [0.8], 1.1) for at in (-1.0, 0.0, 1.0)], ([V], [TILT]))
+    assert filled.startswith("From v_x = -1 to 1 m/s")
