@@ -56,28 +56,32 @@ def in_pieces(model: Fitted, *, remembered_s: float = 10.0) -> InPieces:
     return own or _Again(model, round(remembered_s / model.dt_s))
 
 
-def members_in_pieces(model: FittedEnsemble) -> InPieces:
-    """The mean of the members' predictions."""
-    return _Averaged(model)
+def members_in_pieces(model: Fitted) -> InPieces | None:
+    """The mean of the members' predictions; as all of these None where another class bears the name."""
+    return _Averaged(model) if isinstance(model, FittedEnsemble) else None
 
 
-def rules_in_pieces(model: RuleModel) -> InPieces:
+def rules_in_pieces(model: Fitted) -> InPieces | None:
     """Rules, over lags or over hidden states, with or without a noise model."""
+    if not isinstance(model, RuleModel):
+        return None
     if model.noise is None and not model.layout.hidden:
         return from_the_newest(model)
     measured = model.start.settled(model.dt_s)
     return _OutputError(model, measured, model.noise, None, lambda u, y: _rules(model, u, y, measured))
 
 
-def states_in_pieces(model: FittedStateSpace) -> InPieces | None:
+def states_in_pieces(model: Fitted) -> InPieces | None:
     """A state space with a noise model; without one its filter remembers all that it has seen."""
-    if model.noise is None:
+    if not isinstance(model, FittedStateSpace) or model.noise is None:
         return None
     return _OutputError(model, model.n_init, model.noise, None, lambda u, y: _states(model, u, y))
 
 
-def equation_in_pieces(model: FittedLinear) -> InPieces | None:
+def equation_in_pieces(model: Fitted) -> InPieces | None:
     """A difference equation, with or without a noise model."""
+    if not isinstance(model, FittedLinear):
+        return None
     if model.noise is not None:
         return _OutputError(model, model.n_init, model.noise, model.ma, lambda u, y: _difference(model, u, y))
     return from_the_newest(model) if model.ma is None else None

@@ -29,8 +29,9 @@ def test_pieces_are_predicted_as_the_whole(name: str) -> None:
     np.testing.assert_allclose(np.concatenate(found), whole, rtol=0, atol=1e-9 * size)
 
 
-def test_a_structure_from_elsewhere_is_predicted_from_its_latest_seconds() -> None:
-    model = FirstOrder(structure="theirs")
+@pytest.mark.parametrize("structure", ["theirs", "arx"])
+def test_a_class_from_elsewhere_is_predicted_from_its_latest_seconds(structure: str) -> None:
+    model = FirstOrder(structure=structure)
     rng = np.random.default_rng(1)
     u = rng.standard_normal((600, 1))
     y = rng.standard_normal((600, 1))
