@@ -53,10 +53,15 @@ def test_a_heartbeat_a_second_is_not_silence() -> None:
 
 
 def test_overtaken_frames_are_no_losses() -> None:
-    numbers = [*range(10), 11, 10, *range(12, 30), 29]  # one overtaken, one twice
+    numbers = [
+        *range(10),
+        11,
+        10,
+        *range(12, 30),
+        29,
+    ]  # one overtaken, one twice: too few to be called copies
     row = enter(Ledger(), numbers, steady(len(numbers)))
-    assert row.lost == 0
-    assert row.late + row.repeated == 2
+    assert (row.lost, row.late) == (0, 1)
 
 
 def test_a_sequence_that_jumps_back_is_followed() -> None:
