@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -71,9 +72,8 @@ class StepCurve:
             return (*(StepFigure(n, u, None, why=why) for n, u in _NAMES), final)
         scaled = curves / _finals(curves)[:, None]
         grain = 0.5 * self.sample_s
-        ten, ninety = (
-            _each(scaled, lambda s, at=share: _first_time(self.time_s, s, at)) for share in (0.1, 0.9)
-        )
+        ten = _each(scaled, partial(_first_time, self.time_s, 0.1))
+        ninety = _each(scaled, partial(_first_time, self.time_s, 0.9))
         drift = 100.0 * self._drift / abs(final.value or 1.0)
         return (
             self._no_finer(_figure("latency", "ms", 1e3 * ten, 1e3 * grain), 1e3),
@@ -177,7 +177,7 @@ def _overshoot(step: FloatArray) -> float:
     return 100.0 * max(float(max(apex, step.max())) - 1.0, 0.0)
 
 
-def _first_time(time_s: FloatArray, step: FloatArray, share: float) -> float:
+def _first_time(time_s: FloatArray, share: float, step: FloatArray) -> float:
     above = np.flatnonzero(step >= share)
     if not len(above):
         return np.nan

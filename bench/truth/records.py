@@ -53,7 +53,7 @@ def draw_record(seed: int) -> Record:
     rate = plant.corner / (2.0 * np.pi) * rng.uniform(*((12, 25) if kinds["logging"] == "slow" else (25, 90)))
     dt_s = 1.0 / rate
     count = round(float(rng.uniform(60.0, 200.0)) * 2.0 * np.pi / plant.corner / 2.0 / dt_s)
-    drive = _excite(rng, kinds["excitation"], plant, np.arange(count) * dt_s)
+    drive = _excite(rng, kinds["excitation"], plant, dt_s * np.arange(count, dtype=np.float64))
     if kinds["loop"] == "open":
         return Record(seed, plant, _log_open(rng, plant, drive, dt_s, kinds), kinds, 0.0)
     gain = _controller(rng, plant, dt_s)

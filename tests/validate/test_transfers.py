@@ -206,7 +206,7 @@ def test_a_band_ends_where_model_and_measurement_part() -> None:
     """One pole asked for of a plant of three: its high end is no band of this model, and that is said."""
     rng = np.random.default_rng(5)
     dt_s = 0.02
-    plant = Rational(np.poly([-2.0, -6.0, -9.0]), (np.array([108.0]),), np.zeros(1))
+    plant = Rational(np.array([1.0, 17.0, 84.0, 108.0]), (np.array([108.0]),), np.zeros(1))
     a, (b,) = sample(plant, dt_s, "zero")
     u = np.repeat(rng.standard_normal(600), 5)
     y = lfilter(b, a, u)
