@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -158,7 +159,7 @@ def test_forced(windy: Dataset) -> None:
 def test_a_saved_model_remembers(windy: Dataset, tmp_path: Path, estimator: flysid.ARX) -> None:
     model = estimator.fit(windy)
     model.save(tmp_path / "model.json")
-    again = flysid.load(tmp_path / "model.json")
+    again: Any = flysid.load(tmp_path / "model.json")
     assert again.flight_offsets == model.flight_offsets
     assert again.free_run(windy.segments[0]) == pytest.approx(model.free_run(windy.segments[0]))
 
