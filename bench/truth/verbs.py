@@ -89,8 +89,10 @@ def _transfer(record: Record, channel: ChannelTransfers) -> Iterator[Score]:
         yield Score("tf model phase", 0.0, turned - own, turned + own)
         near = float(DB * abs(model[k].real) < NEAR_DB and np.degrees(abs(turned)) < NEAR_DEG)
         yield Score("tf model near", 1.0, near, near)
-    gain = channel.model.transfer().gain
-    printed = np.isfinite(gain.value) and not Z95 * gain.error > abs(gain.value)
+    transfer = channel.model.transfer()
+    gain = transfer.gain
+    known = np.isfinite(gain.value) and not Z95 * gain.error > abs(gain.value)
+    printed = known and transfer.carries_gain(band)
     yield Score("tf steady gain", record.plant.gain, *(gain.interval if printed else (None, None)))
 
 

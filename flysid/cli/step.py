@@ -46,6 +46,7 @@ if TYPE_CHECKING:
 )
 @click.option(
     "--anyway",
+    cls=Own,
     is_flag=True,
     help="Also where the input reacts to the output, with a caution beside the figures.",
 )
