@@ -279,8 +279,9 @@ class SequenceCounter:
         return None
 
     def _is_next(self, number: int) -> bool:
-        """Whether the counter that spoke last, or one that goes on beside it, is at this number."""
-        return any(c.following == number for c in self._counters if c.is_second or c is self._counters[-1])
+        """Whether a counter that spoke a moment ago, or one that goes on beside it, is at this number."""
+        at_it = (c for c in self._counters if c.following == number)
+        return any(c.is_second or self._silent(c, 0) <= NEAR for c in at_it)
 
     def _silent(self, counter: _Counter, size: int) -> int:
         """Frames of the sender between a counter's last and a run of this size that has been counted."""
