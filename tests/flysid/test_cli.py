@@ -54,7 +54,7 @@ def test_a_process_ends_with_the_code_and_writes_to_the_right_streams(tmp_path: 
     [
         (["ingst"], 2, "Did you mean 'ingest'"),
         (["ingest", "absent.tlog", "-o", "data"], 2, "absent.tlog"),
-        (["ingest", "notes.txt", "-o", "data"], 1, "not a flight log"),
+        (["ingest", "notes.txt", "-o", "data"], 1, "notes.txt: one line of text"),
         (["ingest", "empty.tlog", "-o", "data"], 1, "empty"),
         (["ingest", "folder", "-o", "data"], 2, "no flight log"),
         (["fit", "folder", "--recipe", "ardrone-synthetic", "-o", "run"], 2, "no flight log"),

@@ -72,13 +72,21 @@ def test_what_rows_point_at_is_there() -> None:
 
 
 def test_rows_take_what_their_settings_have() -> None:
-    given = {"antecedents": "auto", "file": None, "nk_hint": (2,), "nk_least": (1,), "rules": 2, "seed": 5}
+    given = {
+        "antecedents": "auto",
+        "file": None,
+        "flight_offsets": False,
+        "nk_hint": (2,),
+        "nk_least": (1,),
+        "rules": 2,
+        "seed": 5,
+    }
     for row in OWN.values():
         settings = row.settings({**given, "search": SearchSettings()})
         assert callable(settings.fit), row.name
-        assert all(getattr(settings, name, given.get(name)) == given.get(name) for name in ("seed",)), (
-            row.name
-        )
+        assert all(
+            getattr(settings, name, given.get(name)) == given.get(name) for name in ("seed", "flight_offsets")
+        ), row.name
 
 
 def test_models_of_a_row_are_stored_under_its_name() -> None:

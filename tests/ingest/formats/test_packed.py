@@ -335,7 +335,8 @@ def test_bombs_stop_at_the_limits(
     flight = flysid.read(path, limits=Limits(max_ratio=50))
     assert "more than 50 times their size: the rest is left out" in flight.damage.reasons["packing"]
     assert flight.source.size_bytes < len(log) + (24 << 20)
-    assert flight.rows == 2 * flysid.read(put(tmp_path / "one.tlog", LOG)).rows
+    copies = sum(flight.damage.repeats.values())
+    assert flight.rows + copies == 2 * flysid.read(put(tmp_path / "one.tlog", LOG)).rows
     assert flight.damage.truncated
 
 
