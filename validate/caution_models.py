@@ -97,6 +97,32 @@ def contested(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterator[Cautio
         )
 
 
+def own_constants(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterator[Caution]:
+    """Constants of flights that the models of the headline leave out."""
+    del diagnoses
+    said = []
+    for c in comparisons.values():
+        for name in heads(c):
+            own = getattr(c.fitted[name], "flight_offsets", None)
+            if own is None:
+                continue
+            each = np.array(list(own.values.values()))
+            ends = zip(c.test.outputs, each.min(axis=0), each.max(axis=0), own.drifting, strict=True)
+            for output, low, high, drifts in ends:
+                unit = f"{output.unit}{'/s' if drifts else ''}"
+                if low != high:
+                    said.append(one_line(f"{output.name} {number(low)} to {number(high)} {unit}".rstrip()))
+            break
+    if said:
+        yield Caution(
+            "note",
+            f"Flights differ by constants, as wind, trim or a sensor's bias give: {join(said)}. Every score "
+            "leaves out the constant of its flight.",
+            "if the flights were flown at other speeds on purpose, fit with --flight-offsets no.",
+            9.0,
+        )
+
+
 def one_rule(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterator[Caution]:
     """A better fuzzy model that is a linear one."""
     del diagnoses

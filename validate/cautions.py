@@ -16,6 +16,7 @@ from flysid.validate.caution_models import (
     collinear,
     contested,
     one_rule,
+    own_constants,
     runs_away,
     spare_words,
     unsure_gains,
@@ -75,7 +76,8 @@ def _said_by(rule: Saying, comparisons: Comparisons, diagnoses: Diagnoses) -> li
 
 def _rules() -> tuple[Saying, ...]:
     return (
-        _diverged, useless, contested, one_rule, runs_away, _unstable, _unexplained, _extrapolates, _holes,
+        _diverged, useless, contested, one_rule, own_constants, runs_away, _unstable, _unexplained,
+        _extrapolates, _holes,
         _missing_dynamics, _undecided, _few, unsure_gains, collinear, _feedback, _noisy_start, _not_white,
         _one_step_flatters, _idle_rules, beyond_band, spare_words, _unused,
     )  # fmt: skip

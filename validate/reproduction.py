@@ -15,6 +15,7 @@ from flysid.dataset import Dataset, FloatArray, Signal
 from flysid.ingest.synth.plants import LOOPS as PLANT_LOOPS
 from flysid.ingest.synth.plants import paper_experiment
 from flysid.model.base import Estimator, Fitted
+from flysid.model.shared import sharing
 from flysid.progress import part, tell
 from flysid.validate.compare_models import Comparison, compare
 from flysid.validate.metrics import scores
@@ -52,7 +53,7 @@ def reproduce_ardrone_ts() -> list[LoopResult]:
     """Fit and compare all models on the paper's three loops."""
     found = []
     for i, loop in enumerate(LOOPS):
-        with part(i / len(LOOPS), (i + 1) / len(LOOPS), channel=loop.name):
+        with part(i / len(LOOPS), (i + 1) / len(LOOPS), channel=loop.name), sharing():
             found.append(_reproduce_loop(loop))
     return found
 

@@ -15,6 +15,7 @@ from flysid.dataset import Dataset, Segment
 from flysid.errors import StoreError, UsageError
 from flysid.model.flight_offsets import Piece, differ, find_offsets
 from flysid.model.selection import free_run_errors
+from flysid.validate.cautions import cautions
 
 DT_S = 0.05
 LAG_S = 2.85
@@ -95,6 +96,15 @@ def test_all_models_of_a_comparison_are_treated_alike(windy: Dataset) -> None:
     assert str(compared.verdict["y"].verdict) == "same"
     ahead = next(e for e in compared.entries if e.horizon == "10")
     assert ahead.models["arx"].scores.rmse < 0.1
+
+
+def test_the_page_says_what_the_scores_leave_out(windy: Dataset) -> None:
+    fresh = in_wind((3.0, -3.0, 1.0), seed=1)
+    compared = flysid.compare([flysid.ARX().fit(windy), flysid.Line().fit(windy)], fresh)
+    said = [c.text for c in cautions({"y": compared}, {})]
+    assert any(text.startswith("Flights differ by constants") and "y -2.0" in text for text in said)
+    plain = flysid.compare([flysid.ARX(flight_offsets=False).fit(windy), flysid.Line().fit(windy)], fresh)
+    assert not any("Flights differ" in c.text for c in cautions({"y": plain}, {}))
 
 
 def test_rules_find_drag_in_wind() -> None:
