@@ -25,7 +25,7 @@ import numpy as np
 from flysid.dataset import Dataset, FloatArray, Segment
 from flysid.model.base import Fitted
 from flysid.model.covariance import STEP
-from flysid.model.start import run_from_window, start_window
+from flysid.model.start import as_modelled, plain_run, start_window
 
 LEVEL = 0.005
 
@@ -184,7 +184,8 @@ def _columns(
     `far`: standard deviations of the output; a free run that is farther off says nothing of a shape.
     """
     window = start_window(model.n_init, len(segment), model.dt_s)
-    run = run_from_window(model, segment, window)
+    segment = as_modelled(model, segment)
+    run = plain_run(model, segment, window)
     start = run[: model.n_init]
     held = model.simulate(segment.u, start)[:, output]
     free = run[:, output]

@@ -241,6 +241,15 @@ def without(segment: Segment, own: FloatArray) -> Segment:
     return replace(segment, y=segment.y - own)
 
 
+def as_modelled(model: Timed, segment: Segment) -> Segment:
+    """The segment without what it has of its own beside the model; itself where flights have nothing."""
+    drifting = drifting_of([model])
+    if drifting is None:
+        return segment
+    window = start_window(model.n_init, len(segment), model.dt_s)
+    return without(segment, own_part(model, segment, window, drifting))
+
+
 def own_part(model: Timed, segment: Segment, window: int, drifting: tuple[bool, ...]) -> FloatArray:
     """(N, n_y) what a segment's outputs have beside a model's free run, by least squares over all of it.
 

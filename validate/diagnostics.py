@@ -14,6 +14,7 @@ from flysid.extras import Extra, extra
 from flysid.feedback import Feedback, feedback
 from flysid.model.base import Fitted
 from flysid.model.nonlinearity import Nonlinearity, nonlinearity
+from flysid.model.start import as_modelled
 from flysid.validate.checks import Checks, check
 from flysid.validate.comparison import Comparison
 from flysid.validate.nearness import Nearness, nearness
@@ -222,7 +223,7 @@ def _share_outside(x: FloatArray, low: float, high: float) -> float:
 
 def rule_use(model: Fitted, data: Dataset) -> RuleUse:
     """Firing strengths of `model` along measured data."""
-    firing = np.vstack([model.firing(s.u, s.y) for s in data.segments])
+    firing = np.vstack([model.firing(s.u, as_modelled(model, s).y) for s in data.segments])
     strongest = np.bincount(np.argmax(firing, axis=1), minlength=firing.shape[1]) / len(firing)
     return RuleUse(
         strongest=tuple(float(v) for v in strongest),

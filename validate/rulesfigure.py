@@ -16,7 +16,7 @@ import numpy as np
 from flysid.dataset import FloatArray, Segment
 from flysid.errors import UsageError
 from flysid.model.base import Fitted
-from flysid.model.start import run_from_window, start_window
+from flysid.model.start import as_modelled, run_from_window, start_window
 from flysid.validate.paperfigures import RULES, axis_label, require_matplotlib, write_figure
 from flysid.validate.report.rulefigures import SHOWN_FROM
 from flysid.validate.responses import steady_outputs
@@ -131,8 +131,9 @@ def _characteristic(
 def _rules(panels: Any, model: OfRules, segment: Segment, j: int) -> None:
     """What every rule concludes where it speaks, then the degrees of fulfilment in two halves."""
     t = model.dt_s * np.arange(len(segment))
-    strength = model.firing(segment.u, segment.y)
-    alone = model.rule_outputs(segment.u, segment.y)[:, :, j]
+    y = as_modelled(model, segment).y
+    strength = model.firing(segment.u, y)
+    alone = model.rule_outputs(segment.u, y)[:, :, j]
     half = (strength.shape[1] + 1) // 2
     for r in range(strength.shape[1]):
         colour = RULES[r % len(RULES)]

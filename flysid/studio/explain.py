@@ -24,7 +24,7 @@ from flysid.model.capabilities import (
     HasRuleOutputs,
     HasRuleRecursion,
 )
-from flysid.model.start import run_from_window, start_window
+from flysid.model.start import as_modelled, drifting_of, run_from_window, start_window
 from flysid.model.structures import leaders
 from flysid.studio.flights import RUN, SIGNAL
 from flysid.studio.folders import NotThere, Workspace, is_name, short_id
@@ -153,10 +153,11 @@ def _model(model: Fitted, segment: Segment, first: int) -> dict[str, Any]:
 
 def _voices(model: Any, segment: Segment, first: int) -> dict[str, Any]:
     """The rules, how loudly they speak and what they conclude, from row `first` on."""
-    said = model.rule_outputs(segment.u, segment.y)[first:]
+    y = as_modelled(model, segment).y
+    said = model.rule_outputs(segment.u, y)[first:]
     return {
         "rules": [rule.label for rule in model.rules()],
-        "firing": model.firing(segment.u, segment.y)[first:].tolist(),
+        "firing": model.firing(segment.u, y)[first:].tolist(),
         "said": np.where(np.isfinite(said), said, 0.0).tolist(),
     }
 
@@ -176,7 +177,8 @@ def _in_words(found: HeldOut, segment: Segment, row: int) -> dict[str, Any]:
 
 
 def _explained(model: Any, segment: Segment, row: int) -> str:
-    return str(model.explain(segment.u, segment.y, max(row, model.n_init)))
+    y = as_modelled(model, segment).y
+    return str(model.explain(segment.u, y, max(row, model.n_init)))
 
 
 def recursion(model: Fitted, segment: Segment, first: int) -> dict[str, Any] | None:
@@ -185,9 +187,10 @@ def recursion(model: Fitted, segment: Segment, first: int) -> dict[str, Any] | N
     Of a linear difference equation: `a`, `b`, `c` about `u_origin`, `y_origin`, clamped to `limits` at the
     end. Of rules: the compiled kernel's lags and parameters (`flysid.model.rules.kernel`), `shift` and
     `scale` of W's columns. `before` holds the rows ahead of `first`: outputs, or W's simulated columns. None,
-    too, where the segment is so short that these rows are the estimated start itself.
+    too, where the segment is so short that these rows are the estimated start itself, and where the segment
+    has a constant of its own beside the model.
     """
-    if first < 2 * model.n_init:
+    if first < 2 * model.n_init or drifting_of([model]) is not None:
         return None
     if isinstance(model, DeviationEquation):
         equation = model.system

@@ -15,6 +15,7 @@ from flysid.dataset import Dataset, Segment
 from flysid.errors import StoreError, UsageError
 from flysid.model.flight_offsets import Piece, differ, find_offsets
 from flysid.model.selection import free_run_errors
+from flysid.model.start import as_modelled
 from flysid.validate.cautions import cautions
 
 DT_S = 0.05
@@ -113,6 +114,15 @@ def test_rules_find_drag_in_wind() -> None:
     rules = flysid.TS().fit(train)
     assert len(rules.rules()) > 1
     assert rmse(rules, fresh) < 0.8 * rmse(flysid.ARX().fit(train), fresh)
+
+
+def test_what_pages_show_of_rules_is_without_the_wind() -> None:
+    rules: Any = flysid.TS().fit(in_wind(drag=0.3))
+    still = in_wind((0.0,), seed=9, drag=0.3).segments[0]
+    windy = in_wind((2.0,), seed=9, drag=0.3).segments[0]
+    seen = [as_modelled(rules, segment).y for segment in (still, windy)]
+    assert seen[1] == pytest.approx(seen[0], abs=0.05)
+    assert rules.firing(windy.u, seen[1]) == pytest.approx(rules.firing(still.u, seen[0]), abs=0.05)
 
 
 @pytest.mark.parametrize("kind", ["drag in still air", "integrator", "lag in still air"])

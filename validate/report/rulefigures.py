@@ -13,7 +13,9 @@ import numpy as np
 from markupsafe import Markup
 
 from flysid.dataset import Dataset, FloatArray, Segment, Signal
+from flysid.model.base import Fitted
 from flysid.model.capabilities import HasMemberships, HasTrainedRange
+from flysid.model.start import as_modelled
 from flysid.validate.report.decimate import decimate
 from flysid.validate.report.svg import HALF, THIRD, Axes, area, frame, line, picture, span, text
 from flysid.validate.words import one_line
@@ -170,7 +172,7 @@ def strongest_runs(firing: FloatArray, t: FloatArray, shortest: float) -> list[t
     return runs
 
 
-def firing_along(model: object, segment: Segment) -> FloatArray | None:
+def firing_along(model: Fitted, segment: Segment) -> FloatArray | None:
     """(N, R) firing strengths, or None for a model of one rule."""
-    strengths = np.asarray(model.firing(segment.u, segment.y))  # type: ignore[attr-defined]
+    strengths = np.asarray(model.firing(segment.u, as_modelled(model, segment).y))
     return strengths if strengths.ndim == 2 and strengths.shape[1] > 1 else None

@@ -18,6 +18,7 @@ from flysid.model.capabilities import HasMemberships, HasOperatingPoints, HasRul
 from flysid.model.polynomials import ROUNDING
 from flysid.model.rules.operating_words import sentences
 from flysid.model.rules.phrases import places_of
+from flysid.model.start import as_modelled
 from flysid.validate.comparison import Comparison
 from flysid.validate.report import figures, overlay, rulefigures
 from flysid.validate.report.channel_data import Source
@@ -340,7 +341,7 @@ def _rule_outputs(source: Source, j: int, index: int, label: str) -> list[Panel]
     if strengths is None or not isinstance(model, HasRuleOutputs):
         return []
     t = c.dt_s * np.arange(len(segment), dtype=np.float64)
-    out = np.asarray(model.rule_outputs(segment.u, segment.y))[:, :, j]
+    out = np.asarray(model.rule_outputs(segment.u, as_modelled(model, segment).y))[:, :, j]
     output = c.test.outputs[j]
     words = (with_unit(output.name, output.unit), f"Output of every rule in {label}")
     return [
