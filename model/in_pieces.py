@@ -19,10 +19,11 @@ from flysid.model.base import Fitted
 from flysid.model.ensemble import FittedEnsemble
 from flysid.model.freerun import saturate
 from flysid.model.linear.difference_equation import FittedLinear
+from flysid.model.own_constants import shapes
 from flysid.model.rules.kernel import free_run
 from flysid.model.rules.likely_start import LikelyStart
 from flysid.model.rules.rule_model import RuleModel
-from flysid.model.start import estimate_start
+from flysid.model.start import drifting_of, estimate_start
 from flysid.model.structures import row_of
 from flysid.model.subspace.fitted_model import FittedStateSpace
 from flysid.model.subspace.kalman import filtered_states, free_states, output_of
@@ -37,6 +38,8 @@ class InPieces(Protocol):
         ...
 
 
+_KNOWN_S, _STARTS = 5.0, 5
+"""Seconds, and starts of a free run in samples, after which a constant is known beside coloured noise."""
 FreeRun = Callable[[FloatArray], FloatArray]
 """A free run that goes on: (n, n_y) outputs for the next inputs (n, n_u)."""
 
@@ -148,19 +151,81 @@ class _OutputError:
         self._y = np.empty((0, len(model.outputs)))
         self._run: FreeRun | None = None
         self._foreseen = None if noise is None else _Foreseen(noise, ma, model.n_init)
+        drifting = drifting_of([model])
+        enough = max(round(_KNOWN_S / model.dt_s), _STARTS * model.n_init)
+        self._own = None if drifting is None else _OwnPart(drifting, model.dt_s, enough, begun)
 
     def feed(self, u: FloatArray, y: FloatArray) -> FloatArray:
         if self._run is not None:
-            free = self._run(u)
-            return free if self._foreseen is None else np.asarray(free + self._foreseen.feed(y - free))
+            free = self._beside(self._run(u), u, y)
+            return free if self._foreseen is None else np.asarray(free + self._foresee(y - free))
         self._u = np.concatenate([self._u, u])
         self._y = np.concatenate([self._y, y])
         predicted = self._model.predict(self._u, self._y, 1)[len(self._u) - len(u) :]
         if len(self._u) > self._measured:
             free, self._run = self._begun(self._u, self._y)
-            if self._foreseen is not None:
-                self._foreseen.feed(self._y - free)
-        return predicted
+            if self._own is not None:
+                free = self._own.begin(free, self._u, self._y)
+            self._foresee(self._y - free)
+        return predicted if self._own is None else np.full_like(predicted, np.nan)
+
+    def _foresee(self, errors: FloatArray) -> FloatArray:
+        """What the noise model foresees of errors; those that are not known count as none."""
+        return errors if self._foreseen is None else self._foreseen.feed(np.nan_to_num(errors))
+
+    def _beside(self, free: FloatArray, u: FloatArray, y: FloatArray) -> FloatArray:
+        """The free run, and what the flight has had of its own beside it."""
+        return free if self._own is None or not len(u) else self._own.feed(free, u, y)
+
+
+class _OwnPart:
+    """What a flight has of its own beside a model (`flysid.model.own_constants`), as far as it has come.
+
+    By least squares over all errors of the free run so far: a wind that is there from the start is soon
+    known, and a change later on stands out for the longer the more has been flown before. What one unit
+    does is the difference of two free runs: from outputs that have it, and from outputs without it. Until
+    it has been seen in `enough` samples nothing is predicted.
+    """
+
+    def __init__(
+        self,
+        drifting: tuple[bool, ...],
+        dt_s: float,
+        enough: int,
+        begun: Callable[[FloatArray, FloatArray], tuple[FloatArray, FreeRun]],
+    ) -> None:
+        self._drifting = drifting
+        self._dt_s = dt_s
+        self._enough = enough
+        self._begun = begun
+        self._runs: list[FreeRun] = []
+        self._rows = 0
+        self._moved = np.zeros(len(drifting))
+        self._weight = np.zeros(len(drifting))
+
+    def begin(self, free: FloatArray, u: FloatArray, y: FloatArray) -> FloatArray:
+        """`feed` of the first samples."""
+        unit = shapes(self._drifting, len(u), self._dt_s)
+        others = [self._begun(u, y - unit * one) for one in np.eye(y.shape[1])]
+        self._runs = [run for _, run in others]
+        return self._take(free, [other for other, _ in others], y)
+
+    def feed(self, free: FloatArray, u: FloatArray, y: FloatArray) -> FloatArray:
+        """(n, n_y) the free run, and beside it what is known before each of the samples."""
+        return self._take(free, [run(u) for run in self._runs], y)
+
+    def _take(self, free: FloatArray, others: list[FloatArray], y: FloatArray) -> FloatArray:
+        unit = shapes(self._drifting, self._rows + len(y), self._dt_s)[self._rows :]
+        shape = np.stack([other[:, j] for j, other in enumerate(others)], axis=1) + unit - free
+        moved = self._moved + np.cumsum(shape * (y - free), axis=0)
+        weight = self._weight + np.cumsum(shape**2, axis=0)
+        known = np.vstack([self._moved, moved[:-1]]) / np.maximum(
+            np.vstack([self._weight, weight[:-1]]), np.finfo(float).tiny
+        )
+        self._rows += len(y)
+        self._moved, self._weight = moved[-1], weight[-1]
+        seen = np.all(weight >= self._enough * shape**2, axis=1)
+        return np.where(seen[:, None], free + shape * known, np.nan)
 
 
 class _Foreseen:

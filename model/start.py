@@ -32,8 +32,10 @@ STEPS = 4
 _DROWNED = 0.3  # spread of a free run for want of its start that noise hides
 _HELPS = 0.8  # of the spread, or less, where more samples help
 _SHIFT = 0.01  # of the outputs' range: a constant's effect on a run is a difference of two
-_SEEN = 0.1  # of a constant, or less, that shows in a run: it cannot be told from the start
-_CONSTANT_STEPS = 2
+_SEEN = 1e-3  # of a constant, or less, that shows in a run: it cannot be told from the start
+_SHARES = (1.0, 0.25)  # of a step, tried in turn
+_SETTLED = 0.9999  # of the squares, or less, that another step is worth
+_CONSTANT_STEPS = 8
 _FLAT = 1e-7  # cosine between the residual and what a start can still move
 
 
@@ -263,15 +265,25 @@ def own_part(model: Timed, segment: Segment, window: int, drifting: tuple[bool, 
     numbers = np.zeros(n_y)
     if len(segment) <= window:
         return np.zeros(segment.y.shape)
+
+    def missed(trial: FloatArray) -> FloatArray:
+        run = _run_beside(model, segment, window, shape * trial)
+        return np.asarray(((segment.y - run)[window:] / size).ravel())
+
+    miss = missed(numbers)
     for _ in range(_CONSTANT_STEPS):
-        run = _run_beside(model, segment, window, shape * numbers)
-        changed = [_run_beside(model, segment, window, shape * (numbers + d)) for d in np.diag(_SHIFT * unit)]
-        slopes = np.stack([((c - run)[window:] / size).ravel() for c in changed], axis=1) / _SHIFT
-        miss = ((segment.y - run)[window:] / size).ravel()
+        moves = np.diag(_SHIFT * unit)
+        slopes = np.stack([(miss - missed(numbers + move)) / _SHIFT for move in moves], axis=1)
         seen = np.linalg.norm(slopes, axis=0) > _SEEN * math.sqrt(len(slopes) / n_y)
         if not (np.isfinite(slopes).all() and np.isfinite(miss).all() and seen.any()):
             break
-        numbers[seen] += np.linalg.lstsq(slopes[:, seen], miss, rcond=None)[0] * unit[seen]
+        step = np.zeros(n_y)
+        step[seen] = np.linalg.lstsq(slopes[:, seen], miss, rcond=None)[0]
+        trials = (numbers + share * np.clip(step, -1.0, 1.0) * unit for share in _SHARES)
+        found = next(((t, m) for t in trials if (m := missed(t)) @ m < _SETTLED * (miss @ miss)), None)
+        if found is None:
+            break
+        numbers, miss = found
     return shape * numbers
 
 

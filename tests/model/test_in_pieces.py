@@ -5,10 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+import flysid
 from flysid.dataset import FloatArray
 from flysid.model.in_pieces import in_pieces
 from flysid.model.noise import output_error_ahead
 from tests.fakes import FirstOrder
+from tests.model.test_flight_offsets import in_wind
 from tests.model_examples import EXAMPLES, fitted
 
 
@@ -46,3 +48,19 @@ def test_a_record_shorter_than_its_noise_model_is_predicted() -> None:
     free = np.zeros((3, 1))
     y = np.array([[1.0], [2.0], [4.0]])
     np.testing.assert_allclose(output_error_ahead(free, y, noise, 1), [[0.0], [0.1], [0.3]])
+
+
+def test_wind_is_no_fault() -> None:
+    """A flight in stronger wind than any of training is predicted as well, once the wind is known."""
+    model = flysid.ARX().fit(in_wind())
+    errors = {}
+    for wind in (0.0, 4.0):
+        segment = in_wind((wind,), seed=3).segments[0]
+        ahead = in_pieces(model)
+        pieces = [slice(k, k + 20) for k in range(0, len(segment), 20)]
+        found = np.concatenate([segment.y[p] - ahead.feed(segment.u[p], segment.y[p]) for p in pieces])
+        assert np.isnan(found[: model.n_init]).all()
+        errors[wind] = found[200:]
+    assert np.isfinite(errors[4.0]).all()
+    assert errors[4.0].std() == pytest.approx(errors[0.0].std(), rel=0.1)
+    assert abs(errors[4.0].mean()) < 0.02
