@@ -113,16 +113,13 @@ class Offsets:
 
     def words(self, data: Dataset) -> str:
         """The sentence that a model's notes hold."""
-        each = np.array(list(self.values.values()))
-        columns = []
-        for i, (signal, beside) in enumerate(zip(data.outputs, self.beside, strict=True)):
-            if beside is not None:
-                low, high = (significant(v) for v in (each[:, i].min(), each[:, i].max()))
-                unit = (f" {signal.unit}" if signal.unit else "") + ("/s" if beside.drifts else "")
-                columns.append(f"{signal.name} {low} to {high}{unit}")
+        columns = [
+            f"{signal.name} {significant(low)} to {significant(high)} {unit}".rstrip()
+            for signal, low, high, unit in self.constants.spans(data.outputs)
+        ]
         return (
-            f"Each of the {len(each)} flights has a constant of its own, as wind, trim or a sensor's bias "
-            f"give: {', '.join(columns)}. The model leaves it out, and so do scores of its free run."
+            f"Each of the {len(self.values)} flights has a constant of its own, as wind, trim or a sensor's "
+            f"bias give: {', '.join(columns)}. The model leaves it out, and so do scores of its free run."
         )
 
 

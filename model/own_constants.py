@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
-from flysid.dataset import FloatArray
+from flysid.dataset import FloatArray, Signal
 
 FlightOffsets: TypeAlias = bool | Literal["auto"]
 """The setting of a structure: a constant of every flight where flights differ, always or never."""
@@ -27,6 +27,16 @@ class OwnConstants:
 
     values: Mapping[str, tuple[float, ...]]
     drifting: tuple[bool, ...]
+
+    def spans(self, outputs: Sequence[Signal]) -> list[tuple[Signal, float, float, str]]:
+        """Of every output in which flights differ: the least, the largest, and their unit."""
+        each = np.array(list(self.values.values()))
+        found = zip(outputs, each.min(axis=0), each.max(axis=0), self.drifting, strict=True)
+        return [
+            (signal, float(low), float(high), f"{signal.unit}{'/s' if drifts else ''}")
+            for signal, low, high, drifts in found
+            if low != high
+        ]
 
     def to_dict(self) -> dict[str, Any]:
         """As JSON types."""

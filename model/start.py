@@ -228,8 +228,7 @@ def run_from_window(
     drifting = drifting or drifting_of([model])
     if drifting is None:
         return plain_run(model, segment, window)
-    own = own_part(model, segment, window, drifting)
-    return plain_run(model, without(segment, own), window) + own
+    return _run_beside(model, segment, window, own_part(model, segment, window, drifting))
 
 
 def drifting_of(models: Iterable[object]) -> tuple[bool, ...] | None:
@@ -245,26 +244,23 @@ def without(segment: Segment, own: FloatArray) -> Segment:
 
 def as_modelled(model: Timed, segment: Segment) -> Segment:
     """The segment without what it has of its own beside the model; itself where flights have nothing."""
-    drifting = drifting_of([model])
-    if drifting is None:
-        return segment
     window = start_window(model.n_init, len(segment), model.dt_s)
-    return without(segment, own_part(model, segment, window, drifting))
+    return without(segment, own_part(model, segment, window, drifting_of([model])))
 
 
-def own_part(model: Timed, segment: Segment, window: int, drifting: tuple[bool, ...]) -> FloatArray:
+def own_part(model: Timed, segment: Segment, window: int, drifting: tuple[bool, ...] | None) -> FloatArray:
     """(N, n_y) what a segment's outputs have beside a model's free run, by least squares over all of it.
 
     Constants, or drifts of the outputs in `drifting`; 0 where one changes nothing, because the model takes it
-    up in its start.
+    up in its start, and where `drifting` is None: flights have nothing of their own.
     """
+    if drifting is None or len(segment) <= window:
+        return np.zeros(segment.y.shape)
     n_y = segment.y.shape[1]
     size = np.where(np.ptp(segment.y, axis=0) > 0.0, np.ptp(segment.y, axis=0), 1.0)
     shape = shapes(drifting, len(segment), model.dt_s)
     unit = size / np.maximum(np.abs(shape).max(axis=0), np.finfo(float).tiny)
     numbers = np.zeros(n_y)
-    if len(segment) <= window:
-        return np.zeros(segment.y.shape)
 
     def missed(trial: FloatArray) -> FloatArray:
         run = _run_beside(model, segment, window, shape * trial)

@@ -118,7 +118,7 @@ def free_run_band(
     Its first `start` samples give the starting state. With `drifting`, the segment has a constant or a drift
     of its own beside the model. Both as in `flysid.validate.trials`.
     """
-    own = np.zeros(segment.y.shape) if drifting is None else own_part(model, segment, start, drifting)
+    own = own_part(model, segment, start, drifting)
     segment = without(segment, own)
     try:
         if sure is not None:

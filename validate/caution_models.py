@@ -106,12 +106,10 @@ def own_constants(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterator[Ca
             own = getattr(c.fitted[name], "flight_offsets", None)
             if own is None:
                 continue
-            each = np.array(list(own.values.values()))
-            ends = zip(c.test.outputs, each.min(axis=0), each.max(axis=0), own.drifting, strict=True)
-            for output, low, high, drifts in ends:
-                unit = f"{output.unit}{'/s' if drifts else ''}"
-                if low != high:
-                    said.append(one_line(f"{output.name} {number(low)} to {number(high)} {unit}".rstrip()))
+            said += [
+                one_line(f"{output.name} {number(low)} to {number(high)} {unit}".rstrip())
+                for output, low, high, unit in own.spans(c.test.outputs)
+            ]
             break
     if said:
         yield Caution(

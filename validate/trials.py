@@ -151,7 +151,7 @@ def _model(
 
     `drifting`: the segment has a constant or a drift of its own beside every model; None: it has none.
     """
-    own = np.zeros(segment.y.shape) if drifting is None else own_part(model, segment, first, drifting)
+    own = own_part(model, segment, first, drifting)
     segment = without(segment, own)
     if horizon != FREE_RUN:
         return model.predict(segment.u, segment.y, int(horizon))[first:] + own[first:], None
