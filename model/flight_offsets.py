@@ -79,11 +79,13 @@ class Offsets:
     Attributes
     ----------
     values : by flight, (n_y,) in the outputs' units, or per second; 0 where flights do not differ.
+    common : (n_y,) mean of the flights, which is none of theirs: the model has it.
     beside : per output, None where flights do not differ.
     parts : the scaling of the training data.
     """
 
     values: Mapping[str, FloatArray]
+    common: FloatArray
     beside: tuple[Beside | None, ...]
     parts: Parts
 
@@ -99,17 +101,15 @@ class Offsets:
 
     def taken_out(self, data: Dataset) -> Dataset:
         """The data without them; those of flights that are not known are estimated from the data."""
-        known = dict(self.values)
-        strange = [s for name, s in named_segments(data) if name not in known]
-        if strange:
-            known |= _values(self.beside, self.parts.scaling, data.with_segments(strange))
-        none = np.zeros(len(data.outputs))
-        return data.with_segments(
-            [
-                replace(s, y=s.y - shapes(self.drifting, len(s), data.dt_s) * known.get(name, none))
-                for name, s in named_segments(data)
-            ]
-        )
+        all_known = all(s.flight in self.values for s in data.segments)
+        estimated = {} if all_known else _values(self.beside, self.parts.scaling, data)
+        taken = []
+        for name, segment in named_segments(data):
+            known = self.values.get(segment.flight)  # a segment without a name is no flight of training
+            own = estimated[name] - self.common if known is None else known
+            shape = shapes(self.drifting, len(segment), data.dt_s)
+            taken.append(replace(segment, y=segment.y - shape * own))
+        return data.with_segments(taken)
 
     def words(self, data: Dataset) -> str:
         """The sentence that a model's notes hold."""
@@ -181,7 +181,7 @@ def find_offsets(train: Dataset, *, always: bool = False) -> Offsets | None:
         return None
     values = _values(beside, parts.scaling, train)
     common = np.mean(list(values.values()), axis=0)
-    return Offsets({name: value - common for name, value in values.items()}, beside, parts)
+    return Offsets({name: value - common for name, value in values.items()}, common, beside, parts)
 
 
 def _differing(parts: Parts, output: int, *, always: bool) -> Beside | None:

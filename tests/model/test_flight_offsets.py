@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -150,6 +152,24 @@ def test_a_controller_that_holds_against_the_wind() -> None:
 
 def test_one_flight_has_no_constant_of_its_own(windy: Dataset) -> None:
     assert find_offsets(windy.with_segments(windy.segments[:1])) is None
+
+
+@pytest.mark.parametrize("is_named", [True, False])
+def test_flights_of_a_validation_part_lose_their_own_winds(windy: Dataset, is_named: bool) -> None:
+    """Not the common part, which the model has, and not the wind of a training flight in the same place."""
+    long = in_wind((5.0,), rows=3000).segments[0]  # the mean of the flights is not that of the samples
+    train = _renamed([*windy.segments, long], windy, "flight" if is_named else "")
+    found = find_offsets(train)
+    assert found is not None
+    winds = (3.0, -3.0, 1.0)
+    other = _renamed(in_wind(winds, seed=1).segments, windy, "other" if is_named else "")
+    taken = [s.y - t.y for s, t in zip(other.segments, found.taken_out(other).segments, strict=True)]
+    assert [y.mean() for y in taken] == pytest.approx(np.array(winds) - np.mean([*WINDS, 5.0]), abs=0.05)
+
+
+def _renamed(segments: Sequence[Segment], data: Dataset, name: str) -> Dataset:
+    """The segments as flights of this name and a number; without a name where that is empty."""
+    return data.with_segments([replace(s, flight=name and f"{name} {k}") for k, s in enumerate(segments)])
 
 
 def test_segments_of_one_flight_share_its_constant(windy: Dataset) -> None:
