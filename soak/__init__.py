@@ -9,11 +9,13 @@ writes their outcomes into that page.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TypeVar
 
+T = TypeVar("T")
 _STATUS = Path("/proc/self/status")
 _CLEAR = Path("/proc/self/clear_refs")
 
@@ -79,6 +81,24 @@ class Outcome:
         """Count rows kept in a trial, and those lost of the `of` that the intact subject has."""
         self.kept = (self.kept or 0) + kept
         self.lost = (self.lost or 0) + max(0, of - kept)
+
+    def judge(
+        self,
+        seeds: Iterable[int],
+        goes_on: Callable[[], bool],
+        draw: Callable[[int], T],
+        faults: Callable[[T], Iterable[str]],
+        rows: Callable[[T], int],
+    ) -> None:
+        """Draw and judge a subject of each seed while there is time: all of its rows are kept, or none."""
+        for seed in seeds:
+            if not goes_on():
+                break
+            drawn = draw(seed)
+            with self.trial():
+                found = list(faults(drawn))
+            self.failures += [f"seed {seed}: {fault}" for fault in found]
+            self.keep(0 if found else rows(drawn), rows(drawn))
 
     @contextmanager
     def trial(self) -> Iterator[None]:

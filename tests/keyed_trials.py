@@ -368,18 +368,18 @@ def _addresses(trial: Trial, flight: Flight) -> Iterator[str]:
                     yield f"{name}.{label} is that of {place.stream}, {message_of(name)}"
 
 
+def _named_faults(trial: Trial) -> list[str]:
+    """The faults with the log's format; an exception is one, too."""
+    try:
+        found = list(faults(trial))
+    except Exception as error:  # noqa: BLE001 - this is what the trials look for
+        found = [f"{type(error).__name__}: {error}"]
+    return [f"{trial.format}: {fault}" for fault in found]
+
+
 def trials(count: int, goes_on: Callable[[], bool], first_seed: int = 0) -> Outcome:
     """Draw and judge logs, one seed each."""
     outcome = Outcome("keyed logs")
-    for seed in range(first_seed, first_seed + count):
-        if not goes_on():
-            break
-        trial = draw(seed)
-        with outcome.trial():
-            try:
-                found = list(faults(trial))
-            except Exception as error:  # noqa: BLE001 - this is what the trials look for
-                found = [f"{type(error).__name__}: {error}"]
-        outcome.failures += [f"seed {seed}, {trial.format}: {fault}" for fault in found]
-        outcome.keep(trial.rows if not found else 0, trial.rows)
+    seeds = range(first_seed, first_seed + count)
+    outcome.judge(seeds, goes_on, draw, _named_faults, lambda trial: trial.rows)
     return outcome

@@ -201,12 +201,7 @@ def _recorded(trial: Trial) -> tuple[dict[str, int], dict[str, int]]:
 def trials(count: int, goes_on: Callable[[], bool], first_seed: int = 0) -> Outcome:
     """Draw and judge logs, one seed each."""
     outcome = Outcome("telemetry")
-    for seed in range(first_seed, first_seed + count):
-        if not goes_on():
-            break
-        trial = draw(seed)
-        with outcome.trial():
-            found = list(faults(trial))
-        outcome.failures += [f"seed {seed}: {fault}" for fault in found]
-        outcome.keep(0 if found else len(trial.arrived), len(trial.arrived))
+    outcome.judge(
+        range(first_seed, first_seed + count), goes_on, draw, faults, lambda trial: len(trial.arrived)
+    )
     return outcome

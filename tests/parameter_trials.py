@@ -172,16 +172,12 @@ def values_in(flight: Flight, stream: str) -> dict[str, float]:
     return dict(zip(table["param_id"].to_pylist(), table["param_value"].to_pylist(), strict=True))
 
 
+def _values(trial: Trial) -> int:
+    return sum(len(sender.values) for sender in trial.senders)
+
+
 def trials(count: int, goes_on: Callable[[], bool], first_seed: int = 0) -> Outcome:
     """Draw and judge logs, one seed each."""
     outcome = Outcome("telemetry")
-    for seed in range(first_seed, first_seed + count):
-        if not goes_on():
-            break
-        trial = draw(seed)
-        with outcome.trial():
-            found = list(faults(trial))
-        outcome.failures += [f"seed {seed}: {fault}" for fault in found]
-        whole = sum(len(sender.values) for sender in trial.senders)
-        outcome.keep(whole if not found else 0, whole)
+    outcome.judge(range(first_seed, first_seed + count), goes_on, draw, faults, _values)
     return outcome
