@@ -35,6 +35,7 @@ _HOME = {
     "refit_consequents": "flysid.model.rules.consequents",
     "SearchSettings": "flysid.model.rules.search_settings",
     "BestTS": "flysid.model.ts_best",
+    "review": "flysid.reviews.review",
 }
 """Public names beside those of the model structures, which are the rows of `flysid.model.structures`."""
 
@@ -94,6 +95,7 @@ if TYPE_CHECKING:
     from flysid.model.ts import TS as TS
     from flysid.model.ts_best import BestTS as BestTS
     from flysid.model.ts_state_space import TSStateSpace as TSStateSpace
+    from flysid.reviews.review import review as review
     from flysid.validate.compare_models import compare as compare
     from flysid.validate.rulesfigure import draw_rules as draw_rules
 

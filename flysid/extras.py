@@ -89,6 +89,9 @@ class Extra(Enum):
     FIGURES = "the figures for a paper"
     PLOT = "the plot"
     LOOP_FIGURES = "the figures of the closed loop"
+    # of a review
+    REVIEWED = "the section"
+    REVIEW_PICTURE = "the picture of the section"
     # beside what is printed
     MEASURED = "the measured response in figures"
     FIT_SHARE = "the share that the free run explains"

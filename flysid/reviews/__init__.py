@@ -1,0 +1,1 @@
+"""One page about a vehicle: does it fly well, and what should be changed."""

@@ -1,0 +1,21 @@
+"""The sections of a review in the order of the page, one row each."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from importlib import import_module
+
+from flysid.reviews.fact import Section
+from flysid.reviews.logged import LoggedFlight
+
+Review = Callable[[LoggedFlight], Section]
+SECTIONS: Mapping[str, str] = {
+    "trust": "flysid.reviews.trust",
+}
+"""Key of a section -> the module whose `review` computes it."""
+
+
+def section_of(key: str) -> Review:
+    """The function that computes a section."""
+    review: Review = import_module(SECTIONS[key]).review
+    return review
