@@ -262,9 +262,14 @@ class Section:
     actions: tuple[Action, ...] = ()
     shown: tuple[Shown, ...] = ()
 
-    def fact(self, key: str) -> Fact | None:
-        """The fact of a key."""
-        return next((fact for fact in self.facts if fact.key == key), None)
+    def to_dict(self) -> dict[str, Any]:
+        """For JSON: facts by what stands behind the section's name in their keys."""
+        return {
+            "title": self.title,
+            "facts": {fact.key.partition(".")[2]: fact.to_dict() for fact in self.facts},
+            "findings": [finding.to_dict() for finding in self.findings],
+            "actions": [action.to_dict() for action in self.actions],
+        }
 
 
 def order(findings: Sequence[Finding]) -> list[Finding]:

@@ -8,14 +8,14 @@ from importlib import import_module
 from flysid.reviews.fact import Section
 from flysid.reviews.logged import LoggedFlight
 
-Review = Callable[[LoggedFlight], Section]
+Reviewer = Callable[[LoggedFlight], Section]
 SECTIONS: Mapping[str, str] = {
     "trust": "flysid.reviews.trust",
 }
 """Key of a section -> the module whose `review` computes it."""
 
 
-def section_of(key: str) -> Review:
+def section_of(key: str) -> Reviewer:
     """The function that computes a section."""
-    review: Review = import_module(SECTIONS[key]).review
+    review: Reviewer = import_module(SECTIONS[key]).review
     return review
