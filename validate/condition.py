@@ -78,6 +78,21 @@ def matching_channels(expression: str, document: Mapping[str, Any]) -> dict[str,
         raise UsageError(f"condition not understood: {expression.strip()[:60]!r}", hint=EXAMPLE) from error
 
 
+def check_grammar(expression: str) -> None:
+    """Raise UsageError where a condition is no comparison, whatever the document will hold.
+
+    Examples
+    --------
+    >>> check_grammar("power.sag > 0.5 and not vibration.clips == 0")
+    """
+    try:
+        tree = ast.parse(_with_names(expression, []), mode="eval").body
+    except (SyntaxError, RecursionError, MemoryError) as error:
+        raise UsageError(f"condition not understood: {expression.strip()[:60]!r}", hint=EXAMPLE) from error
+    if not isinstance(tree, ast.BoolOp | ast.UnaryOp | ast.Compare):
+        raise UsageError("condition needs a comparison", hint=EXAMPLE)
+
+
 def check_condition(expression: str, expected: Mapping[str, Any]) -> None:
     """Raise UsageError where a condition cannot be understood, before there is a document.
 

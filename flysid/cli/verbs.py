@@ -49,6 +49,15 @@ VERBS: Mapping[str, Verb] = {
     row.name: row
     for row in (
         Verb(
+            "review",
+            "Review a log: does the vehicle fly well, and what should be changed?",
+            (
+                "flysid review flight.bin",
+                "flysid review flight.ulg -o review.html",
+            ),
+            step="Look",
+        ),
+        Verb(
             "doctor",
             "Check logs: contents, losses, and what to log next time.",
             (

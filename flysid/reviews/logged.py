@@ -16,6 +16,7 @@ import numpy.typing as npt
 from flysid.dataset import FloatArray
 from flysid.errors import RecipeError
 from flysid.facts.clock import LogClock, log_clock
+from flysid.facts.vehicle import firmware_of
 from flysid.flight import Damage, split_address
 from flysid.ingest.align.recipe import Source
 from flysid.ingest.align.resample import FOREVER
@@ -119,9 +120,7 @@ class LoggedFlight:
     @cached_property
     def family(self) -> str:
         """Firmware: "ardupilot", "px4", "betaflight", "inav", "crazyflie"; "" where the log does not say."""
-        autopilot = self.info.get("autopilot", "").lower()
-        known = ("ardupilot", "px4", "betaflight", "inav", "emuflight", "crazyflie")
-        return next((name for name in known if autopilot.startswith(name)), autopilot)
+        return firmware_of(self.info)
 
     @cached_property
     def clock(self) -> LogClock:
@@ -180,6 +179,16 @@ class LoggedFlight:
             if isinstance(stated.value, (int, float)):
                 found.setdefault(stated.name, float(stated.value))
         return found
+
+    @cached_property
+    def whole_parameters(self) -> frozenset[str]:
+        """Names of the parameters that the log types as whole numbers."""
+        stream = self.stream("parameters")
+        if not stream or "type" not in self.log.columns(stream):
+            return frozenset()
+        table = self.log.table(stream, ["name", "type"]).to_pydict()
+        pairs = zip(table["name"], table["type"], strict=True)
+        return frozenset(name for name, kind in pairs if "int" in str(kind))
 
     @cached_property
     def headers(self) -> Mapping[str, str]:
