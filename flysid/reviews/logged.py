@@ -245,7 +245,7 @@ class LoggedFlight:
             finite = np.isfinite(samples.x)
             start = self.clock.starts_s.get(boot, 0.0)
             begin = self.clock.begins_ns.get(boot, 0)
-            times.append(start + (samples.t_ns[finite] - begin) * 1e-9)
+            times.append(np.asarray(start + (samples.t_ns[finite] - begin) * 1e-9, dtype=np.float64))
             values.append(samples.x[finite])
         return Column(address, unit, np.concatenate(times), np.concatenate(values))
 
