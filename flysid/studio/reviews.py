@@ -1,4 +1,4 @@
-"""The review of a flight as the page asks for it: sentences and figures that lead to plots, and the whole page."""
+"""The review of a flight as the page asks for it: sentences and figures that lead to plots; and its page."""
 
 from __future__ import annotations
 
