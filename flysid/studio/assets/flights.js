@@ -28,7 +28,12 @@ export async function showFlights(main, query, stay) {
     go("channels", { from: ends.from.value, to: ends.to.value, f: flight ? flight.id : "" });
   });
   const known = el("div", {});
-  side.append(drop, el("label", {}, "Flight", find), select, facts, search, tree, identify, known);
+  const fields = el("div", { class: "fields" }, search, tree, identify);
+  const unfold = el("button", { class: "narrow", "aria-expanded": "false", onclick: () => {
+    const isOpen = fields.classList.toggle("open");
+    unfold.setAttribute("aria-expanded", String(isOpen));
+  } }, "Fields");
+  side.append(drop, el("label", {}, "Flight", find), select, facts, unfold, fields, known);
 
   const map = el("details", { class: "map" }, el("summary", {}, "Where it flew"));
   const events = el("details", {}, el("summary", {}, "Modes, messages and parameter changes"));
@@ -44,7 +49,7 @@ export async function showFlights(main, query, stay) {
     "Drag on a plot zooms, a click sets the first cursor, Shift-click the second, double-click shows all.");
   work.append(title, welcome, answer, pairs, plots.parent, map, events, foot);
   let flight = null;
-  const parts = [search, tree, identify, select, find.parentElement, answer, pairs, plots.parent, map, events, foot];
+  const parts = [fields, unfold, select, find.parentElement, answer, pairs, plots.parent, map, events, foot];
   const reveal = (expected) => { // what needs a flight, where there is one or will be
     parts.forEach((part) => { part.hidden = !flight && !expected; });
     welcome.hidden = Boolean(flight || expected);
@@ -242,11 +247,11 @@ export async function showFlights(main, query, stay) {
   stay.push(() => document.removeEventListener("keydown", slash));
 
   const numbers = (text) => (text ? text.split("~").map((x) => (x === "" ? null : +x)) : null);
-  const fields = query.getAll("p").map((names) => names.split(";"));
-  const show = (id) => open(id, fields.length ? fields : null, numbers(query.get("t")), numbers(query.get("c")));
-  if (query.get("f") && fields.length) {
+  const drawn = query.getAll("p").map((names) => names.split(";"));
+  const show = (id) => open(id, drawn.length ? drawn : null, numbers(query.get("t")), numbers(query.get("c")));
+  if (query.get("f") && drawn.length) {
     reveal(true); // plots have their width only where they are shown
-    plots.expect(query.get("f"), fields, numbers(query.get("t")));
+    plots.expect(query.get("f"), drawn, numbers(query.get("t")));
   }
   const listing = list(query.get("f"));
   if (query.get("f")) {
