@@ -101,11 +101,14 @@ def slower(time: FloatArray, loops: FloatArray, settings: Mapping[str, str]) -> 
 
     Parameters
     ----------
-    time, loops : (N,) s, and numbers of the loop that a row is of.
+    time, loops : (N,) s, and numbers of the loop that a row is of. Where rows are lost, or the vehicle was
+        started again, the steps differ from most others: those count for nothing.
     """
     stated = 1e-6 * float(settings.get("looptime") or 0.0) * float(settings.get("pid_process_denom") or 1.0)
-    gone = loops[-1] - loops[0]
-    return float((time[-1] - time[0]) / gone / stated) if stated and gone > 0.0 else 1.0
+    steps = np.diff(loops)
+    usual = steps == np.median(steps) if len(steps) else np.zeros(0, dtype=bool)
+    gone = float(steps[usual].sum())
+    return float(np.diff(time)[usual].sum() / gone / stated) if stated and gone > 0.0 else 1.0
 
 
 def even_pieces(
