@@ -10,6 +10,7 @@ logger's.
 from __future__ import annotations
 
 import struct
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,7 +30,7 @@ from flysid.ingest.synth.telemetry import (
 HEAD = b"\xa3\x95"
 FMT = 128
 CODES = {"Q": "<u8", "B": "u1", "h": "<i2", "c": "<i2", "C": "<u2", "e": "<i4", "f": "<f4", "Z": "S64",
-         "N": "S16", "n": "S4", "b": "i1", "d": "<f8"}  # fmt: skip
+         "N": "S16", "n": "S4", "b": "i1", "d": "<f8", "H": "<u2", "I": "<u4", "L": "<i4"}  # fmt: skip
 UNITS = {
     "s": "s",
     "d": "deg",
@@ -39,8 +40,20 @@ UNITS = {
     "z": "Hz",
     "#": "instance",
     "k": "deg/s",
+    "E": "rad/s",
+    "o": "m/s/s",
+    "v": "V",
+    "A": "A",
+    "a": "Ah",
+    "q": "rpm",
+    "Y": "us",
+    "G": "Gauss",
+    "D": "deglatitude",
+    "U": "deglongitude",
+    "O": "degC",
+    "%": "%",
 }
-MULTS = {"-": 0.0, "0": 1.0, "A": 0.1, "B": 0.01, "C": 0.001, "F": 1e-6}
+MULTS = {"-": 0.0, "0": 1.0, "A": 0.1, "B": 0.01, "C": 0.001, "F": 1e-6, "G": 1e-7}
 GUIDED = 4
 
 
@@ -110,7 +123,7 @@ def dataflash_bytes(recording: Recording) -> bytes:
     due, kind, row = in_sending_order(*times)
     raw = [as_bytes(rows) for rows in streams]
     kept = np.flatnonzero(heard(recording, due)).tolist()
-    return b"".join([_definitions(first_us), _start(first_us), *(raw[kind[i]][row[i]] for i in kept)])
+    return b"".join([definitions(KINDS, first_us), _start(first_us), *(raw[kind[i]][row[i]] for i in kept)])
 
 
 def _held(command: Telemetry, time_ns: IntArray) -> dict[str, FloatArray]:
@@ -119,9 +132,10 @@ def _held(command: Telemetry, time_ns: IntArray) -> dict[str, FloatArray]:
     return {name: values[at] for name, values in command.values.items()}
 
 
-def _definitions(time_us: int) -> bytes:
+def definitions(kinds: Sequence[MessageKind], time_us: int) -> bytes:
+    """What the log's messages are: their fields, units and multipliers."""
     rows: list[bytes] = []
-    for k in KINDS:
+    for k in kinds:
         size = k.dtype.itemsize
         rows.append(
             HEAD
@@ -129,13 +143,14 @@ def _definitions(time_us: int) -> bytes:
                 "<BBB4s16s64s", FMT, k.number, size, k.name.encode(), k.format.encode(), k.labels.encode()
             )
         )
-    rows += [_one(UNIT, time_us, ord(letter), name.encode()) for letter, name in UNITS.items()]
-    rows += [_one(MULT, time_us, ord(letter), factor) for letter, factor in MULTS.items()]
-    rows += [_one(FMTU, time_us, k.number, k.units.encode(), k.mults.encode()) for k in KINDS]
+    rows += [message_bytes(UNIT, time_us, ord(letter), name.encode()) for letter, name in UNITS.items()]
+    rows += [message_bytes(MULT, time_us, ord(letter), factor) for letter, factor in MULTS.items()]
+    rows += [message_bytes(FMTU, time_us, k.number, k.units.encode(), k.mults.encode()) for k in kinds]
     return b"".join(rows)
 
 
-def _one(kind: MessageKind, *values: object) -> bytes:
+def message_bytes(kind: MessageKind, *values: object) -> bytes:
+    """One message."""
     rows = kind.rows(1)
     rows[0] = (HEAD, kind.number, *values)
     return as_bytes(rows)[0]
@@ -143,7 +158,7 @@ def _one(kind: MessageKind, *values: object) -> bytes:
 
 def _start(time_us: int) -> bytes:
     text = b"ArduCopter V4.5.7 (simulated by flysid)"
-    return _one(MSG, time_us, text) + _one(MODE, time_us, GUIDED, GUIDED, 1)
+    return message_bytes(MSG, time_us, text) + message_bytes(MODE, time_us, GUIDED, GUIDED, 1)
 
 
 def _cents(values: FloatArray) -> npt.NDArray[np.int64]:

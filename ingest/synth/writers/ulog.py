@@ -11,7 +11,8 @@ written as an O record.
 from __future__ import annotations
 
 import struct
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -31,7 +32,16 @@ from flysid.ingest.synth.telemetry import (
 from flysid.ingest.synth.writers.mavlink import quaternion
 
 MAGIC = b"ULog\x01\x12\x35\x01"
-TYPES = {"<u8": "uint64_t", "<f4": "float", "u1": "uint8_t", "?": "bool"}
+TYPES = {
+    "<u8": "uint64_t",
+    "<f8": "double",
+    "<f4": "float",
+    "<u4": "uint32_t",
+    "<i4": "int32_t",
+    "<u2": "uint16_t",
+    "u1": "uint8_t",
+    "?": "bool",
+}
 Fields = list[tuple[str, str]]
 
 SETPOINT: Fields = [
@@ -88,17 +98,19 @@ def ulog_bytes(recording: Recording) -> bytes:
     for i in range(len(due)):
         while pauses and due[i] >= pauses[0][1]:
             start, end = pauses.pop(0)
-            pieces.append(_record("O", struct.pack("<H", min((end - start) // MS_NS, 0xFFFF))))
+            pieces.append(record("O", struct.pack("<H", min((end - start) // MS_NS, 0xFFFF))))
         if reached[i]:
-            pieces.append(_record("D", struct.pack("<H", topic[i]) + raw[topic[i]][row[i]]))
+            pieces.append(record("D", struct.pack("<H", topic[i]) + raw[topic[i]][row[i]]))
     return b"".join(pieces)
 
 
-def _record(kind: str, body: bytes) -> bytes:
+def record(kind: str, body: bytes) -> bytes:
+    """One record of a log."""
     return struct.pack("<HB", len(body), ord(kind)) + body
 
 
-def _dtype(fields: Fields) -> np.dtype[Any]:
+def row_type(fields: Fields) -> np.dtype[Any]:
+    """Of the rows of a topic."""
     parts = [
         (name, code[1:], (int(code[0]),)) if code[0].isdigit() else (name, code) for name, code in fields
     ]
@@ -106,22 +118,49 @@ def _dtype(fields: Fields) -> np.dtype[Any]:
 
 
 def _preamble(recording: Recording, names: Sequence[str]) -> bytes:
-    first_us = int(recording.state.time_ns[0]) // 1000
-    utc_s = struct.pack(
-        "<Q", (recording.boot_utc_ns + int(recording.state.time_ns[0])) // SECOND_NS * 1_000_000
-    )
-    parts = [MAGIC + struct.pack("<Q", first_us), _record("B", bytes(40))]
+    first_ns = int(recording.state.time_ns[0])
+    utc_us = (recording.boot_utc_ns + first_ns) // SECOND_NS * 1_000_000
     layouts = TOPICS | ROTORS
-    for name in names:
-        fields = layouts[name]
-        parts.append(_record("F", f"{name}:{''.join(_declare(f) for f in fields)}".encode()))
-    said = [(f"char[{len(value)}] {name}", value.encode()) for name, value in facts(recording).items()]
+    return preamble({name: layouts[name] for name in names}, facts(recording), first_ns // 1000, utc_us)
+
+
+def preamble(
+    layouts: Mapping[str, Fields],
+    stated: Mapping[str, str],
+    first_us: int,
+    utc_us: int = 0,
+    parameters: Mapping[str, float] = MappingProxyType({}),
+) -> bytes:
+    """What comes before the data: formats, facts, parameters and subscriptions, numbered as they stand.
+
+    Parameters
+    ----------
+    layouts : topic -> its fields; "topic#1" for its second instance.
+    stated : facts about the vehicle.
+    first_us, utc_us : time since boot at which the log begins, and the time of day then; 0 for unknown.
+    parameters : written as integers where they are.
+    """
+    parts = [MAGIC + struct.pack("<Q", first_us), record("B", bytes(40))]
+    topics = [(name, *name.partition("#")[::2]) for name in layouts]
+    for name, topic, instance in topics:
+        if not instance:
+            declared = "".join(map(_declare, layouts[name]))
+            parts.append(record("F", f"{topic}:{declared}".encode()))
+    known = [(f"char[{len(value)}] {name}", value.encode()) for name, value in stated.items()]
     release = ("uint32_t ver_sw_release", struct.pack("<I", RELEASE))
-    for key, value in (*said, release, ("uint64_t time_ref_utc_us", utc_s)):
-        parts.append(_record("I", bytes([len(key)]) + key.encode() + value))
-    for number, name in enumerate(names):
-        parts.append(_record("A", struct.pack("<BH", 0, number) + name.encode()))
+    for key, value in (*known, release, ("uint64_t time_ref_utc_us", struct.pack("<Q", utc_us))):
+        parts.append(record("I", _keyed(key, value)))
+    for name, number in parameters.items():
+        whole = isinstance(number, int)
+        packed = struct.pack("<i" if whole else "<f", number)
+        parts.append(record("P", _keyed(f"{'int32_t' if whole else 'float'} {name}", packed)))
+    for i, (_, topic, instance) in enumerate(topics):
+        parts.append(record("A", struct.pack("<BH", int(instance or 0), i) + topic.encode()))
     return b"".join(parts)
+
+
+def _keyed(key: str, value: bytes) -> bytes:
+    return bytes([len(key)]) + key.encode() + value
 
 
 def _declare(field: tuple[str, str]) -> str:
@@ -131,7 +170,7 @@ def _declare(field: tuple[str, str]) -> str:
 
 
 def _table(series: Telemetry, fields: Fields) -> npt.NDArray[np.void]:
-    rows: npt.NDArray[np.void] = np.zeros(len(series), dtype=_dtype(fields))
+    rows: npt.NDArray[np.void] = np.zeros(len(series), dtype=row_type(fields))
     rows["timestamp"] = series.time_ns // 1000
     if "timestamp_sample" in (rows.dtype.names or ()):
         rows["timestamp_sample"] = rows["timestamp"]
