@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import shlex
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,6 +17,7 @@ from flysid.cli.display import Display
 from flysid.cli.output import ExitCode, check_target, printable, say
 from flysid.cli.source import flight_options, opened_flights, reading_options
 from flysid.cli.trust import Own, Setting
+from flysid.showing import fold
 
 if TYPE_CHECKING:
     from flysid.ingest.lake.chosen_flights import Selection
@@ -76,7 +77,7 @@ def command(
     else:
         from flysid.reviews.lines import markdown, terminal_lines
 
-        texts = [markdown(r) if as_markdown else "\n".join(map(printable, terminal_lines(r))) for r in found]
+        texts = [markdown(r) if as_markdown else _folded(terminal_lines(r)) for r in found]
         click.echo("\n\n".join(texts))
     if output is not None:
         _write(output, found, sources)
@@ -86,6 +87,10 @@ def command(
     if condition and _holds(condition, found):
         return ExitCode.CHECK_FAILED
     return 0 if all(review.is_judged for review in found) else 3
+
+
+def _folded(lines: Iterable[str]) -> str:
+    return "\n".join(fold(printable(line)) for line in lines)
 
 
 def _reviews(

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from flysid.escaping import markdown as escaped
 from flysid.reviews.fact import Action, Fact, Grade, Section
 from flysid.reviews.reviewed import Review
-from flysid.showing import counted, fold
+from flysid.showing import counted
 
 MARKS = {Grade.GOOD: "+", Grade.PLAIN: " ", Grade.WATCH: "!", Grade.BAD: "!!"}
 SHOWN_FACTS = 4
@@ -15,20 +15,20 @@ SHOWN_FACTS = 4
 
 
 def terminal_lines(review: Review) -> Iterator[str]:
-    """At most 25 lines: whose log, the answer, what to do next, and each section in a line."""
-    yield fold(head(review))
+    """Whose log, the answer, what to do next, and each section in a line: 25 lines of a terminal at most."""
+    yield head(review)
     yield ""
     first, *rest = review.findings
-    yield fold(f"{first.text}." + _small(first.more))
+    yield f"{first.text}.{_small(first.more)}"
     for finding in rest:
-        yield fold(f"  {MARKS[finding.grade]:2} {finding.text}{_small(finding.more)}")
+        yield f"  {MARKS[finding.grade]:2} {finding.text}{_small(finding.more)}"
     if review.actions:
         yield ""
         yield "Do next:"
-        yield from (fold(f"  {i}. {action_words(action)}") for i, action in enumerate(review.actions, 1))
+        yield from (f"  {i}. {action_words(action)}" for i, action in enumerate(review.actions, 1))
     yield ""
-    yield from (fold(line) for line in map(_section_line, review.sections) if line)
-    yield from (fold(f"note: {sentence}") for sentence in review.broken)
+    yield from filter(None, map(_section_line, review.sections))
+    yield from (f"note: {sentence}" for sentence in review.broken)
 
 
 def head(review: Review) -> str:
@@ -44,12 +44,17 @@ def head(review: Review) -> str:
 def action_words(action: Action) -> str:
     """An action in one line: what, which parameters, what it brings, what it risks."""
     changes = ", ".join(change.words for change in action.changes)
-    parts = [action.title + (f": {changes}" if changes else ""), action.reason]
+    parts = [action.title + (f": {changes}" if changes else ""), capital(action.reason)]
     if action.predicted:
-        parts.append(f"predicted: {action.predicted}")
+        parts.append(f"Predicted: {action.predicted}")
     if action.risk:
-        parts.append(f"risk: {action.risk}")
+        parts.append(f"Risk: {action.risk}")
     return ". ".join(part.rstrip(".") for part in parts if part) + "."
+
+
+def capital(sentence: str) -> str:
+    """With a capital at its beginning."""
+    return sentence[:1].upper() + sentence[1:]
 
 
 def _section_line(section: Section) -> str:

@@ -15,7 +15,7 @@ from flysid.extras import Extra, Missing, extra
 from flysid.ingest.lake.timeline import Timeline
 from flysid.reviews.drawing import draw_heat_map, draw_motors, draw_picture
 from flysid.reviews.fact import Fact, HeatMap, MotorPlan, Picture, Section, Table
-from flysid.reviews.lines import head
+from flysid.reviews.lines import capital, head
 from flysid.reviews.reviewed import Review
 from flysid.validate.report.flight_page import timeline_document
 from flysid.validate.report.html import environment, load_asset, script_json, security_policy, write_page
@@ -105,7 +105,7 @@ def _filled(review: Review, index: int) -> dict[str, Any]:
         "actions": [
             {
                 "title": one_line(action.title),
-                "reason": one_line(action.reason),
+                "reason": one_line(capital(action.reason)),
                 "changes": [one_line(change.words) for change in action.changes],
                 "predicted": one_line(action.predicted),
                 "risk": one_line(action.risk),
