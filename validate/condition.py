@@ -49,7 +49,7 @@ _COMPARE: Mapping[type[ast.cmpop], Callable[[Any, Any], bool]] = {
     ast.NotEq: operator.ne,
 }
 WIDE = (Verdict.BETTER, Verdict.SAME)
-"""Verdicts that are said of another flight without more words; "worse" is bad news whatever its scope."""
+"""Verdicts that are of unseen flights without more words; "worse" is bad news whatever its scope."""
 EXAMPLE = "write for example 'free_run.change_pct > 5' or 'roll.free_run.verdict == worse'"
 
 Value = float | str | None
@@ -223,7 +223,7 @@ class _Guard:
 
 
 def _check_verdict(word: str) -> None:
-    known = [*map(str, Verdict), *(f"{v} on {s}" for v in WIDE for s in Scope if s is not Scope.ANOTHER)]
+    known = [*map(str, Verdict), *(f"{v} on {s}" for v in WIDE for s in Scope if not s.is_unseen)]
     if word not in known:
         near = difflib.get_close_matches(word, known, n=1)
         hint = f"did you mean {near[0]!r}?" if near else f"one of {', '.join(map(repr, known))}"
@@ -259,7 +259,9 @@ def _below(place: Path, holder: Mapping[str, Any]) -> Iterator[tuple[Path, Value
             )
         elif name == "change_pct":
             yield path, limit if value is None else value
-        elif name == "verdict" and value in WIDE and holder.get("scope") not in (None, Scope.ANOTHER):
+        elif (
+            name == "verdict" and value in WIDE and not Scope(holder.get("scope") or Scope.ANOTHER).is_unseen
+        ):
             yield path, f"{value} on {holder['scope']}"
         elif not isinstance(value, bool | list):
             yield path, value
