@@ -10,6 +10,7 @@ from flysid.reviews.logged import LoggedFlight
 
 Reviewer = Callable[[LoggedFlight], Section]
 SECTIONS: Mapping[str, str] = {
+    "vibration": "flysid.reviews.vibration",
     "trust": "flysid.reviews.trust",
 }
 """Key of a section -> the module whose `review` computes it."""
