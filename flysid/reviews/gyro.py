@@ -26,7 +26,7 @@ class LoggedGyro:
     ----------
     raw : axis -> before the filters; {} where the log has them nowhere.
     filtered : axis -> behind the filters.
-    every_sample : raw holds every sample that the filters run on, so that they can be run again on it.
+    every_sample : raw holds samples that the filters ran on, so that they can be run again on it.
     note : what raw is, where it is not plainly the sensor's.
     missing, remedy : why there is no raw signal, and what logs it.
     """
@@ -144,11 +144,7 @@ def _matrix(column) -> FloatArray:  # type: ignore[no-untyped-def]
 
 def _ardupilot(flight: LoggedFlight) -> LoggedGyro:
     each = flight.things("GYR")
-    first = flight.things("IMU") or flight.things("RAW_IMU") or flight.things("SCALED_IMU")
-    filtered: dict[str, Column] = {}
-    if first:
-        filtered = _of_axes(flight, first[0] + ".Gyr{}", "XYZ", stated="rad/s")
-        filtered = filtered or _of_axes(flight, first[0] + ".{}gyro", "xyz", stated="mrad/s")
+    filtered = _of_axes(flight, f"{_first(flight, 'IMU')}.Gyr{{}}", "XYZ", stated="rad/s") or _mavlink(flight)
     option = int(flight.parameters.get("INS_RAW_LOG_OPT", 0.0))
     if each and option & BOTH and len(each) > 1:
         behind = each[len(each) // 2]
@@ -207,15 +203,27 @@ BATCH_BEHIND = 2
 """`type` of an ISBH that begins samples of a gyro; bit of INS_LOG_BAT_OPT with which they are filtered."""
 
 
-def _others(flight: LoggedFlight) -> LoggedGyro:
-    """Crazyflie, and MAVLink of other autopilots."""
+def _first(flight: LoggedFlight, message: str) -> str:
+    """The first of the things of a message."""
+    return next(iter(flight.things(message)), message)
+
+
+def _mavlink(flight: LoggedFlight) -> dict[str, Column]:
+    """What a ground station recorded of the first gyro."""
     forms = (
-        ("gyro.{}", "xyz", UNIT),
-        ("HIGHRES_IMU.{}gyro", "xyz", "rad/s"),
-        ("main.gyroADC[{}]", "012", UNIT),
+        ("HIGHRES_IMU.{}gyro", "rad/s"),
+        ("RAW_IMU.{}gyro", "mrad/s"),
+        ("RAW_IMU[0].{}gyro", "mrad/s"),
+        ("SCALED_IMU.{}gyro", "mrad/s"),
     )
-    found = (_of_axes(flight, *form) for form in forms)
-    return LoggedGyro({}, next((columns for columns in found if columns), {}))
+    found = (_of_axes(flight, form, "xyz", stated) for form, stated in forms)
+    return next((columns for columns in found if columns), {})
+
+
+def _others(flight: LoggedFlight) -> LoggedGyro:
+    """Crazyflie, other blackboxes, and MAVLink of other autopilots."""
+    own = _of_axes(flight, "gyro.{}", "xyz", UNIT) or _of_axes(flight, "main.gyroADC[{}]", "012", UNIT)
+    return LoggedGyro({}, own or _mavlink(flight))
 
 
 def throttle_of(flight: LoggedFlight) -> Column | None:
@@ -261,11 +269,11 @@ def _add(found: dict[int, Column], number: int, rpm: Column | None) -> None:
         found[number] = Column(rpm.address, "Hz", rpm.time_s, np.abs(rpm.values) / 60.0)
 
 
-def sources_of(flight: LoggedFlight) -> list[Source]:
-    """What is known to turn or shake, for the causes of peaks."""
+def sources_of(flight: LoggedFlight, axis: str) -> list[Source]:
+    """What is known to turn or shake, for the causes of an axis's peaks."""
     found = [Source(f"motor {number}", column) for number, column in motors_hz(flight).items()]
-    for axis in "xyz":
-        peak = flight.quantity(f"sensor_gyro_fft.peak_frequencies_{axis}[0]")
-        if peak is not None:
-            found.append(Source(f"the onboard FFT's peak ({axis})", peak, harmonics=(1,)))
+    letter = "xyz"[AXES.index(axis)]
+    peak = flight.quantity(f"sensor_gyro_fft.peak_frequencies_{letter}[0]", "FTN1.PkAvg", stated="")
+    if peak is not None:
+        found.append(Source("the onboard FFT's peak", peak, harmonics=(1,)))
     return found

@@ -75,11 +75,13 @@ def _cause(windows: Windows, peak: Peak, sources: Sequence[Source], throttle: Mo
     if moves is None:
         return ""
     low, high = moves
-    if low > 0.0:
-        return "moves with the throttle: motors or propellers"
-    return "stays while the throttle moves: the frame, or what turns steadily" if high < _LEAST_POWER else ""
+    if low > _LEAST_POWER:
+        return MOVES
+    return STAYS if -_LEAST_POWER < low <= 0.0 <= high < _LEAST_POWER else ""
 
 
+MOVES = "moves with the throttle: motors or propellers"
+STAYS = "stays while the throttle moves: the frame, or what turns steadily"
 _LEAST_POWER = 0.25
 """Half of what a propeller's turns grow with: its thrust grows with their square."""
 
@@ -90,12 +92,12 @@ def _matches(windows: Windows, peak: Peak, source: Source, *, most_time: float =
     known = np.isfinite(turns) & (turns > 0.0)
     if known.sum() < 8:
         return []
-    reach = peak.width_hz / 2.0 + windows.step_hz
+    low, high = peak.band[0] - windows.step_hz, peak.band[1] + windows.step_hz
     found = []
     for harmonic in source.harmonics:
         true_hz = harmonic * turns[known]
         shown = fold(true_hz, windows.rate_hz)
-        near = float(np.mean(np.abs(shown - peak.hz) <= reach))
+        near = float(np.mean((shown >= low) & (shown <= high)))
         if near >= most_time:
             folded = bool(np.median(true_hz) > windows.nyquist_hz)
             gain = follows(windows.where(known), shown)
@@ -129,7 +131,8 @@ def power_of(windows: Windows, peak: Peak, throttle: FloatArray) -> tuple[float,
     A propeller's is 0.5 to 1; that of a frame is 0. A peak that hides in the noise shows neither, and so does
     a throttle that hardly moves.
     """
-    band = np.flatnonzero(np.abs(windows.hz - peak.hz) <= max(0.3 * peak.hz, peak.width_hz))
+    low, high = min(0.7 * peak.hz, peak.band[0]), max(1.3 * peak.hz, peak.band[1])
+    band = np.flatnonzero((windows.hz >= low) & (windows.hz <= high))
     if len(band) < 5:
         return None
     floor = floor_of(windows.mean)[band]

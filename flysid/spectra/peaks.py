@@ -19,7 +19,7 @@ class Peak:
     hz, interval : where, and its 95 % interval.
     height_db : over the floor.
     rms : of what stands above the floor, in the signal's unit.
-    width_hz : at half its height in power.
+    band : from where to where it stands above twice the floor, Hz.
     nyquist_hz : half the rate of the stream: a faster tone shows below it.
     cause : words; "" where the log does not show it.
     """
@@ -28,7 +28,7 @@ class Peak:
     interval: tuple[float, float]
     height_db: float
     rms: float
-    width_hz: float
+    band: tuple[float, float]
     nyquist_hz: float
     cause: str = ""
 
@@ -46,7 +46,7 @@ class Peak:
             "ci95": list(self.interval),
             "height_db": self.height_db,
             "rms": self.rms,
-            "width_hz": self.width_hz,
+            "band_hz": list(self.band),
             "nyquist_hz": self.nyquist_hz,
             "folded_hz": list(self.folded(4.0 * self.nyquist_hz)),
             "cause": self.cause,
@@ -80,7 +80,13 @@ def floor_of(density: FloatArray, octaves: float = 1.0) -> FloatArray:
 
 
 def peaks_of(
-    windows: Windows, *, lowest_hz: float = 0.0, by_chance: float = 0.01, least_db: float = 6.0, most: int = 5
+    windows: Windows,
+    *,
+    lowest_hz: float = 0.0,
+    by_chance: float = 0.01,
+    least_db: float = 6.0,
+    faintest_db: float = 30.0,
+    most: int = 5,
 ) -> list[Peak]:
     """The peaks of a signal's spectrum, the strongest first.
 
@@ -90,6 +96,7 @@ def peaks_of(
     Parameters
     ----------
     lowest_hz : below it, what moves is the vehicle.
+    faintest_db : below the highest peak, smaller ones are what the windows make of it.
     most : of them.
     """
     density, hz = windows.mean, windows.hz
@@ -100,14 +107,15 @@ def peaks_of(
     threshold = max(least_db, _by_chance_db(windows.freedom, by_chance / len(hz)))
     inner = np.flatnonzero((density[1:-1] >= density[:-2]) & (density[1:-1] > density[2:])) + 1
     found: list[Peak] = []
+    faintest = 0.0
     taken = np.zeros(len(hz), dtype=bool)
     for k in sorted(inner.tolist(), key=lambda k: -density[k]):
-        if hz[k] < lowest_hz or over_db[k] < threshold or taken[k]:
+        if hz[k] < lowest_hz or over_db[k] < threshold or taken[k] or density[k] < faintest:
             continue
+        faintest = max(faintest, density[k] * 10.0 ** (-faintest_db / 10.0))
         low, high = _foot(density, floor, k)
         taken[low : high + 1] = True
         excess = np.maximum(density[low : high + 1] - floor[low : high + 1], 0.0).sum() * windows.step_hz
-        half = np.flatnonzero(density[low : high + 1] >= density[k] / 2.0)
         at, interval = _place(windows, k)
         found.append(
             Peak(
@@ -115,7 +123,7 @@ def peaks_of(
                 interval,
                 float(over_db[k]),
                 float(np.sqrt(excess)),
-                float((half[-1] - half[0] + 1) * windows.step_hz),
+                (float(hz[low]), float(hz[high])),
                 windows.nyquist_hz,
             )
         )

@@ -88,7 +88,8 @@ def dataflash_file(
     rows: Sequence[tuple[int, int, Sequence[object]]], parameters: Mapping[str, float]
 ) -> bytes:
     """A DataFlash log: (number, time in us, values behind the time) each."""
-    types = {**dataflash.TYPES, **DATAFLASH}
+    own = {name for name, _, _ in DATAFLASH.values()}
+    types = {n: row for n, row in dataflash.TYPES.items() if row[0] not in own} | DATAFLASH
     out = [dataflash.fmt(number, types) for number in types if number not in (42, 43)]
     out += [_fmt_with_arrays(number) for number in (42, 43)]
     out += [

@@ -43,7 +43,8 @@ def first_order(x: FloatArray, hz: FloatArray | float, rate: float) -> FloatArra
     return out
 
 
-def settled(b: FloatArray, a: FloatArray, x: FloatArray) -> FloatArray:
+def settled(law: tuple[FloatArray, FloatArray], x: FloatArray) -> FloatArray:
+    b, a = law
     return np.asarray(signal.lfilter(b, a, x, zi=signal.lfilter_zi(b, a) * x[0])[0])
 
 
@@ -68,7 +69,7 @@ def betaflight_log(
     opened = np.round(np.clip(0.45 + 0.25 * np.sin(2.0 * np.pi * 0.4 * t), 0.0, 1.0), 3)
     sampled = first_order(fine, 500.0, rate)[1::2]
     throttle = opened[1::2]
-    behind = settled(*notch(200.0, 150.0, rate / 2.0), sampled)
+    behind = settled(notch(200.0, 150.0, rate / 2.0), sampled)
     held, steps, last = np.empty(len(behind)), np.rint(throttle * 100.0), -np.inf
     now = 0.0
     for n in range(len(behind)):
@@ -191,10 +192,9 @@ def test_ardupilots_harmonic_notch_is_run_again_on_the_gyro_before_it(tmp_path: 
         w = 2.0 * np.pi * centre / rate
         alpha, gain = np.sin(w) / (2.0 * q), 10.0 ** (-30.0 / 20.0)
         b = np.array([1.0 + alpha * gain, -2.0 * np.cos(w), 1.0 - alpha * gain])
-        y = settled(
-            b / (1.0 + alpha), np.array([1.0 + alpha, -2.0 * np.cos(w), 1.0 - alpha]) / (1.0 + alpha), y
-        )
-    y = settled(*signal.butter(2, 60.0, fs=rate), y)
+        a = np.array([1.0 + alpha, -2.0 * np.cos(w), 1.0 - alpha])
+        y = settled((b / (1.0 + alpha), a / (1.0 + alpha)), y)
+    y = settled(signal.butter(2, 60.0, fs=rate), y)
     stamps = (5_000_000 + 1000 * np.arange(len(t))).tolist()
     rows = [
         (41, stamp, (instance, stamp, *[float(value)] * 3))
@@ -227,8 +227,8 @@ def test_px4s_filters_run_on_the_samples_of_the_fifo(tmp_path: Path) -> None:
     t, x = shaken(4.0, rate, [(130.0, 8.0)], 2.0, 13)
     counts = np.rint(np.radians(x) / 0.001).astype(int)
     seen = counts * 0.001
-    y = settled(*signal.iirnotch(130.0, 130.0 / 20.0, fs=rate), seen)
-    y = settled(*signal.butter(2, 80.0, fs=rate), y)
+    y = settled(signal.iirnotch(130.0, 130.0 / 20.0, fs=rate), seen)
+    y = settled(signal.butter(2, 80.0, fs=rate), y)
     fifo, filtered = [], []
     for k in range(0, len(t) - a_row + 1, a_row):
         last_us = 2_000_000 + 125 * (k + a_row - 1)

@@ -86,7 +86,9 @@ def test_what_runs_has_the_response_that_is_stated(stage: Stage) -> None:
     out = run_sections(stage.sections(RATE), impulse)
     spectrum = np.fft.rfft(out[1:])
     hz = np.fft.rfftfreq(len(out) - 1, 1.0 / RATE)
-    np.testing.assert_allclose(spectrum[5:900], stage.response(hz[5:900], RATE), atol=1e-6)
+    np.testing.assert_allclose(
+        spectrum[5:900], stage.response(np.asarray(hz[5:900], dtype=np.float64), RATE), atol=1e-6
+    )
 
 
 def test_an_edge_that_moves_is_filtered_with_the_edge_of_each_sample() -> None:
