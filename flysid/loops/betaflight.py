@@ -34,6 +34,8 @@ from flysid.loops.stages import ComplexArray, Filters, filters_of
 AXES = {"roll": "rollPID", "pitch": "pitchPID", "yaw": "yawPID"}
 FULL_THROTTLE = 2000.0
 """us."""
+IDLE_STICK = 1050.0
+"""us of throttle below which the motors idle (`min_check`), which headers do not state."""
 ANTI_GRAVITY = 1 << 28
 """Bit of `features` that switches it on."""
 UNLIMITED = 1000.0

@@ -10,6 +10,7 @@ import numpy as np
 
 from flysid.dataset import FloatArray
 from flysid.errors import DataError, UsageError
+from flysid.flightwriter import float_values
 from flysid.loops.betaflight import AXES, Conditions
 from flysid.loops.stick_response import StickRecord
 
@@ -55,7 +56,7 @@ def fields_of(log: Any, stream: str, names: Iterable[str]) -> dict[str, FloatArr
             f"{log.name} lacks a field of the rate loop: {error}",
             hint="log PID terms, sticks and gyro (Betaflight before 4.0)",
         ) from error
-    return {name: np.asarray(table[name], dtype=np.float64) for name in wanted}
+    return {name: float_values(table[name]) for name in wanted}
 
 
 def record_of(

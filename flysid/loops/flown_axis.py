@@ -17,7 +17,7 @@ from numba import njit
 
 from flysid.dataset import FloatArray
 from flysid.errors import DataError, UsageError
-from flysid.loops.betaflight import AXES, FULL_THROTTLE, BetaflightLaw
+from flysid.loops.betaflight import AXES, FULL_THROTTLE, IDLE_STICK, BetaflightLaw
 from flysid.loops.blackbox_loops import FULL_STICK, even_pieces, fields_of, slower, terms_of
 from flysid.loops.controller import THOUSANDTHS
 from flysid.loops.stages import sections
@@ -26,8 +26,6 @@ from flysid.loops.stick_response import ComplexArray, StickRecord
 MOTORS = 4
 SIDES = np.array([[-1.0, -1.0, 1.0, 1.0], [1.0, -1.0, 1.0, -1.0], [1.0, -1.0, -1.0, 1.0]])
 """How roll, pitch and yaw enter the motors: rear right, front right, rear left, front left."""
-IDLE_STICK = 1050.0
-"""us of throttle below which the motors idle (`min_check`), which headers do not state."""
 MOVED_WITHIN_S = 0.1
 """Within which anti-gravity looks for a movement of the throttle."""
 

@@ -18,7 +18,7 @@ from flysid.errors import RecipeError
 from flysid.facts.clock import LogClock, log_clock
 from flysid.facts.vehicle import firmware_of
 from flysid.flight import Damage, split_address
-from flysid.ingest.align.recipe import Source
+from flysid.ingest.align.recipe import SignalSpec, Source
 from flysid.ingest.align.resample import FOREVER
 from flysid.ingest.align.signals import Loaded, Log, find_source, load_source
 from flysid.ingest.align.things import find_stream, things_of
@@ -49,7 +49,7 @@ class Column:
     def __len__(self) -> int:
         return len(self.values)
 
-    @property
+    @cached_property
     def period_s(self) -> float:
         """From sample to sample, as most are; NaN of fewer than two."""
         return float(np.median(np.diff(self.time_s))) if len(self) > 1 else float("nan")
@@ -226,7 +226,9 @@ class LoggedFlight:
             found = find_source((source,), self.log)
             if found is None:
                 continue
-            column = self._on_clock(load_source(*found, unit, self.log), f"{found[1]}.{field}", unit)
+            column = self._on_clock(
+                load_source(*found, unit, self.log, resolved=False), f"{found[1]}.{field}", unit
+            )
             if len(column):
                 return column
         return None
@@ -237,6 +239,21 @@ class LoggedFlight:
             return self.column(*addresses, unit=unit, stated=stated)
         except RecipeError:
             return None
+
+    def signal(self, spec: SignalSpec) -> Column | None:
+        """A signal of a recipe, from the first of its sources that has values; None where none has."""
+        for source in spec.sources:
+            found = find_source((source,), self.log)
+            if found is None:
+                continue
+            try:
+                loaded = load_source(*found, spec.unit, self.log, resolved=False)
+            except RecipeError:
+                continue  # a unit of another kind: the next source may fit
+            column = self._on_clock(loaded, f"{found[1]}.{'/'.join(source.fields)}", spec.unit)
+            if len(column):
+                return column
+        return None
 
     def _on_clock(self, loaded: Loaded, address: str, unit: str) -> Column:
         times: list[FloatArray] = [np.zeros(0)]

@@ -10,6 +10,7 @@ from flysid.reviews.logged import LoggedFlight
 
 Reviewer = Callable[[LoggedFlight], Section]
 SECTIONS: Mapping[str, str] = {
+    "tracking": "flysid.reviews.tracking",
     "vibration": "flysid.reviews.vibration",
     "power": "flysid.reviews.power",
     "trust": "flysid.reviews.trust",
