@@ -11,6 +11,7 @@ from flysid.reviews.logged import LoggedFlight
 Reviewer = Callable[[LoggedFlight], Section]
 SECTIONS: Mapping[str, str] = {
     "power": "flysid.reviews.power",
+    "estimator": "flysid.reviews.estimator",
     "trust": "flysid.reviews.trust",
 }
 """Key of a section -> the module whose `review` computes it."""
