@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 from flysid.dataset import FloatArray
 from flysid.errors import DataError, UsageError
 from flysid.flightwriter import float_values
+from flysid.ingest.lake.events import IN_FORCE
 from flysid.loops.betaflight import AXES
 from flysid.loops.blackbox_loops import LARGEST_SHARE, even_pieces
 from flysid.loops.controller import RELEASE, THOUSANDTHS
@@ -25,8 +26,6 @@ STREAMS = {
     "PARAM_VALUE": ("param_id", "param_value"),
 }
 """Where logs keep parameters: DataFlash, ULog, MAVLink."""
-IN_FORCE = ("", "initial", "changed")
-"""Origins of values that were in force; a ULog also states defaults."""
 
 
 def parameters_of(log: Any, needed: Callable[[str], bool]) -> dict[str, float]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
@@ -32,13 +33,14 @@ def review(flight: LoggedFlight) -> Section:
         *found,
         *_board_facts(flight),
     )
+    level = replace(hover, share=float("nan")) if _saturates(facts) else hover
     findings = (
         *motor_balance.findings(balance),
-        *_hover_findings(flight, hover),
+        *_hover_findings(flight, level),
         *_range_findings(flight, facts),
         *battery_facts.findings(facts),
     )
-    actions = (*motor_balance.actions(balance), *_hover_actions(flight, hover), *battery_facts.actions(facts))
+    actions = (*motor_balance.actions(balance), *_hover_actions(flight, level), *battery_facts.actions(facts))
     shown: tuple[Shown, ...] = (*motor_balance.plan(balance), *battery_facts.picture(battery))
     if not flight.was_flown:
         findings = actions = ()
@@ -148,6 +150,12 @@ def _range_facts(flight: LoggedFlight, motors: tuple[Motor, ...]) -> Iterator[Fa
             fields=(motor.command.address,),
             at_s=highest if shares is full else None,
         )
+
+
+def _saturates(facts: tuple[Fact, ...]) -> bool:
+    """Whether motors were at full for so long that their mean is not what hovering takes."""
+    full = next((fact for fact in facts if fact.key == "power.saturated"), None)
+    return full is not None and full.grade.rank >= Grade.WATCH.rank
 
 
 def _range_findings(flight: LoggedFlight, facts: tuple[Fact, ...]) -> Iterator[Finding]:

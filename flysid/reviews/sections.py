@@ -13,6 +13,7 @@ SECTIONS: Mapping[str, str] = {
     "tracking": "flysid.reviews.tracking",
     "vibration": "flysid.reviews.vibration",
     "power": "flysid.reviews.power",
+    "estimator": "flysid.reviews.estimator",
     "trust": "flysid.reviews.trust",
 }
 """Key of a section -> the module whose `review` computes it."""

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
 
 from flysid.facts.modes import COLUMNS, mode_texts
 from flysid.flight import BOOT, TIME, matching_streams
@@ -14,6 +16,9 @@ from flysid.flightwriter import float_values, int_values
 from flysid.ingest.align.signals import Log
 from flysid.ingest.align.things import find_stream
 
+ORIGIN = "origin"
+IN_FORCE = ("", "initial", "changed")
+"""Origins of values that were in force; a ULog also states defaults."""
 MESSAGES = (("MSG", "Message"), ("STATUSTEXT", "text"), ("messages", "text"))
 PARAMETERS = (
     ("PARM", "Name", "Value"),
@@ -83,7 +88,7 @@ def messages(log: Log) -> list[Event]:
 
 
 def settings(log: Log) -> list[Setting]:
-    """Every statement of a parameter, in the order of the log's streams."""
+    """Every statement of a parameter, in the order of the log's streams. Defaults that a ULog lists were not in force."""
     return [
         Setting(boot, time_ns, str(name), value)
         for message, column, content in PARAMETERS
@@ -107,9 +112,13 @@ def parameter_changes(stated: Sequence[Setting]) -> list[Event]:
 
 def _rows(log: Log, message: str, columns: Sequence[str]) -> Iterator[tuple[Any, ...]]:
     for stream in matching_streams(message, log.rows):
-        if log.rows[stream] and set(columns) <= set(log.columns(stream)):
-            table = log.table(stream, [BOOT, TIME, *columns])
-            yield from zip(*(table[c].to_pylist() for c in (BOOT, TIME, *columns)), strict=True)
+        held = log.columns(stream)
+        if not log.rows[stream] or not set(columns) <= set(held):
+            continue
+        table = log.table(stream, [BOOT, TIME, *columns, *({ORIGIN} & set(held))])
+        if ORIGIN in table.column_names:
+            table = table.filter(pc.is_in(table[ORIGIN], pa.array(IN_FORCE)))
+        yield from zip(*(table[c].to_pylist() for c in (BOOT, TIME, *columns)), strict=True)
 
 
 def written(value: float | str) -> str:

@@ -11,7 +11,7 @@ from flysid.flight import Flight, Source, field_metadata
 from flysid.ingest.align.allowed import Allowed
 from flysid.ingest.align.recipe import parse_recipe
 from flysid.ingest.align.signals import FlightLog
-from flysid.ingest.lake.events import events
+from flysid.ingest.lake.events import events, settings
 from flysid.ingest.lake.stretches import Stretches
 from flysid.ingest.lake.timeline import find_fields, lay_out, read_channels, read_fields
 
@@ -116,6 +116,19 @@ def test_modes_messages_and_changed_parameters_stand_beside_the_fields() -> None
     told = [(round(m.time_s, 3), m.kind, m.text) for m in line.moments]
     assert told == [(1.0, "message", "Takeoff"), (10.0, "parameter", "P = 0.15 (was 0.1)")]
     assert [e.kind for e in events(log)] == ["mode", "message", "mode", "parameter"]
+
+
+def test_defaults_that_a_ulog_lists_are_no_changes() -> None:
+    origins = ["initial", "system default", "setup default", "changed"]
+    rows = table(
+        np.array([90.0, 90.0, 90.0, 110.0]),
+        name=pa.array(["P"] * 4),
+        value=pa.array([0.3, 0.1, 0.2, 0.4]),
+        origin=pa.array(origins),
+    )
+    log = flight(ATT=ATT, parameters=rows)
+    assert [setting.value for setting in settings(log)] == [0.3, 0.4]
+    assert [e.text for e in events(log)] == ["P = 0.4 (was 0.3)"]
 
 
 def test_channels_put_what_was_asked_for_beside_what_came() -> None:
