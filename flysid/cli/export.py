@@ -18,7 +18,7 @@ from flysid.facts.clock import log_clock
 from flysid.progress import tell
 
 KINDS = ("csv", "parquet", "mat", "xlsx", "mcap")
-CALLED = {"casadi": "model_casadi.py", "jax": "model_jax.py"}
+CALLED = {"casadi": "model_casadi.py", "jax": "model_jax.py", "onnx": "model.onnx"}
 """Kinds of a model's file that other code calls, and what each is called where no name is given."""
 
 
@@ -31,7 +31,7 @@ CALLED = {"casadi": "model_casadi.py", "jax": "model_jax.py"}
     type=click.Choice([*KINDS, *CALLED]),
     default="csv",
     show_default=True,
-    help="File type: of a flight, or for code that calls a model (casadi, jax).",
+    help="File type: of a flight, or for code that calls a model (casadi, jax, onnx).",
 )
 @click.option("--flight", cls=Setting, default="", help="The flight of a folder, by id or its beginning.")
 @click.option(
@@ -64,6 +64,12 @@ CALLED = {"casadi": "model_casadi.py", "jax": "model_jax.py"}
 @click.option(
     "--jax", type=click.Path(path_type=Path), metavar="F.py", help="A model as JAX functions, for learning."
 )
+@click.option(
+    "--onnx",
+    type=click.Path(path_type=Path),
+    metavar="F.onnx",
+    help="One step of a model in float32, and F.json with names and units.",
+)
 @click.option("--float32", is_flag=True, help="C in float32, if it is accurate enough on the training data.")
 @click.option("--channel", "-c", cls=Setting, default="", help="Channel of the run.")
 @click.option(
@@ -91,6 +97,7 @@ def command(
     lpv: Path | None,
     casadi: Path | None,
     jax: Path | None,
+    onnx: Path | None,
     float32: bool,
     channel: str,
     label: str,
@@ -102,9 +109,17 @@ def command(
     run's folder, or a model file) becomes C99 without allocation, an FMU, MATLAB files, or functions for code
     of MPC and of learning: --to casadi is --casadi with the file after -o, or model_casadi.py.
     """
-    from flysid.cli.modelexport import Wanted, write_c, write_fmu, write_lpv, write_matlab, write_python
+    from flysid.cli.modelexport import (
+        Wanted,
+        write_c,
+        write_fmu,
+        write_lpv,
+        write_matlab,
+        write_onnx,
+        write_python,
+    )
 
-    called = {"casadi": casadi, "jax": jax}
+    called = {"casadi": casadi, "jax": jax, "onnx": onnx}
     if kind in CALLED:
         called[kind] = called[kind] or out or Path(CALLED[kind])
 
@@ -121,6 +136,8 @@ def command(
         write_python(wanted, file, "casadi", force=force)
     if (file := called["jax"]) is not None:
         write_python(wanted, file, "jax", force=force)
+    if (file := called["onnx"]) is not None:
+        write_onnx(wanted, file, force=force)
     written = [str(path) for path in (c_folder, fmu, matlab, lpv, *called.values()) if path is not None]
     if written:
         click.echo("\n".join(written))
@@ -128,7 +145,8 @@ def command(
     if channel or label or float32:
         raise UsageError(
             "--channel, --model and --float32 are for a model",
-            hint="add --c DIR, --fmu F.fmu, --matlab DIR, --lpv F.json, --casadi F.py or --jax F.py",
+            hint="add --c DIR, --fmu F.fmu, --matlab DIR, --lpv F.json, --casadi F.py, --jax F.py "
+            "or --onnx F.onnx",
         )
     export_flight(source, streams, kind, flight, rate_hz, out, force, told)
 

@@ -42,7 +42,8 @@ def program_of(model: Fitted, rate_hz: float | None = None) -> Program:
         of = f": the package {row.package!r} has no exporter for it" if row.package else ""
         raise UsageError(
             f"a model of structure {model.structure!r} cannot be exported{of}",
-            hint="export a member of an ensemble, or a model of one of flysid's own other structures",
+            hint="export a model of one of flysid's own other structures; of an ensemble a member, or all "
+            "with --casadi, --jax or --onnx",
         )
     if rate_hz is not None:
         model = resample(model, rate_hz)

@@ -15,7 +15,7 @@ import numpy as np
 from flysid.export.csource import rendered
 from flysid.export.program import Operation, Program
 from flysid.export.programs import Member, limits_of, rest_of
-from flysid.export.wording import name_with_unit, plain, states_of, value_name
+from flysid.export.wording import name_with_unit, plain, states_of, title_of, value_name
 
 Dialect = Literal["casadi", "jax"]
 
@@ -42,7 +42,7 @@ def python_file(members: Sequence[Member], name: str, dialect: Dialect) -> str:
     low, high = limits_of(members)
     words = {
         "py": python_literal,
-        "title": first.title if alone else f"Mean of {len(members)} models",
+        "title": title_of(members),
         "dt_exact": repr(float(first.dt_s)),
         "outputs": [
             {"name": name_with_unit(s), "low": f"{a:.6g}", "high": f"{b:.6g}"}

@@ -58,3 +58,8 @@ def states_of(members: Sequence[Member]) -> list[str]:
     if len(told) == 1:
         return told[0]
     return [f"model {number}: {words}" for number, each in enumerate(told, 1) for words in each]
+
+
+def title_of(members: Sequence[Member]) -> str:
+    """What the model is: its program's title, or how many there are."""
+    return members[0].program.title if len(members) == 1 else f"Mean of {len(members)} models"

@@ -205,6 +205,12 @@ NOT_TYPED: dict[str, dict[str, str]] = {
         "make doors": "it is this",
         "pip install .": REGISTRY,
     },
+    "docs/export.md": {
+        'pip install "flysid[mpc]"': REGISTRY,
+        "flysid export run --channel longitudinal --onnx longitudinal.onnx": (
+            "it needs onnx; tests/flysid/export/test_onnx.py gives the command where that is"
+        ),
+    },
     "docs/fleet.md": {'pip install "flysid[fleet]"': REGISTRY},
     "docs/index.md": {"flysid demo": "README's `make demo` is this command"},
     "docs/own-models.md": {

@@ -10,6 +10,8 @@ of sum(weights * y) over H rows by inputs and memory, `by_u` and `by_x`. It know
 from __future__ import annotations
 
 import importlib
+import json
+import os
 import sys
 from pathlib import Path
 from typing import Any
@@ -53,11 +55,34 @@ def of_jax(name: str, u: Any, weights: Any) -> dict[str, Any]:
     return {"y": np.stack([first, second]), "memory": memory, "by_x": by_x, "by_u": by_u}
 
 
-KINDS = {"casadi": of_casadi, "jax": of_jax}
+def of_onnx(name: str, u: Any, _weights: Any) -> dict[str, Any]:
+    """Step by step, both runs as one batch: from rest, and from rest with the inputs of the second."""
+    import onnxruntime
+
+    names = json.loads(Path(f"{name}.json").read_text("utf-8"))
+    session = onnxruntime.InferenceSession(f"{name}.onnx", providers=["CPUExecutionProvider"])
+    has_memory = bool(names["x"])
+    assert [i.name for i in session.get_inputs()] == (["x", "u"] if has_memory else ["u"])
+    assert [o.name for o in session.get_outputs()] == (["x_next", "y"] if has_memory else ["y"])
+    memory = np.array([[entry["rest"] for entry in names["x"]]] * 2, dtype=np.float32)
+    rows = []
+    for now in u.transpose(1, 0, 2).astype(np.float32):
+        if has_memory:
+            memory, y = session.run(None, {"x": memory, "u": now})
+        else:
+            (y,) = session.run(None, {"u": now})
+        rows.append(y)
+    scale = np.array([entry["scale"] for entry in names["x"]])
+    shift = np.array([entry["shift"] for entry in names["x"]])
+    return {"y": np.stack(rows, axis=1), "memory": memory * scale + shift}
+
+
+KINDS = {"casadi": of_casadi, "jax": of_jax, "onnx": of_onnx}
 
 
 def main(kind: str, folder: Path) -> None:
     sys.path.insert(0, str(folder))
+    os.chdir(folder)
     for path in sorted(folder.glob("*.npz")):
         with np.load(path) as given:
             found = KINDS[kind](path.stem, given["u"], given["weights"])

@@ -14,6 +14,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.command import ROOT
+
 NAMED = "FLYSID_MPC_PYTHON"
 SCRIPT = Path(__file__).with_name("call_models.py")
 
@@ -27,7 +29,8 @@ def python_with(*packages: str) -> str | None:
     if other is None:
         return None
     words = [other, "-c", f"import {', '.join(packages)}"]
-    return other if subprocess.run(words, capture_output=True, check=False).returncode == 0 else None
+    done = subprocess.run(words, capture_output=True, check=False, cwd=ROOT)  # flysid itself is found there
+    return other if done.returncode == 0 else None
 
 
 def require(*packages: str) -> str:
@@ -39,9 +42,11 @@ def require(*packages: str) -> str:
     return found
 
 
-def run_python(python: str, *words: str | Path, cwd: Path) -> str:
+def run_python(python: str, *words: str | Path, cwd: Path, knows_flysid: bool = False) -> str:
     """What a script prints; AssertionError with its complaint where it fails."""
     environment = {k: v for k, v in os.environ.items() if k != "PYTHONPATH"}
+    if knows_flysid:
+        environment["PYTHONPATH"] = str(ROOT)
     done = subprocess.run(
         [python, *map(str, words)], capture_output=True, text=True, check=False, cwd=cwd, env=environment
     )
