@@ -184,6 +184,15 @@ VERBS: Mapping[str, Verb] = {
             step="Fit",
         ),
         Verb(
+            "vehicle",
+            "Fit one model of the whole vehicle: thrust, torques, lag, drag.",
+            (
+                "flysid vehicle flight.ulg -o vehicle",
+                "flysid vehicle first.csv second.csv --calm -o vehicle",
+            ),
+            step="Fit",
+        ),
+        Verb(
             "validate",
             "Compare fitted models on held-out segments; write the report.",
             (
