@@ -88,7 +88,10 @@ def messages(log: Log) -> list[Event]:
 
 
 def settings(log: Log) -> list[Setting]:
-    """Every statement of a parameter, in the order of the log's streams. Defaults that a ULog lists were not in force."""
+    """Every statement of a parameter that was in force, in the order of the log's streams.
+
+    Defaults that a ULog lists beside them were not.
+    """
     return [
         Setting(boot, time_ns, str(name), value)
         for message, column, content in PARAMETERS
