@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import shlex
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,10 +14,9 @@ import click
 from flysid.cli.addresses import SOURCE
 from flysid.cli.checks import Words
 from flysid.cli.display import Display
-from flysid.cli.output import ExitCode, check_target, printable, say
+from flysid.cli.output import ExitCode, check_target, say
 from flysid.cli.source import flight_options, opened_flights, reading_options
 from flysid.cli.trust import Own, Setting
-from flysid.showing import fold
 
 if TYPE_CHECKING:
     from flysid.ingest.lake.chosen_flights import Selection
@@ -75,9 +74,9 @@ def command(
         documents = [review.to_dict() for review in found]
         click.echo(json.dumps(documents[0] if len(documents) == 1 else documents, indent=1, allow_nan=False))
     else:
-        from flysid.reviews.lines import markdown, terminal_lines
+        from flysid.reviews.lines import markdown, terminal_text
 
-        texts = [markdown(r) if as_markdown else _folded(terminal_lines(r)) for r in found]
+        texts = [markdown(r) if as_markdown else terminal_text(r) for r in found]
         click.echo("\n\n".join(texts))
     if output is not None:
         _write(output, found, sources)
@@ -87,10 +86,6 @@ def command(
     if condition and _holds(condition, found):
         return ExitCode.CHECK_FAILED
     return 0 if all(review.is_judged for review in found) else 3
-
-
-def _folded(lines: Iterable[str]) -> str:
-    return "\n".join(fold(printable(line)) for line in lines)
 
 
 def _reviews(

@@ -5,17 +5,29 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from flysid.escaping import markdown as escaped
+from flysid.escaping import one_line
 from flysid.reviews.fact import Action, Fact, Grade, Section
 from flysid.reviews.reviewed import Review
-from flysid.showing import counted
+from flysid.showing import counted, fold
 
 MARKS = {Grade.GOOD: "+", Grade.PLAIN: " ", Grade.WATCH: "!", Grade.BAD: "!!"}
+MOST_LINES = 25
 SHOWN_FACTS = 4
-"""Of a section on the terminal; all of them stand on the page."""
+"""Of a section on the terminal, where there is room; all of them stand on the page."""
 
 
-def terminal_lines(review: Review) -> Iterator[str]:
-    """Whose log, the answer, what to do next, and each section in a line: 25 lines of a terminal at most."""
+def terminal_text(review: Review) -> str:
+    """Whose log, the answer, what to do next, and as much of each section as 25 lines leave room for."""
+    for most in range(SHOWN_FACTS, -1, -1):
+        lines = [fold(one_line(line)) for line in _lines(review, most)]
+        text = "\n".join(lines)
+        if text.count("\n") < MOST_LINES:
+            break
+    return text
+
+
+def _lines(review: Review, most: int) -> Iterator[str]:
+    """The lines with so many facts of a section; the answer and what to do next are whole."""
     yield head(review)
     yield ""
     first, *rest = review.findings
@@ -27,7 +39,7 @@ def terminal_lines(review: Review) -> Iterator[str]:
         yield "Do next:"
         yield from (f"  {i}. {action_words(action)}" for i, action in enumerate(review.actions, 1))
     yield ""
-    yield from filter(None, map(_section_line, review.sections))
+    yield from filter(None, (_section_line(section, most) for section in review.sections))
     yield from (f"note: {sentence}" for sentence in review.broken)
 
 
@@ -57,13 +69,13 @@ def capital(sentence: str) -> str:
     return sentence[:1].upper() + sentence[1:]
 
 
-def _section_line(section: Section) -> str:
+def _section_line(section: Section, most: int) -> str:
     """The facts that matter most of a section: bad ones first, then in their order."""
     known = [fact for fact in section.facts if fact.value is not None]
     unknown = len(section.facts) - len(known)
-    shown = sorted(known, key=lambda fact: -max(fact.grade.rank, Grade.PLAIN.rank))[:SHOWN_FACTS]
+    shown = sorted(known, key=lambda fact: -max(fact.grade.rank, Grade.PLAIN.rank))[:most]
     texts = [f"{fact.label} {fact.words}" for fact in shown]
-    if unknown:
+    if unknown and texts:
         texts.append(f"{counted(unknown, 'figure')} not determined")
     return f"{section.title}: {', '.join(texts)}" if texts else ""
 

@@ -25,7 +25,7 @@ from flysid.reviews.fact import (
     Section,
     Table,
 )
-from flysid.reviews.lines import markdown, terminal_lines
+from flysid.reviews.lines import markdown, terminal_text
 from flysid.reviews.page import render
 from flysid.reviews.parameter_file import file_suffix, parameter_text
 from flysid.reviews.reviewed import Review
@@ -158,7 +158,7 @@ def test_a_log_without_any_figure_says_so() -> None:
 
 
 def test_the_terminal_shows_the_answer_within_25_lines() -> None:
-    lines = "\n".join(terminal_lines(some_review())).splitlines()
+    lines = terminal_text(some_review()).splitlines()
     assert len(lines) <= 25
     assert lines[2] == "Hover takes 0.66 of full thrust."
     assert any("MPC_THR_HOVER 0.5 -> 0.66" in line for line in lines)
