@@ -41,7 +41,7 @@ class Fact:
     interval : of 95 %; None where none is known.
     grade : against its limit.
     note : what limits the figure, or the limit that it stands against.
-    fields : `STREAM.FIELD` that it was computed from: its evidence.
+    fields : each a `STREAM.FIELD` that it was computed from: its evidence.
     at_s : seconds on the log's clock at which it shows best; None where no moment stands out.
     missing : why it is not determined; "" where it is.
     remedy : what logs it next time, with the parameter's name.

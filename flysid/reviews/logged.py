@@ -6,7 +6,7 @@ Every section reads through here, so that all of them mean the same second, the 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
 
@@ -22,6 +22,7 @@ from flysid.ingest.align.recipe import SignalSpec, Source
 from flysid.ingest.align.resample import FOREVER
 from flysid.ingest.align.signals import Loaded, Log, find_source, load_source
 from flysid.ingest.align.things import find_stream, things_of
+from flysid.ingest.align.transforms import TRANSFORMS
 from flysid.ingest.lake.events import settings
 from flysid.ingest.lake.flown import Flown, flown_of
 from flysid.ingest.lake.mishaps import Mishap, mishaps
@@ -93,6 +94,7 @@ class LoggedFlight:
     log : as alignment reads it.
     damage : what could not be read of it, and what was lost before it was written.
     file : name of the log, where it is not the flight's id.
+    read : every column that was read, by its address: what a page shows as evidence.
 
     Examples
     --------
@@ -106,6 +108,7 @@ class LoggedFlight:
     log: Log
     damage: Damage = Damage()  # noqa: RUF009 - frozen
     file: str = ""
+    read: dict[str, Column] = field(default_factory=dict)
 
     @property
     def name(self) -> str:
@@ -221,14 +224,12 @@ class LoggedFlight:
         RecipeError : the field's unit is of another kind than the one that is wanted.
         """
         for address in addresses:
-            stream, field = split_address(address)
-            source = Source(stream, (field,), unit=stated)
-            found = find_source((source,), self.log)
+            stream, name = split_address(address)
+            found = find_source((Source(stream, (name,), unit=stated),), self.log)
             if found is None:
                 continue
-            column = self._on_clock(
-                load_source(*found, unit, self.log, resolved=False), f"{found[1]}.{field}", unit
-            )
+            loaded = load_source(*found, unit, self.log, resolved=False)
+            column = self._on_clock(loaded, f"{found[1]}.{name}", unit)
             if len(column):
                 return column
         return None
@@ -250,7 +251,9 @@ class LoggedFlight:
                 loaded = load_source(*found, spec.unit, self.log, resolved=False)
             except RecipeError:
                 continue  # a unit of another kind: the next source may fit
-            column = self._on_clock(loaded, f"{found[1]}.{'/'.join(source.fields)}", spec.unit)
+            of_turns = TRANSFORMS[source.transform].field_counts == (1, 4)
+            name = source.transform if of_turns else "/".join(source.fields)
+            column = self._on_clock(loaded, f"{found[1]}.{name}", spec.unit)
             if len(column):
                 return column
         return None
@@ -264,7 +267,9 @@ class LoggedFlight:
             begin = self.clock.begins_ns.get(boot, 0)
             times.append(np.asarray(start + (samples.t_ns[finite] - begin) * 1e-9, dtype=np.float64))
             values.append(samples.x[finite])
-        return Column(address, unit, np.concatenate(times), np.concatenate(values))
+        column = Column(address, unit, np.concatenate(times), np.concatenate(values))
+        self.read[address] = column
+        return column
 
     def stream(self, message: str) -> str:
         """The key of the one stream of a message; "" where there is none, or several things."""

@@ -14,7 +14,7 @@ from markupsafe import Markup
 from flysid.extras import Extra, Missing, extra
 from flysid.ingest.lake.timeline import Timeline
 from flysid.reviews.drawing import draw_heat_map, draw_motors, draw_picture
-from flysid.reviews.fact import Fact, HeatMap, MotorPlan, Picture, Section, Table
+from flysid.reviews.fact import Fact, Grade, HeatMap, MotorPlan, Picture, Section, Table
 from flysid.reviews.lines import capital, head
 from flysid.reviews.reviewed import Review
 from flysid.validate.report.flight_page import timeline_document
@@ -22,6 +22,8 @@ from flysid.validate.report.html import environment, load_asset, script_json, se
 from flysid.validate.words import one_line
 from flysid.version import __version__
 
+FEW = 6
+"""Figures of a section that all stand open; of more, those without a limit are folded away."""
 MOST_SAMPLES = 300_000
 """In the lines of the flight over time; where there are more, extremes are kept."""
 
@@ -122,10 +124,14 @@ def _filled(review: Review, index: int) -> dict[str, Any]:
 
 
 def _section(section: Section, index: int) -> dict[str, Any]:
+    known = [fact for fact in section.facts if fact.value is not None]
+    judged = [fact for fact in known if fact.grade is not Grade.PLAIN]
+    first = known if len(known) <= FEW else judged
     return {
         "key": _anchor(index, section.key),
         "title": one_line(section.title),
-        "facts": [_fact(fact, index) for fact in section.facts if fact.value is not None],
+        "facts": [_fact(fact, index) for fact in first],
+        "more": [_fact(fact, index) for fact in known if fact not in first],
         "unknown": [_fact(fact, index) for fact in section.facts if fact.value is None],
         "pictures": [
             {

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from flysid.errors import FormatError
 from flysid.extras import Extra, Missing, extra
-from flysid.flight import split_address
-from flysid.ingest.lake.timeline import Curve, Timeline, lay_out, read_fields
 from flysid.progress import tell
+from flysid.reviews.evidence import evidence
 from flysid.reviews.fact import Section
 from flysid.reviews.logged import LoggedFlight
 from flysid.reviews.page import write_review
@@ -72,10 +70,9 @@ def review_flight(flight: LoggedFlight, *, with_evidence: bool = False) -> Revie
             made = extra(Extra.REVIEWED, partial(_review, key, flight), None, of=key)
             if made is not None:
                 sections.append(made)
+        facts = [fact for section in sections for fact in section.facts]
         if with_evidence:
-            timeline = extra(
-                Extra.REVIEW_PICTURE, partial(_evidence, flight, sections), timeline, of="evidence"
-            )
+            timeline = extra(Extra.REVIEW_PICTURE, partial(evidence, flight, facts), timeline, of="evidence")
     return Review(
         flight.name,
         flight.info,
@@ -90,12 +87,3 @@ def review_flight(flight: LoggedFlight, *, with_evidence: bool = False) -> Revie
 
 def _review(key: str, flight: LoggedFlight) -> Section:
     return section_of(key)(flight)
-
-
-def _evidence(flight: LoggedFlight, sections: Sequence[Section]) -> Timeline:
-    """The fields that facts were computed from, on the log's clock, in the order of the page."""
-    fields = dict.fromkeys(field for section in sections for fact in section.facts for field in fact.fields)
-    by_stream: dict[tuple[str, str], list[Curve]] = {}
-    for curve in (curve for panel in read_fields(flight.log, list(fields)) for curve in panel):
-        by_stream.setdefault((split_address(curve.name)[0], curve.unit), []).append(curve)
-    return lay_out(flight.log, list(by_stream.values()))

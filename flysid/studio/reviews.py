@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import lru_cache
 from typing import Any
 
 from flysid.flight import split_address
+from flysid.ingest.align.values import base_column
+from flysid.ingest.lake.lake import StoredLog
 from flysid.manifest import FLIGHTS, MANIFEST_FILE
 from flysid.reviews.logged import LoggedFlight
 from flysid.reviews.page import render
@@ -33,7 +36,8 @@ class Reviews:
         """
         review = self._of(flight)
         document = review.to_dict()
-        plots = {fact.key: [":".join(split_address(field)) for field in fact.fields] for fact in review.facts}
+        log = lake_of(self._data, flight).logs[0]
+        plots = {fact.key: _curves(log, fact.fields) for fact in review.facts}
         times = {fact.key: fact.at_s for fact in review.facts}
         for one in (*document["findings"], *document["actions"]):
             one["plots"] = plots.get(one["fact"], [])
@@ -55,3 +59,13 @@ class Reviews:
         log = lake_of(self._data, flight).logs[0]
         read = LoggedFlight(log, log.manifest.damage, log.manifest.source.name)
         return review_flight(read, with_evidence=True)
+
+
+def _curves(log: StoredLog, addresses: Sequence[str]) -> list[str]:
+    """Those addresses that are fields of the log, as the page's plots take them."""
+    pairs = [split_address(address) for address in addresses]
+    return [
+        f"{stream}:{name}"
+        for stream, name in pairs
+        if stream in log.rows and base_column(name, log.columns(stream))
+    ]

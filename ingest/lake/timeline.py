@@ -356,7 +356,7 @@ def _kept(curve: Curve, allowed: Allowed) -> Curve:
 
 def _trace(curve: Curve, offsets: Mapping[int, float]) -> Trace:
     parts = [
-        _with_gaps(np.asarray(samples.t_ns * 1e-9 + offsets.get(boot, 0.0)), samples.x)
+        with_gaps(np.asarray(samples.t_ns * 1e-9 + offsets.get(boot, 0.0)), samples.x)
         for boot, samples in sorted(curve.boots.items())
         if len(samples.t_ns)
     ]
@@ -366,7 +366,7 @@ def _trace(curve: Curve, offsets: Mapping[int, float]) -> Trace:
     return Trace(curve.name, curve.unit, np.concatenate(times), np.concatenate(values))
 
 
-def _with_gaps(time_s: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+def with_gaps(time_s: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
     """A NaN inside every pause, and at the end, so that no line crosses either."""
     cuts = np.zeros(0, dtype=np.intp)
     if len(time_s) > 2:
