@@ -47,12 +47,15 @@ def draw_picture(drawn: Picture) -> Markup:
         start = float(axes.px(drawn.hidden_from))
         parts += [
             box((start, axes.right), (axes.top, axes.bottom), "outside"),
-            text(axes.right, axes.top + 12, "not logged", anchor="end"),
+            text(axes.right, axes.bottom - 6, "not logged", anchor="end"),
         ]
     parts += [line(axes, one.x, y, f"line {one.style}") for one, y in zip(drawn.lines, ys, strict=True)]
-    for x, words in drawn.marks.items():
+    for row, (x, words) in enumerate(sorted(drawn.marks.items())):
         at = float(axes.px(x))
-        parts += [segment(at, axes.top, at, axes.bottom, "mark"), text(at + 3, axes.top + 12, words)]
+        is_right = at > axes.left + axes.width / 2.0
+        place = (at - 3, "end") if is_right else (at + 3, "start")
+        parts.append(segment(at, axes.top, at, axes.bottom, "mark"))
+        parts.append(text(place[0], axes.top + 12 * (1 + row % 3), words, anchor=place[1]))
     if len(drawn.lines) > 1:
         parts.append(legend([(f"line {one.style}", one.name) for one in drawn.lines], axes.left, HEIGHT - 4))
     return picture(WIDTH, HEIGHT, parts, f"{drawn.title}: {drawn.y_label} over {drawn.x_label}")

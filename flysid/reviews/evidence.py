@@ -4,23 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from flysid.facts.clock import LogClock
-from flysid.flight import split_address
 from flysid.ingest.lake.timeline import Timeline, Trace, happenings, with_gaps
 from flysid.reviews.fact import Fact
 from flysid.reviews.logged import Column, LoggedFlight
 
 
 def evidence(flight: LoggedFlight, facts: Iterable[Fact]) -> Timeline:
-    """The fields of facts in their order; those of one stream and unit share a panel."""
-    panels: dict[tuple[str, str], list[Trace]] = {}
-    for address in dict.fromkeys(address for fact in facts for address in fact.fields):
-        column = flight.read.get(address)
-        if column is not None:
-            panels.setdefault((split_address(address)[0], column.unit), []).append(_trace(column))
-    clock: LogClock = flight.clock
-    seen = happenings(flight.log, clock.offsets_s, flight.duration_s)
-    return Timeline(flight.name, tuple(map(tuple, panels.values())), *seen, clock.words)
+    """The fields of facts, in their order: those of one fact and unit share a panel."""
+    panels: list[tuple[Trace, ...]] = []
+    drawn: set[str] = set()
+    for fact in facts:
+        new = [flight.read[a] for a in fact.fields if a in flight.read and a not in drawn]
+        for unit in dict.fromkeys(column.unit for column in new):
+            panels.append(tuple(_trace(column) for column in new if column.unit == unit))
+        drawn |= set(fact.fields)
+    seen = happenings(flight.log, flight.clock.offsets_s, flight.duration_s)
+    return Timeline(flight.name, tuple(panels), *seen, flight.clock.words)
 
 
 def _trace(column: Column) -> Trace:
