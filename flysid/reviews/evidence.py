@@ -15,8 +15,8 @@ def evidence(flight: LoggedFlight, facts: Iterable[Fact]) -> Timeline:
     drawn: set[str] = set()
     for fact in facts:
         new = [flight.read[a] for a in fact.fields if a in flight.read and a not in drawn]
-        for unit in dict.fromkeys(column.unit for column in new):
-            panels.append(tuple(_trace(column) for column in new if column.unit == unit))
+        units = dict.fromkeys(column.unit for column in new)
+        panels += [tuple(_trace(column) for column in new if column.unit == unit) for unit in units]
         drawn |= set(fact.fields)
     seen = happenings(flight.log, flight.clock.offsets_s, flight.duration_s)
     return Timeline(flight.name, tuple(panels), *seen, flight.clock.words)
