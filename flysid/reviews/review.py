@@ -9,6 +9,7 @@ from tempfile import TemporaryDirectory
 from flysid.errors import FormatError
 from flysid.extras import Extra, Missing, extra
 from flysid.progress import tell
+from flysid.reviews.crash import end_at_crash
 from flysid.reviews.fact import Section
 from flysid.reviews.logged import LoggedFlight
 from flysid.reviews.reviewed import Review
@@ -51,6 +52,7 @@ def review_flight(flight: LoggedFlight) -> Review:
     sections = []
     broken = Missing()
     with broken.gathering():
+        flight = extra(Extra.REVIEWED, partial(end_at_crash, flight), None, of="crash") or flight
         for i, key in enumerate(SECTIONS):
             tell(f"reviewing: {key}", log=flight.name, share=i / len(SECTIONS))
             made = extra(Extra.REVIEWED, partial(_review, key, flight), None, of=key)

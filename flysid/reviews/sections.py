@@ -12,6 +12,7 @@ Reviewer = Callable[[LoggedFlight], Section]
 SECTIONS: Mapping[str, str] = {
     "power": "flysid.reviews.power",
     "estimator": "flysid.reviews.estimator",
+    "happened": "flysid.reviews.happened",
     "trust": "flysid.reviews.trust",
 }
 """Key of a section -> the module whose `review` computes it."""
