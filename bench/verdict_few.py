@@ -4,6 +4,9 @@
 of 0.9 and 1.1 on flights whose gain is 1 +- 0.1): how often one is called better or worse, by flights.
 `python -m bench.verdict_few evenly [trials [seed]]`: the same where gains are spread evenly from 0.83 to
 1.17, and what 5 % of the t's of so few evenly spread numbers exceed, over Student's t.
+`python -m bench.verdict_few order [trials [seed]]`: gains that drift from flight to flight (AR 0.9), one
+flight in six that suits the other model so well that both are equally good on all flights, and a true
+difference with gains of 1.1 +- 0.03: how often better or worse is claimed, and of which flights.
 
 `python -m bench.verdict_few rotation [plants [seed]]`: six flights of 60 s in all, every one left out once,
 and everything fitted anew in every fold: ARX and TS of two rules on plants that are linear, and on nonlinear
@@ -17,6 +20,7 @@ fit` searches for them, for the models of the split.
 from __future__ import annotations
 
 import sys
+from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
@@ -33,12 +37,16 @@ from flysid.model.ts import TS, over_lags
 from flysid.split import plan_folds, plan_split
 from flysid.validate.compare_models import Turn, compare
 from flysid.validate.comparison import Pair
-from flysid.validate.intervals import change
+from flysid.validate.intervals import Scope, change
 from flysid.validate.trials import FREE_RUN
 from flysid.validate.verdict import Evidence, Verdict, decide
 from tests.fakes import FirstOrder
 
 POLE = 0.9
+DRIFT = 0.9
+TYPICAL = 1.021
+"""Gain of five flights in six, where the sixth has 0.9 and both models are equally good on all."""
+IN_ORDER = ("drift", "one in six odd", "a true difference")
 FLIGHTS = (2, 3, 4, 5, 6, 8, 12)
 DRAWS = 10_000_000
 IN_ALL = 6
@@ -83,8 +91,33 @@ def evenly(trials: int, seed: int) -> Iterator[str]:
         yield f"{count:2d} numbers: {ratio / stdtrit(count - 1, 0.975):.3f} times Student's t"
 
 
+def order(trials: int, seed: int) -> Iterator[str]:
+    """A line per way in which flights differ and number of flights."""
+    for kind in IN_ORDER:
+        for count in (2, 3, 4, 6, 10, 20, 40):
+            rng = np.random.default_rng((seed, count))
+            claims = Counter(claim(draw_gains(kind, count, rng), 600, rng) for _ in range(trials))
+            said = ", ".join(f"{number} of {scope}" for scope, number in claims.items() if scope)
+            yield f"{kind}, {count:2d} flights: better or worse in {said or 'none'}; of {trials}"
+
+
+def draw_gains(kind: str, count: int, rng: np.random.Generator) -> FloatArray:
+    """(count,) gains of flights in order, of a kind of IN_ORDER."""
+    if kind == "drift":
+        kicks = rng.normal(size=count) * np.append(1.0, np.full(count - 1, np.sqrt(1.0 - DRIFT**2)))
+        return np.asarray(1.0 + 0.1 * lfilter([1.0], [1.0, -DRIFT], kicks))
+    if kind == "one in six odd":
+        return np.where(rng.random(count) < 1.0 / 6.0, 0.9, TYPICAL) + 0.01 * rng.normal(size=count)
+    return 1.1 + 0.03 * rng.normal(size=count)
+
+
 def told_apart(gains: FloatArray, rows: int, rng: np.random.Generator) -> bool:
     """Whether one of the models of gains 0.9 and 1.1 is called better on flights of these gains."""
+    return claim(gains, rows, rng) is not None
+
+
+def claim(gains: FloatArray, rows: int, rng: np.random.Generator) -> Scope | None:
+    """Of which flights one of the models of gains 0.9 and 1.1 is called better; None where of none."""
     low = []
     high = []
     for gain in gains:
@@ -92,10 +125,11 @@ def told_apart(gains: FloatArray, rows: int, rng: np.random.Generator) -> bool:
         run = lfilter([0.0, 1.0 - POLE], [1.0, -POLE], u, axis=0)
         low.append((y - 0.9 * run)[:, 0])
         high.append((y - 1.1 * run)[:, 0])
-    found = change(low, high, [str(i) for i in range(len(gains))]).interval
-    assert found is not None
-    evidence = Evidence(1.0, 2.0, 0.0, low_pct=found.low_pct, high_pct=found.high_pct, p=found.p)
-    return decide(evidence)[0] in (Verdict.BETTER, Verdict.WORSE)
+    found = change(low, high, [str(i) for i in range(len(gains))])
+    assert found.interval is not None
+    ends = found.interval.low_pct, found.interval.high_pct
+    evidence = Evidence(1.0, 2.0, 0.0, low_pct=ends[0], high_pct=ends[1], p=found.interval.p)
+    return found.scope if decide(evidence)[0] in (Verdict.BETTER, Verdict.WORSE) else None
 
 
 def _quantile(values: FloatArray) -> float:
@@ -186,7 +220,7 @@ def main() -> None:
     """Print the lines of the trial asked for."""
     kind = sys.argv[1] if len(sys.argv) > 1 else "equal"
     trials: dict[str, Callable[[int, int], Iterator[str]]]
-    trials = {"equal": equal, "evenly": evenly, "rotation": rotation, "searched": searched}
+    trials = {"equal": equal, "evenly": evenly, "order": order, "rotation": rotation, "searched": searched}
     count = int(sys.argv[2]) if len(sys.argv) > 2 else (20 if trials[kind] in (rotation, searched) else 200)
     seed = int(sys.argv[3]) if len(sys.argv) > 3 else 4242
     print(f"{kind}, {count} each, seed {seed}")

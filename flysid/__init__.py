@@ -36,6 +36,8 @@ _HOME = {
     "SearchSettings": "flysid.model.rules.search_settings",
     "BestTS": "flysid.model.ts_best",
     "review": "flysid.reviews.review",
+    "Vehicle": "flysid.sixdof.vehicle",
+    "load_vehicle": "flysid.sixdof.fitted",
 }
 """Public names beside those of the model structures, which are the rows of `flysid.model.structures`."""
 
@@ -96,6 +98,8 @@ if TYPE_CHECKING:
     from flysid.model.ts_best import BestTS as BestTS
     from flysid.model.ts_state_space import TSStateSpace as TSStateSpace
     from flysid.reviews.review import review as review
+    from flysid.sixdof.fitted import load_vehicle as load_vehicle
+    from flysid.sixdof.vehicle import Vehicle as Vehicle
     from flysid.validate.compare_models import compare as compare
     from flysid.validate.rulesfigure import draw_rules as draw_rules
 

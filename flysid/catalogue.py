@@ -101,7 +101,7 @@ def catalogue(data: str | Path) -> tuple[FlightFacts, ...]:
 
 def facts_of(manifest: Manifest, stamp: Stamp) -> FlightFacts:
     """What the catalogue holds of a flight."""
-    starts = [c.utc_offset_ns + c.slope * c.first_ns for c in manifest.clocks if c.utc_offset_ns is not None]
+    starts = [c.began_utc_ns for c in manifest.clocks if c.began_utc_ns is not None]
     filled = [s for s in manifest.streams if s.rows]
     filled.sort(key=lambda s: (message_of(s.stream), -s.rows, s.stream))
     layout = [(s.stream, [c.name for c in s.columns]) for s in filled]

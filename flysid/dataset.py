@@ -42,6 +42,10 @@ class Signal:
     resolution: float = 0.0
 
 
+BEGAN = "began_utc_s"
+"""Mark of a segment: when its flight began, seconds of UTC; only where the log knows."""
+
+
 @dataclass(frozen=True, eq=False)
 class Segment:
     """Equally spaced samples without a gap.

@@ -135,6 +135,11 @@ class ClockMap:
     slope: float = 1.0
     residual_ns: int | None = None
 
+    @property
+    def began_utc_ns(self) -> float | None:
+        """When the boot began, nanoseconds of UTC; None where nothing anchors it."""
+        return None if self.utc_offset_ns is None else self.utc_offset_ns + self.slope * self.first_ns
+
 
 @dataclass(frozen=True)
 class Source:

@@ -162,6 +162,16 @@ class HasOtherRates(Protocol):
         ...
 
 
+@runtime_checkable
+class HasMembers(Fitted, Protocol):
+    """A model that answers with the mean of others."""
+
+    @property
+    def members(self) -> tuple[Fitted, ...]:
+        """Models of the same signals, at least two."""
+        ...
+
+
 class DifferenceEquation(Protocol):
     """sum_k a[k] y(t - k) = sum_k b[k] u(t - k) + constant, with a[0] the identity."""
 

@@ -24,7 +24,7 @@ from flysid.validate.caution_models import (
 )
 from flysid.validate.comparison import Comparison, Pair
 from flysid.validate.diagnostics import Diagnosis, Outside
-from flysid.validate.intervals import FEW, Scope
+from flysid.validate.intervals import FEW
 from flysid.validate.nearness import UNUSUAL
 from flysid.validate.trials import FREE_RUN
 from flysid.validate.verdict import Verdict
@@ -287,7 +287,7 @@ def _few(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterator[Caution]:
 
 
 def _is_few(pair: Pair) -> bool:
-    return pair.scope is not Scope.ANOTHER or pair.units <= FEW
+    return not pair.scope.is_unseen or pair.units <= FEW
 
 
 def _feedback(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterator[Caution]:

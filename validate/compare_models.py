@@ -22,6 +22,7 @@ from flysid.model.structures import OWN, kind_of, leaders, row_of
 from flysid.validate.comparison import Comparison, Entry, ModelInfo, ModelScore, Pair, SegmentScore
 from flysid.validate.intervals import Interval, change, distance, holm
 from flysid.validate.metrics import pool, resolution_of, scores
+from flysid.validate.neighbours import flights_began
 from flysid.validate.shown import ShownComparison
 from flysid.validate.trials import (
     FREE_RUN,
@@ -55,9 +56,9 @@ def compare(
 ) -> ShownComparison:
     """Compare fitted models on held-out data.
 
-    Where every held-out flight is one that the models have not seen, the verdict is of *another flight*, and
-    flights are its units; else of *these flights*, *the held-out
-    flight* or *this flight*, and its units are blocks of time.
+    Where the models have seen no held-out flight, the verdict is of *another flight*, one *like these* or *of
+    this day*, and flights are its units; else of *these flights*, *the held-out flight* or *this flight*, and
+    its units are blocks of time.
 
     Parameters
     ----------
@@ -67,10 +68,9 @@ def compare(
     baseline : the model the others are compared with. When None, the linear one whose free run follows
         `train` best (ARX unless another is clearly better); without `train` ARX, else the first model.
         `flysid validate` names the one that the run's fit chose.
-    contender : the model the headline speaks of; when None, the first of
-        `structures.leaders()`, else the first model
-        that is no reference, a line last.
-    train : training data; with it the mean and persistence stand beside the models, as lines to stay below.
+    contender : the model the headline speaks of; when None, the first of `structures.leaders()`, else the
+        first model that is no reference, a line last.
+    train : training data; with it the mean and persistence stand beside the models.
     seen : flights that the models were trained on, besides those of `train`.
     turns : models fitted in the same way to all flights but some, and those; verdicts and changes rest on
         them where every turn has both models, scores and figures on `models` and `test`.
@@ -152,9 +152,8 @@ def across_channels(comparisons: Mapping[str, C]) -> dict[str, C]:
 
 
 def _with_pairs(entry: Entry, corrected: Mapping[int, Pair]) -> Entry:
-    pairs, rivals = (
-        {n: corrected.get(id(p), p) for n, p in old.items()} for old in (entry.pairs, entry.rivals)
-    )
+    both = entry.pairs, entry.rivals
+    pairs, rivals = ({n: corrected.get(id(p), p) for n, p in old.items()} for old in both)
     lost = tuple(name for name, pair in rivals.items() if pair.verdict is not Verdict.BETTER)
     for model in {pair.model for pair in rivals.values()}:
         pairs[model] = replace(pairs[model], short_of=lost)
@@ -183,9 +182,8 @@ def sides_of(
     one_rule = _one_rule(models)
     if kind_of(models[base].structure) == "rules" and base not in one_rule:
         return Sides(base, contender, (), frozenset(), frozenset(seen))
-    fuzzy = contender is not None and (
-        contender in one_rule or kind_of(models[contender].structure) == "rules"
-    )
+    has_rules = contender is not None and kind_of(models[contender].structure) == "rules"
+    fuzzy = contender in one_rule or has_rules
     linear = _linear(models)
     rivals = [n for n in models if fuzzy and n in linear and n not in (base, contender)]
     return Sides(base, contender, tuple(rivals), one_rule, frozenset(seen))
@@ -231,11 +229,8 @@ def _name(models: Sequence[Fitted]) -> dict[str, Fitted]:
     named: dict[str, Fitted] = {}
     for model in models:
         name = model.structure
-        count = 2
-        while name in named:
-            name = f"{model.structure}-{count}"
-            count = count + 1
-        named[name] = model
+        alike = sum(m.structure == name for m in named.values())
+        named[f"{name}-{alike + 1}" if alike else name] = model
     return named
 
 
@@ -257,9 +252,8 @@ def _best_linear(models: Mapping[str, Fitted], contender: str | None, train: Dat
 
 def _contender(models: Mapping[str, Fitted], base: str) -> str | None:
     others = [n for n, m in models.items() if n != base and kind_of(m.structure) != "reference"]
-    dynamic = [
-        n for n in others if not row_of(models[n].structure).least
-    ]  # whose loss would tell nobody anything
+    # a static one's loss would tell nobody anything
+    dynamic = [n for n in others if not row_of(models[n].structure).least]
     first = next(iter([*dynamic, *others]), None)
     return next((label for label in leaders() if label in others), first)
 
@@ -287,6 +281,7 @@ class _Panel:
     resolution: float
     dt_s: float
     still: bool
+    began: Mapping[str, float]
 
 
 @dataclass(frozen=True, eq=False)
@@ -394,6 +389,7 @@ def _panel(parts: Sequence[Judged], j: int) -> _Panel:
         resolution=resolution_of([t.y[:, j] for t in trials], output.resolution),
         dt_s=parts[0][1].dt_s,
         still=not np.ptp(np.concatenate(inputs), axis=0).any(),
+        began=flights_began([test.segments[t.segment] for some, test in parts for t in some]),
     )
 
 
@@ -417,7 +413,7 @@ def _pair(panel: _Panel, rotation: _Rotation | None, sides: Sides, name: str) ->
     lost = bool(a.diverged or b.diverged)
     errors = panel.errors
     seen = () if apart is not None else sides.seen
-    found = change(errors.of[base], errors.of[name], errors.flights, seen, apart=apart)
+    found = change(errors.of[base], errors.of[name], errors.flights, seen, apart=apart, began=panel.began)
     interval = None if lost else found.interval
     evidence = replace(_evidence(a, b, panel.resolution, interval), still=panel.still)
     verdict, reason = decide(evidence)

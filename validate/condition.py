@@ -49,7 +49,7 @@ _COMPARE: Mapping[type[ast.cmpop], Callable[[Any, Any], bool]] = {
     ast.NotEq: operator.ne,
 }
 WIDE = (Verdict.BETTER, Verdict.SAME)
-"""Verdicts that are said of another flight without more words; "worse" is bad news whatever its scope."""
+"""Verdicts that are of unseen flights without more words; "worse" is bad news whatever its scope."""
 EXAMPLE = "write for example 'free_run.change_pct > 5' or 'roll.free_run.verdict == worse'"
 
 Value = float | str | None
@@ -76,6 +76,21 @@ def matching_channels(expression: str, document: Mapping[str, Any]) -> dict[str,
         return found
     except (SyntaxError, RecursionError, MemoryError) as error:
         raise UsageError(f"condition not understood: {expression.strip()[:60]!r}", hint=EXAMPLE) from error
+
+
+def check_grammar(expression: str) -> None:
+    """Raise UsageError where a condition is no comparison, whatever the document will hold.
+
+    Examples
+    --------
+    >>> check_grammar("power.sag > 0.5 and not vibration.clips == 0")
+    """
+    try:
+        tree = ast.parse(_with_names(expression, []), mode="eval").body
+    except (SyntaxError, RecursionError, MemoryError) as error:
+        raise UsageError(f"condition not understood: {expression.strip()[:60]!r}", hint=EXAMPLE) from error
+    if not isinstance(tree, ast.BoolOp | ast.UnaryOp | ast.Compare):
+        raise UsageError("condition needs a comparison", hint=EXAMPLE)
 
 
 def check_condition(expression: str, expected: Mapping[str, Any]) -> None:
@@ -208,7 +223,7 @@ class _Guard:
 
 
 def _check_verdict(word: str) -> None:
-    known = [*map(str, Verdict), *(f"{v} on {s}" for v in WIDE for s in Scope if s is not Scope.ANOTHER)]
+    known = [*map(str, Verdict), *(f"{v} on {s}" for v in WIDE for s in Scope if not s.is_unseen)]
     if word not in known:
         near = difflib.get_close_matches(word, known, n=1)
         hint = f"did you mean {near[0]!r}?" if near else f"one of {', '.join(map(repr, known))}"
@@ -244,7 +259,9 @@ def _below(place: Path, holder: Mapping[str, Any]) -> Iterator[tuple[Path, Value
             )
         elif name == "change_pct":
             yield path, limit if value is None else value
-        elif name == "verdict" and value in WIDE and holder.get("scope") not in (None, Scope.ANOTHER):
+        elif (
+            name == "verdict" and value in WIDE and not Scope(holder.get("scope") or Scope.ANOTHER).is_unseen
+        ):
             yield path, f"{value} on {holder['scope']}"
         elif not isinstance(value, bool | list):
             yield path, value

@@ -1,6 +1,6 @@
 """How sure: the change in error on another flight, or on these flights, with a 95 % interval.
 
-*Another flight* of this vehicle: every held-out flight gives one number, l = log(RMSE_b / RMSE_a), and
+*Another flight like these*: every held-out flight gives one number, l = log(RMSE_b / RMSE_a), and
 Student's t an interval of its mean, the change on a typical flight. Where some flights suit one model and
 some the other, l stands in two heaps, few flights are often all of one, and their spread is then far too
 small. So every flight is asked a second thing: how far the truth lies from the middle of the two predictions,
@@ -9,6 +9,10 @@ the vehicle of a flight lies anywhere between the models, or beyond one. A tenth
 errors is added to the squared distance, so that flights in which the models agree decide little. A change is
 shown only where t of w shows it too, else the interval reaches to no change. Few w that are spread evenly
 look alike more often than Student's t expects (7 to 8 % with two to five): theirs is asked for.
+
+*Another flight of this day* is the same where all flights began within half a day. *Another flight* of this
+vehicle is said only where many flights still show the change once their order and the odd ones among them are
+counted in (`flysid.validate.neighbours`).
 
 Where flights are judged in turn, by models that have not seen them, those models are not the compared ones:
 fitted to other flights, they may even have ended in another minimum. How far they are shows on the flights
@@ -32,7 +36,14 @@ from enum import StrEnum
 import numpy as np
 
 from flysid.dataset import FloatArray
-from flysid.validate.verdict import ALPHA
+from flysid.validate.neighbours import (
+    KINDS,
+    are_of_one_day,
+    effective_flights,
+    ends_of_odd,
+    mean_of_neighbours,
+)
+from flysid.validate.verdict import ALPHA, outcome_of_interval
 
 FEW = 4  # flights, which say little of how unlike they are
 STILL = 0.1  # of the mean of both squared errors, added to the squared distance of the predictions
@@ -53,9 +64,16 @@ class Scope(StrEnum):
     """What a verdict speaks of."""
 
     ANOTHER = "another flight"
+    LIKE = "another flight like these"
+    DAY = "another flight of this day"
     THESE = "these flights"
     HELD = "the held-out flight"
     THIS = "this flight"
+
+    @property
+    def is_unseen(self) -> bool:
+        """Whether it is of flights that the models have not seen, with flights as units."""
+        return self in (Scope.ANOTHER, Scope.LIKE, Scope.DAY)
 
 
 @dataclass(frozen=True)
@@ -82,6 +100,7 @@ class ErrorChange:
     slow : the errors change slower than these flights last.
     apart : where every flight was left out once: how far the change of the models of the others, which judged
         it, is from that of the compared ones, in percent by flight.
+    effective : as how many independent flights the flights count, where neighbours are shown to be alike.
     """
 
     scope: Scope
@@ -91,6 +110,7 @@ class ErrorChange:
     by_flight: dict[str, float]
     slow: bool = False
     apart: Mapping[str, float] = field(default_factory=dict)
+    effective: float | None = None
 
     @property
     def rotated(self) -> bool:
@@ -105,6 +125,7 @@ def change(
     seen: Collection[str] = (),
     *,
     apart: Mapping[str, tuple[float, float]] | None = None,
+    began: Mapping[str, float] | None = None,
 ) -> ErrorChange:
     """The change from the errors of a baseline (ea) to those of a model (eb), one array per segment.
 
@@ -114,6 +135,7 @@ def change(
     seen : flights that the models were trained on; of those that are here, other parts than these.
     apart : every flight was left out once and judged by models of the others: how far these are from the
         compared models (`distance`), by flight.
+    began : when flights began, seconds of UTC; without it they were flown in the order they stand in.
     """
     ea, eb = _scale(ea, eb)
     rotated = apart is not None
@@ -122,10 +144,20 @@ def change(
     by_flight = {name: _percent(value) for name, value in logs.items()}
     lost = not (any(e.any() for e in ea) and any(e.any() for e in eb))
     if len(logs) > 1 and not set(logs) & set(seen):
-        sides = [value - off[name][1] for name, value in flight_sides(ea, eb, flights).items()]
-        found = None if lost else across_flights(list(logs.values()), sides, rotated=rotated)
-        fits = {name: _percent(log) for name, (log, _) in (apart or {}).items()}
-        return ErrorChange(Scope.ANOTHER, len(logs), 0, found, by_flight, apart=fits)
+        sides = {name: value - off[name][1] for name, value in flight_sides(ea, eb, flights).items()}
+        order = sorted(logs, key=began.__getitem__) if began else list(logs)
+        pair = [logs[name] for name in order], [sides[name] for name in order]
+        scope, found = _claim(*pair, are_of_one_day(began or {}), rotated=rotated)
+        count = effective_flights(pair[1])
+        return ErrorChange(
+            scope,
+            len(logs),
+            0,
+            None if lost else found,
+            by_flight,
+            apart={name: _percent(log) for name, (log, _) in (apart or {}).items()},
+            effective=None if count == len(logs) else count,
+        )
     scope = Scope.THESE if len(logs) > 1 else Scope.HELD if set(seen) - set(logs) else Scope.THIS
     if lost:
         return ErrorChange(scope, 0, 0, None, by_flight)
@@ -192,6 +224,40 @@ def _squares(
     for a, b, name in zip(ea, eb, flights, strict=True):
         sums[name] += (a @ a, b @ b, (a - b) @ (a - b))
     return {name: (float(s[0]), float(s[1]), float(s[2])) for name, s in sums.items()}
+
+
+def _claim(
+    logs: Sequence[float], sides: Sequence[float], one_day: bool, *, rotated: bool
+) -> tuple[Scope, Interval]:
+    """The widest scope in which flights in order show what they show among themselves, and its interval."""
+    near = across_flights(logs, sides, rotated=rotated)
+    if one_day:
+        return Scope.DAY, near
+    if len(logs) < KINDS:
+        return Scope.LIKE, near
+    wide = across_days(logs, sides, near)
+    outcomes = [outcome_of_interval(i.low_pct, i.high_pct, i.p)[0] for i in (near, wide)]
+    return (Scope.ANOTHER, wide) if outcomes[0] is outcomes[1] else (Scope.LIKE, near)
+
+
+def across_days(logs: Sequence[float], sides: Sequence[float], near: Interval) -> Interval:
+    """The interval `near` of `across_flights`, widened by what neighbours and odd flights leave open.
+
+    Parameters
+    ----------
+    logs, sides : as `flight_logs` and `flight_sides` have them, of KINDS flights or more, in their order.
+    """
+    mean = float(np.mean(logs))
+    half, p_log = mean_of_neighbours(logs)
+    _, p_side = mean_of_neighbours(sides)
+    odd = ends_of_odd(logs)
+    low = min(mean - half, odd[0])
+    high = max(mean + half, odd[1])
+    p = max(near.p, p_log, p_side, float(odd[0] <= 0.0 <= odd[1]))
+    if p >= ALPHA:
+        low = min(low, 0.0)
+        high = max(high, 0.0)
+    return Interval(near.change_pct, min(_percent(low), near.low_pct), max(_percent(high), near.high_pct), p)
 
 
 def across_flights(logs: Sequence[float], sides: Sequence[float], *, rotated: bool = False) -> Interval:

@@ -51,7 +51,7 @@ def table(comparisons: Mapping[str, Comparison]) -> str:
 def of_which(comparisons: Mapping[str, Comparison]) -> list[str]:
     """Where changes are those of a typical flight: that the errors beside them are not; else nothing."""
     pairs = [p for c in comparisons.values() for e in c.entries for p in e.pairs.values()]
-    if not any(p.scope is Scope.ANOTHER and p.change_pct is not None for p in pairs):
+    if not any(p.scope.is_unseen and p.change_pct is not None for p in pairs):
         return []
     return [
         "RMSE, FIT and VAF are of all held-out samples together.",

@@ -78,10 +78,11 @@ def decide(e: Evidence) -> tuple[Verdict, str]:
         return Verdict.SAME, "the difference is below what the data can resolve"
     if e.low_pct is None or e.high_pct is None or e.p is None:
         return Verdict.NOT_ENOUGH, "an error is zero, which leaves no interval"
-    return _from_interval(e.low_pct, e.high_pct, e.p)
+    return outcome_of_interval(e.low_pct, e.high_pct, e.p)
 
 
-def _from_interval(low: float, high: float, p: float) -> tuple[Verdict, str]:
+def outcome_of_interval(low: float, high: float, p: float) -> tuple[Verdict, str]:
+    """The verdict and its reason from the interval of a change, percent, and the p-value of none."""
     if low > -MARGIN_PCT and high < MARGIN_PCT:
         return Verdict.SAME, f"the interval lies inside ±{MARGIN_PCT:g} %"
     if p < ALPHA and high < 0.0:

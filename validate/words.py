@@ -92,9 +92,10 @@ def scope_words(pair: Pair) -> list[str]:
     shown = pair.verdict in (Verdict.BETTER, Verdict.WORSE)
     if pair.basis.rotated:
         turns = f"each of {pair.units} flights was left out once and judged by models fitted to the others"
-        return [turns, *_refit_words(pair), *_rare_words(pair, shown)]
-    if pair.scope is Scope.ANOTHER:
-        return [*_few_words(pair, shown), *_rare_words(pair, shown), *_pooled_words(pair)]
+        return [turns, *_refit_words(pair), *_rare_words(pair, shown), *_alike_words(pair)]
+    if pair.scope.is_unseen:
+        few = _few_words(pair, shown)
+        return [*few, *_rare_words(pair, shown), *_alike_words(pair), *_pooled_words(pair)]
     said = []
     if pair.scope is Scope.THESE:
         said.append("these are parts of flights that the models trained on: another flight may differ")
@@ -141,6 +142,16 @@ def _rare_words(pair: Pair, shown: bool) -> list[str]:
         return []
     kind = f"a kind of flight that makes up less than {often_pct:.0f} % of all"
     return [f"among {pair.units} flights {kind} may be missing"]
+
+
+def _alike_words(pair: Pair) -> list[str]:
+    """Where neighbours are alike: for how many flights of other days all of them stand."""
+    if pair.basis.effective is None or pair.scope is Scope.ANOTHER:
+        return []
+    return [
+        f"flights next to each other are alike: for other days these {pair.units} count as about "
+        f"{max(pair.basis.effective, 1.0):.0f}"
+    ]
 
 
 def _pooled_words(pair: Pair) -> list[str]:

@@ -6,11 +6,15 @@ from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 
 import numpy as np
+from scipy.signal import lfilter
 
 from bench.truth.plants import Plant
 from bench.truth.records import Record
 from flysid.dataset import FloatArray
 from flysid.errors import FlysidError
+from flysid.ingest.excitation.excitation import excitation
+from flysid.ingest.excitation.share import share_explained
+from flysid.model.frequency.sampling import sample
 from flysid.model.polynomials import DB, Z95, ComplexArray
 from flysid.model.step_response import step_response
 from flysid.model.transfer_function import TF
@@ -57,8 +61,25 @@ def scores(record: Record) -> list[Score]:
     except FlysidError:
         found.append(Score("tf", 0.0, None, None))
     if not record.controller:
-        found += _step(record)
+        found += [*_step(record), *_excitation(record)]
     return found
+
+
+def _excitation(record: Record) -> Iterator[Score]:
+    """The share of the output's power that follows the input, of a record of one segment."""
+    if len(record.data.segments) > 1:
+        return
+    (segment,) = record.data.segments
+    moves = excitation(record.data)
+    a, (b,) = sample(record.plant.transfer, record.data.dt_s, "zero")
+    clean = np.asarray(lfilter(b, a, segment.u[:, 0]))
+    hz = np.fft.rfftfreq(len(segment), record.data.dt_s)
+    used = (hz > 0.0) & (hz <= moves.band_hz)
+    answer, rest = (
+        float(np.sum(np.abs(np.fft.rfft(x - x.mean())[used]) ** 2)) for x in (clean, segment.y[:, 0] - clean)
+    )
+    share = share_explained(record.data, moves)
+    yield Score("share of power", answer / (answer + rest), share.low, share.high)
 
 
 def _transfer(record: Record, channel: ChannelTransfers) -> Iterator[Score]:

@@ -34,6 +34,7 @@ LESS_MEMORY = "close other programs; where the verb has them, --jobs 1 and a sma
     verbs=VERBS,
     modules="flysid.cli.{}:command",
     group=ENTRY_POINTS,
+    of_a_file="review",
     context_settings={
         "help_option_names": ["-h", "--help"],
         "auto_envvar_prefix": "FLYSID",

@@ -14,6 +14,7 @@ from flysid.cli import complete
 from flysid.cli.bounds import memory_option, time_option
 from flysid.cli.display import Display, progress_options
 from flysid.cli.kinematics import Motion, check_one_log, motions, write_corrected
+from flysid.cli.losses import say_skipped
 from flysid.cli.ls import clock_text
 from flysid.cli.output import (
     NAMES_SHOWN,
@@ -108,21 +109,19 @@ def command(
     found = find_logs([here(log) if is_address(log) else log for log in logs], bounds)
     if correct:
         check_one_log(len(found.paths))
-    unreadable = len(found.unread)
+    skipped = [(unread.path, unread.reason) for unread in found.unread]
     surveys: dict[Path, Survey] = {}
-    for skipped in found.unread:
-        say(f"skipped: {skipped.path}: {skipped.reason}")
     limits = Limits(time_unit=time_unit, date_order=date_order, format=format_)
     look = partial(survey_or_reason, limits=limits)
     with display.shown():
         _begin(found.paths, 0)
         for done, (path, outcome) in enumerate(read_bounded(look, found.paths, 1, bounds), 1):
             if isinstance(outcome, (str, Lost)):
-                say(f"skipped: {path}: {outcome if isinstance(outcome, str) else outcome.reason}")
-                unreadable += 1
+                skipped.append((path, outcome if isinstance(outcome, str) else outcome.reason))
             else:
                 surveys[path] = outcome
             _begin(found.paths, done)
+    say_skipped(skipped)
     moved = motions(list(surveys), limits, bounds, display) if kinematics else {}
     if as_json:
         shown = [
@@ -141,10 +140,10 @@ def command(
         for stream, why in list(survey.damage.reasons.items())[:REASONS_SHOWN]:
             say(f"lost: {short_name(path)}: {stream}: {why}")
     say_passed_over(found.passed_over, quiet)
-    say(f"{counted(len(surveys), 'log')} examined" + (f", {unreadable} skipped" if unreadable else ""), quiet)
+    say(f"{counted(len(surveys), 'log')} examined" + (f", {len(skipped)} skipped" if skipped else ""), quiet)
     if not surveys:
         return 1
-    return 3 if unreadable or any(s.damage.lossy for s in surveys.values()) else 0
+    return 3 if skipped or any(s.damage.lossy for s in surveys.values()) else 0
 
 
 def _begin(logs: Sequence[Path], done: int) -> None:

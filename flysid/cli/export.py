@@ -18,6 +18,8 @@ from flysid.facts.clock import log_clock
 from flysid.progress import tell
 
 KINDS = ("csv", "parquet", "mat", "xlsx", "mcap")
+CALLED = {"casadi": "model_casadi.py", "jax": "model_jax.py", "onnx": "model.onnx"}
+"""Kinds of a model's file that other code calls, and what each is called where no name is given."""
 
 
 @click.command("export")
@@ -26,10 +28,10 @@ KINDS = ("csv", "parquet", "mat", "xlsx", "mcap")
 @click.option(
     "--to",
     "kind",
-    type=click.Choice(KINDS),
+    type=click.Choice([*KINDS, *CALLED]),
     default="csv",
     show_default=True,
-    help="File type, for a flight.",
+    help="File type: of a flight, or for code that calls a model (casadi, jax, onnx).",
 )
 @click.option("--flight", cls=Setting, default="", help="The flight of a folder, by id or its beginning.")
 @click.option(
@@ -56,6 +58,18 @@ KINDS = ("csv", "parquet", "mat", "xlsx", "mcap")
     metavar="F.json|F.mat",
     help="A model as affine systems and their weights, in physical units.",
 )
+@click.option(
+    "--casadi", type=click.Path(path_type=Path), metavar="F.py", help="A model as CasADi functions, for MPC."
+)
+@click.option(
+    "--jax", type=click.Path(path_type=Path), metavar="F.py", help="A model as JAX functions, for learning."
+)
+@click.option(
+    "--onnx",
+    type=click.Path(path_type=Path),
+    metavar="F.onnx",
+    help="One step of a model in float32, and F.json with names and units.",
+)
 @click.option("--float32", is_flag=True, help="C in float32, if it is accurate enough on the training data.")
 @click.option("--channel", "-c", cls=Setting, default="", help="Channel of the run.")
 @click.option(
@@ -81,6 +95,9 @@ def command(
     fmi: str,
     matlab: Path | None,
     lpv: Path | None,
+    casadi: Path | None,
+    jax: Path | None,
+    onnx: Path | None,
     float32: bool,
     channel: str,
     label: str,
@@ -89,9 +106,22 @@ def command(
     """Export a flight's streams, or a fitted model, to other programs.
 
     Each stream of a flight has its own table with its own times; --rate puts all on one grid. A model (a
-    run's folder, or a model file) becomes C99 without allocation, an FMU, or MATLAB files.
+    run's folder, or a model file) becomes C99 without allocation, an FMU, MATLAB files, or functions for code
+    of MPC and of learning: --to casadi is --casadi with the file after -o, or model_casadi.py.
     """
-    from flysid.cli.modelexport import Wanted, write_c, write_fmu, write_lpv, write_matlab
+    from flysid.cli.modelexport import (
+        Wanted,
+        write_c,
+        write_fmu,
+        write_lpv,
+        write_matlab,
+        write_onnx,
+        write_python,
+    )
+
+    called = {"casadi": casadi, "jax": jax, "onnx": onnx}
+    if kind in CALLED:
+        called[kind] = called[kind] or out or Path(CALLED[kind])
 
     wanted = Wanted(source, channel, label, rate_hz, data)
     if c_folder is not None:
@@ -102,14 +132,21 @@ def command(
         write_matlab(wanted, matlab, force=force)
     if lpv is not None:
         write_lpv(wanted, lpv, force=force)
-    written = [str(path) for path in (c_folder, fmu, matlab, lpv) if path is not None]
+    if (file := called["casadi"]) is not None:
+        write_python(wanted, file, "casadi", force=force)
+    if (file := called["jax"]) is not None:
+        write_python(wanted, file, "jax", force=force)
+    if (file := called["onnx"]) is not None:
+        write_onnx(wanted, file, force=force)
+    written = [str(path) for path in (c_folder, fmu, matlab, lpv, *called.values()) if path is not None]
     if written:
         click.echo("\n".join(written))
         return
     if channel or label or float32:
         raise UsageError(
             "--channel, --model and --float32 are for a model",
-            hint="add --c DIR, --fmu F.fmu, --matlab DIR or --lpv F.json",
+            hint="add --c DIR, --fmu F.fmu, --matlab DIR, --lpv F.json, --casadi F.py, --jax F.py "
+            "or --onnx F.onnx",
         )
     export_flight(source, streams, kind, flight, rate_hz, out, force, told)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable, Mapping
 from functools import cached_property
+from pathlib import Path
 from typing import Any
 
 import click
@@ -22,15 +23,23 @@ class LazyVerbs(click.Group):
     verbs : rows of flysid's own, by name.
     modules : where the command of one of these is, e.g. "flysid.cli.{}:command".
     group : of the entry points by which other packages add verbs; "" where they cannot.
+    of_a_file : the verb that is meant where a file or folder stands in place of a verb; "" for none.
     """
 
     def __init__(
-        self, *args: Any, verbs: Mapping[str, Verb], modules: str, group: str = "", **settings: Any
+        self,
+        *args: Any,
+        verbs: Mapping[str, Verb],
+        modules: str,
+        group: str = "",
+        of_a_file: str = "",
+        **settings: Any,
     ) -> None:
         super().__init__(*args, **{"subcommand_metavar": "VERB [ARGS]..."} | settings)
         self._own = verbs
         self._modules = modules
         self._group = group
+        self._of_a_file = of_a_file
 
     @cached_property
     def verbs(self) -> Mapping[str, Verb]:
@@ -81,9 +90,12 @@ class LazyVerbs(click.Group):
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
         if args and not args[0].startswith("-") and args[0] not in self._own and args[0] not in self.verbs:
+            if self._of_a_file and Path(args[0]).exists():
+                return super().resolve_command(ctx, [self._of_a_file, *args])
             near = difflib.get_close_matches(args[0], self.verbs, n=1)
             hint = f" Did you mean {near[0]!r}?" if near else ""
-            raise click.UsageError(f"no verb {args[0]!r}.{hint}", ctx)
+            what = "verb and no file" if self._of_a_file and ("." in args[0] or "/" in args[0]) else "verb"
+            raise click.UsageError(f"no {what} {args[0]!r}.{hint}", ctx)
         return super().resolve_command(ctx, args)
 
 

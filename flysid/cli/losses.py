@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING
 
-from flysid.cli.output import say
+from flysid.cli.output import NAMES_SHOWN, say
 from flysid.facts.losses import loss_lines, repeat_lines
-from flysid.showing import counted
+from flysid.showing import counted, first_of
 
 if TYPE_CHECKING:
     from flysid.ingest.lake.batch import Result
@@ -19,8 +20,7 @@ def report(results: Sequence[Result], quiet: bool) -> None:
         if result.damage.lossy:
             for line in loss_lines(result.damage):
                 say(f"lost: {result.path}: {line}")
-        elif result.skipped:
-            say(f"skipped: {result.path}: {result.reason}")
+    say_skipped([(result.path, result.reason) for result in results if result.skipped])
     for result in results:
         for line in repeat_lines(result.damage):
             say(f"note: {result.path}: {line}", quiet)
@@ -31,3 +31,17 @@ def report(results: Sequence[Result], quiet: bool) -> None:
     if skipped := sum(r.skipped for r in results):
         counts.append(f"{skipped} skipped")
     say(", ".join(counts), quiet)
+
+
+def say_skipped(skipped: Sequence[tuple[str | Path, str]]) -> None:
+    """Name what was skipped and why; many files that are skipped for one kind of reason share a line."""
+    kinds: dict[str, list[tuple[str | Path, str]]] = {}
+    for path, reason in skipped:
+        kinds.setdefault(reason.partition(":")[0].partition(";")[0], []).append((path, reason))
+    for alike in kinds.values():
+        if len(alike) <= NAMES_SHOWN:
+            for path, reason in alike:
+                say(f"skipped: {path}: {reason}")
+        else:
+            names = first_of([str(path) for path, _ in alike], NAMES_SHOWN)
+            say(f"skipped: {counted(len(alike), 'file')}: {names}: {alike[0][1]}")

@@ -12,6 +12,7 @@ from flysid.errors import UsageError
 if TYPE_CHECKING:
     from flysid.dataset import Dataset
     from flysid.export.fmu import FMIVersion
+    from flysid.export.pysource import Dialect
     from flysid.model.base import Fitted
     from flysid.validate.run import ChannelRun, Run
 
@@ -147,3 +148,60 @@ def write_lpv(wanted: Wanted, file: Path, *, force: bool) -> None:
     lpv = to_lpv(find_model(wanted).model, wanted.rate_hz)
     with writing_to(file):
         write_atomically(file, lpv.to_mat() if file.suffix == ".mat" else lpv.to_json().encode())
+
+
+def write_python(wanted: Wanted, file: Path, dialect: Dialect, *, force: bool) -> None:
+    """Write a model as Python functions that need one package alone.
+
+    Raises
+    ------
+    UsageError : the name does not end in .py.
+    """
+    from flysid.export.programs import members_of
+    from flysid.export.pysource import python_file
+    from flysid.files import write_atomically, writing_to
+
+    check_target(file, force)
+    require_ending(file, ".py", dialect)
+    found = find_model(wanted)
+    text = python_file(members_of(found.model, wanted.rate_hz), found.name, dialect)
+    with writing_to(file):
+        write_atomically(file, text.encode())
+
+
+def write_onnx(wanted: Wanted, file: Path, *, force: bool) -> None:
+    """Write a model as an ONNX graph in float32, and beside it a JSON of the same name.
+
+    A run's model is tried in float32 on its training data first; of a model file its poles are looked at.
+
+    Raises
+    ------
+    UsageError : the name does not end in .onnx; the package onnx is missing; float32 costs too much.
+    """
+    from flysid.export.onnx_graph import names_json, onnx_bytes
+    from flysid.export.programs import members_of
+    from flysid.export.single import refuse_poles, worst_loss_in_float32
+    from flysid.files import write_atomically, writing_to
+
+    names = file.with_suffix(".json")
+    require_ending(file, ".onnx", "onnx")
+    check_target(file, force)
+    check_target(names, force)
+    found = find_model(wanted)
+    members = members_of(found.model, wanted.rate_hz)
+    loss = None
+    if found.run is not None:
+        train = found.training_part(wanted.data)
+        loss = worst_loss_in_float32(found.model, train, wanted.rate_hz)
+    for member in members:
+        refuse_poles(member.program)
+    content = onnx_bytes(members, found.name)
+    with writing_to(file):
+        write_atomically(file, content)
+        write_atomically(names, names_json(members, loss).encode())
+
+
+def require_ending(file: Path, ending: str, option: str) -> None:
+    """Raise UsageError where a file's name has another ending than its option writes."""
+    if file.suffix != ending:
+        raise UsageError(f"unknown file type: {file.name!r}", hint=f"--{option} {file.stem}{ending}")

@@ -291,9 +291,9 @@ def rate_text(rate_hz: float | None) -> str:
 def dates(clocks: Sequence[ClockMap]) -> list[str]:
     """When the boots began that the log ties to UTC."""
     return [
-        f"{datetime.fromtimestamp((c.utc_offset_ns + c.slope * c.first_ns) / 1e9, UTC):%Y-%m-%d %H:%M:%S} UTC"
+        f"{datetime.fromtimestamp(c.began_utc_ns / 1e9, UTC):%Y-%m-%d %H:%M:%S} UTC"
         for c in clocks
-        if c.utc_offset_ns is not None
+        if c.began_utc_ns is not None
     ]
 
 

@@ -15,10 +15,11 @@ import click
 from flysid.cli import complete
 from flysid.cli.bounds import POSITIVE
 from flysid.cli.checks import Asked, Words, check_flights, check_source, is_ingested, refuse_reading_again
-from flysid.cli.output import say
+from flysid.cli.output import NAMES_SHOWN, say
 from flysid.cli.trust import ProjectFile, Setting
 from flysid.errors import FlysidError, FormatError, RecipeError, UsageError, WriteError
 from flysid.extras import Extra, extra
+from flysid.showing import first_of
 
 if TYPE_CHECKING:
     from flysid.ingest.lake.chosen_flights import Selection
@@ -258,7 +259,7 @@ def open_source(data: Path, asked: Asked, place: Path | None, quiet: bool) -> It
     RecipeError : as `check_source`; a field is not there.
     """
     logs = check_source(data, asked)
-    from flysid.ingest.lake.chosen_flights import require_one_vehicle, select
+    from flysid.ingest.lake.chosen_flights import of_one_vehicle, select
     from flysid.ingest.lake.lake import open as open_lake
 
     if place is not None and place.exists():
@@ -272,12 +273,23 @@ def open_source(data: Path, asked: Asked, place: Path | None, quiet: bool) -> It
                 whole = open_lake(data if logs is None else _taken_in(logs, data, target, asked.words, quiet))
                 lake = select(whole, asked.selection)
                 if not asked.selection.pool:
-                    require_one_vehicle(lake)
+                    served = of_one_vehicle(lake, asked.words.recipe)
+                    _say_left_out(lake, served, asked.words.recipe, quiet)
+                    lake = served
                 yield lake, _recipe_for(lake, asked, Path(folder) / "quick.toml", quiet)
         except BaseException:
             if place is not None:
                 shutil.rmtree(place, ignore_errors=True)
             raise
+
+
+def _say_left_out(lake: Lake, served: Lake, recipe: str, quiet: bool) -> None:
+    """Name the flights of other vehicles, which lack the streams of the recipe."""
+    kept = {facts.id for facts in served.facts}
+    others = [facts.id for facts in lake.facts if facts.id not in kept]
+    if others:
+        names = first_of(others, NAMES_SHOWN)
+        say(f"left out: {names}: of another vehicle, without the streams of {recipe}", quiet)
 
 
 def _recipe_for(lake: Lake, asked: Asked, quick: Path, quiet: bool) -> str:

@@ -49,6 +49,15 @@ VERBS: Mapping[str, Verb] = {
     row.name: row
     for row in (
         Verb(
+            "review",
+            "Review a log: does the vehicle fly well, and what should be changed?",
+            (
+                "flysid review flight.bin",
+                "flysid review flight.ulg -o review.html",
+            ),
+            step="Look",
+        ),
+        Verb(
             "doctor",
             "Check logs: contents, losses, and what to log next time.",
             (
@@ -171,6 +180,15 @@ VERBS: Mapping[str, Verb] = {
             (
                 "flysid step flight.bfl -r betaflight-rate -c roll_rate --plot step.png",
                 "flysid step before.bfl -r betaflight-rate -c roll_rate --against after.bfl",
+            ),
+            step="Fit",
+        ),
+        Verb(
+            "vehicle",
+            "Fit one model of the whole vehicle: thrust, torques, lag, drag.",
+            (
+                "flysid vehicle flight.ulg -o vehicle",
+                "flysid vehicle first.csv second.csv --calm -o vehicle",
             ),
             step="Fit",
         ),

@@ -10,11 +10,12 @@ from typing import Any
 import jinja2
 import numpy as np
 
-from flysid.dataset import FloatArray, Signal
+from flysid.dataset import FloatArray
 from flysid.errors import UsageError
 from flysid.escaping import markdown
 from flysid.export.program import Program
 from flysid.export.reference import run
+from flysid.export.wording import name_with_unit, states_with_units
 from flysid.version import __version__
 
 
@@ -79,15 +80,15 @@ def _values(program: Program, name: str, single: float | None) -> dict[str, Any]
         "one": _number("1.0", single is not None),
         "zeros": ", ".join([_number("0.0", single is not None)] * len(program.inputs)),
         "single": None if single is None else f"{100.0 * single:.2g} % of the free run's RMSE",
-        "inputs": [_name(s) for s in program.inputs],
+        "inputs": [name_with_unit(s) for s in program.inputs],
         "outputs": [
-            {"name": _name(s), "low": f"{low:.6g}", "high": f"{high:.6g}"}
+            {"name": name_with_unit(s), "low": f"{low:.6g}", "high": f"{high:.6g}"}
             for s, low, high in zip(program.outputs, *program.output_limits, strict=True)
         ],
         "through": least == 0,
         "least": least,
         "balanced": m is None and n > n_y,
-        "memory": [_past(program, c, lag) for c, lag in memory],
+        "memory": states_with_units(program),
         "memory_at": [program.cell(c, lag) for c, lag in memory],
         "memory_shift": program.shift[at],
         "memory_scale": program.scale[at],
@@ -140,24 +141,6 @@ def _fuzzy(program: Program) -> dict[str, Any]:
 def _cells(program: Program, columns: Any, delays: Any) -> Any:
     found = [program.cell(int(c), int(lag)) for c, lag in zip(columns, delays, strict=True)]
     return np.array(found, dtype=np.int64)
-
-
-def _name(signal: Signal) -> str:
-    return _plain(f"{signal.name}, {signal.unit}" if signal.unit else signal.name)
-
-
-def _plain(text: str) -> str:
-    """Text for a comment: names come from logs, and may hold what ends or begins one, or a trigraph."""
-    text = "".join(c if c.isprintable() else "_" for c in text)
-    for whole, apart in (("*/", "* /"), ("/*", "/ *"), ("??", "? ?"), ("`", "'"), ("\\", "/")):
-        text = text.replace(whole, apart)
-    return text
-
-
-def _past(program: Program, column: int, lag: int) -> str:
-    signal = program.signals[column]
-    unit = f", {signal.unit}" if signal.unit else ", no unit"
-    return _plain(f"{signal.name}(k-{lag}){unit}")
 
 
 # -- the self-test ---------------------------------------------------------------------------------------

@@ -2,12 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from flysid.dataset import FloatArray
 from flysid.errors import UsageError
 from flysid.export.other_rate import resample
 from flysid.export.program import Program
 from flysid.model.base import Fitted
+from flysid.model.capabilities import HasMembers
 from flysid.model.structures import row_of
 from flysid.offers import import_name
+
+
+class Member(NamedTuple):
+    """A program, and what it weighs among others: outputs are their weighted sum, shares sum to 1."""
+
+    program: Program
+    share: float
 
 
 def program_of(model: Fitted, rate_hz: float | None = None) -> Program:
@@ -28,9 +42,34 @@ def program_of(model: Fitted, rate_hz: float | None = None) -> Program:
         of = f": the package {row.package!r} has no exporter for it" if row.package else ""
         raise UsageError(
             f"a model of structure {model.structure!r} cannot be exported{of}",
-            hint="export a member of an ensemble, or a model of one of flysid's own other structures",
+            hint="export a model of one of flysid's own other structures; of an ensemble a member, or all "
+            "with --casadi, --jax or --onnx",
         )
     if rate_hz is not None:
         model = resample(model, rate_hz)
     program: Program = import_name(row.program)(model)
     return program
+
+
+def members_of(model: Fitted, rate_hz: float | None = None) -> tuple[Member, ...]:
+    """One step of a fitted model as weighed programs: those of an ensemble's members, or its own alone.
+
+    Raises
+    ------
+    UsageError : as `program_of`, of any member.
+    """
+    if not isinstance(model, HasMembers):
+        return (Member(program_of(model, rate_hz), 1.0),)
+    share = 1.0 / len(model.members)
+    inner = [m for member in model.members for m in members_of(member, rate_hz)]
+    return tuple(Member(m.program, share * m.share) for m in inner)
+
+
+def rest_of(members: Sequence[Member]) -> FloatArray:
+    """(m,) the memories of all programs at rest, one behind another, in physical units."""
+    return np.concatenate([m.program.remembered(m.program.start) for m in members])
+
+
+def limits_of(members: Sequence[Member]) -> FloatArray:
+    """(2, n_y) lowest and highest output that the weighed programs return."""
+    return np.asarray(sum(m.share * m.program.output_limits for m in members))

@@ -7,8 +7,10 @@ import numpy as np
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, UsageError
 from flysid.export.program import Program
+from flysid.export.programs import program_of
 from flysid.export.reference import run
 from flysid.model.base import Fitted
+from flysid.model.capabilities import HasMembers
 from flysid.model.rules.recursion import pole_radius
 from flysid.model.start import run_from_window, start_window
 
@@ -52,6 +54,13 @@ def loss_in_float32(model: Fitted, program: Program, train: Dataset, *, largest_
             hint=REMEDY,
         )
     return share
+
+
+def worst_loss_in_float32(model: Fitted, train: Dataset, rate_hz: float | None = None) -> float:
+    """`loss_in_float32` of the model's program; of an ensemble the largest among its members'."""
+    if isinstance(model, HasMembers):
+        return max(worst_loss_in_float32(member, train, rate_hz) for member in model.members)
+    return loss_in_float32(model, program_of(model, rate_hz), train)
 
 
 def refuse_poles(program: Program) -> None:

@@ -54,3 +54,15 @@ def serial_of(info: Mapping[str, str]) -> str:
     """The board's own number, by which telemetry and the log on board know it; "" where there is none."""
     keys = (*SERIALS, TELEMETERED) if info.get("autopilot") == "px4" else SERIALS
     return next((info[key] for key in keys if info.get(key)), "")
+
+
+def firmware_of(info: Mapping[str, str]) -> str:
+    """The family of a vehicle's firmware: "ardupilot", "px4", "betaflight"; as the log names any other.
+
+    Examples
+    --------
+    >>> firmware_of({"autopilot": "ardupilotmega"}), firmware_of({})
+    ('ardupilot', '')
+    """
+    autopilot = info.get("autopilot", "").lower()
+    return next((name for name in ("ardupilot", "px4") if autopilot.startswith(name)), autopilot)

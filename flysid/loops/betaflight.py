@@ -1,44 +1,48 @@
-"""The rate controller of Betaflight 3.1 to 3.5: what a header states, and what it comes to in small motions.
+"""The rate controller of a blackbox log: what its header states, and what it comes to in small motions.
 
-In whole numbers of the mixer, 1000 for the motors' range, with the error e = r - y:
+The laws themselves are data, `flysid/laws`: Betaflight 3.1 to 4.6 (2025.12) and INAV. In thousandths of the
+motors' range, with the error e = r - y and the derivative's filters F, first order (PT1 to PT3) or second
+(biquad), and a notch,
 
-    P: 0.032029 p e      I: 0.244381 i integral of e
-    D: 0.000529 d (w r - F y)'    since 3.2        0.000529 d F (w r - y)'    in 3.1
+    P: p e      I: i integral of e      D: d (w r - F y)'      F: f r', shaped, and recorded by the log
 
-F are the derivative's filters: first order (PT1) or second (biquad), a notch. The setpoint's weight w is
-w0 min(|stick| / ratio, 1) where the header states a ratio between 0 and 1. Above a throttle of
-`tpa_breakpoint` P and D shrink (TPA). The integral slows down while the axes ask for more than a share of the
-motors' range (windup), and runs faster while the throttle moves (anti-gravity).
+In 3.1 the weighed setpoint goes through the filters as well; its weight w is w0 min(|stick| / ratio, 1) where
+the header states a ratio between 0 and 1. Above a throttle of `tpa_breakpoint` D, or P and D, shrink (TPA).
+The integral slows down while the axes ask for more than a share of the motors' range (windup) and while the
+setpoint moves quickly (relax), and runs faster while the throttle moves (anti-gravity). D grows from its
+least to its most with quick motions (d_min, d_max). The first low-pass may follow the throttle.
 
 The loop's steps take longer than the header says where the gyro's clock or the processor is slow: filters
-are those of the stated step, and in 3.1 so are integral and derivative; later ones measure it.
-
-Source: Betaflight's pid.c of 3.1.7 and 3.4.0, held against the terms that logs of 3.1.3 and 3.4.0 record.
+are those of the stated step, and in some versions so are integral and derivative; others measure it.
 """
 
 from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from flysid.dataset import FloatArray
 from flysid.errors import DataError
-from flysid.loops.controller import Controller, Filters
+from flysid.laws.described import Law, blackbox_law
+from flysid.loops.controller import Controller
+from flysid.loops.law_parts import AntiGravity, Boost, Means, Moving, Relax
+from flysid.loops.stages import ComplexArray, Filters, filters_of
 
-P_SCALE = 0.032029
-I_SCALE = 0.244381
-D_SCALE = 0.000529
 AXES = {"roll": "rollPID", "pitch": "pitchPID", "yaw": "yawPID"}
 FULL_THROTTLE = 2000.0
 """us."""
+IDLE_STICK = 1050.0
+"""us of throttle below which the motors idle (`min_check`), which headers do not state."""
 ANTI_GRAVITY = 1 << 28
 """Bit of `features` that switches it on."""
-LARGEST_I = 250.0
-"""Of the integral where the header states none: 3.1. Since 3.2 it is 150."""
-LARGEST_I_SINCE = 150.0
+UNLIMITED = 1000.0
+"""Of an output whose limit the header does not state: all of the motors' range."""
+RELAXED_YAW = (2, 4)
+"""Modes of the relaxed integral that include yaw."""
+RELAXED_BY_SETPOINT = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,12 +54,16 @@ class Conditions:
     throttle : (N,) us.
     setpoint, stick : (N,) deg/s, and the stick's way from its middle, 0 to 1.
     slower : steps of the loop over those that the header states.
+    means : of what moves in laws since 4.0; None: of TPA alone, by the throttle.
+    forward : f (Hz), and the recorded F term's response to the setpoint there; None where there is no F term.
     """
 
     throttle: FloatArray
     setpoint: FloatArray
     stick: FloatArray
     slower: float = 1.0
+    means: Means | None = None
+    forward: tuple[FloatArray, ComplexArray] | None = None
 
 
 NO_CONDITIONS = Conditions(np.zeros(0), np.zeros(0), np.zeros(0))
@@ -68,16 +76,21 @@ class BetaflightLaw:
     Attributes
     ----------
     stated : gains as the firmware names them.
-    p, i, d : the same in the mixer's numbers.
+    p, i, d, f : the same in the mixer's numbers; d is the least where D grows.
     weight, relaxed : of the setpoint in the derivative, and the stick up to which it grows; 0: it does not.
     filters, notch : orders and cut-offs (Hz), and centre and cut-off, of what the derivative goes through.
-    stated_steps : whether the setpoint goes through the filters too, and steps are taken as stated: 3.1.
+    slope_filtered : the setpoint goes through the filters too: 3.1.
+    stated_steps : of the derivative, of the integral: whether they count on the stated step.
     step_s : stated; 0 where it is not.
-    tpa : share that it takes of P and D at full throttle, and where it begins, us.
+    tpa, tpa_terms : share that it takes at full throttle, and where it begins, us; of which terms.
     windup : share of the motors' range beyond which the integral slows down.
     anti_gravity : factor of the integral while the throttle moves by more than a threshold (us) in 0.1 s.
     limits : of the outputs of roll, pitch and yaw.
     largest_i : of the integral.
+    p_filters : of yaw's P.
+    boost, relax, moving, faster : parts that only some versions have.
+    title : version, and which law stands in for an unknown one.
+    not_described : settings of this log that change the law in a way that is not described.
     """
 
     stated: Mapping[str, float]
@@ -88,13 +101,26 @@ class BetaflightLaw:
     relaxed: float
     filters: Filters
     notch: tuple[float, float]
-    stated_steps: bool
+    slope_filtered: bool
+    stated_steps: tuple[bool, bool]
     step_s: float
     tpa: tuple[float, float]
     windup: float
     anti_gravity: tuple[float, float]
     limits: tuple[float, float, float]
     largest_i: float
+    f: float = 0.0
+    tpa_terms: tuple[str, ...] = ("P", "D")
+    throttle_of: str = "stick"
+    p_filters: Filters = ()
+    boost: Boost | None = None
+    relax: Relax | None = None
+    moving: Moving | None = None
+    faster: AntiGravity | None = None
+    title: str = ""
+    exact: bool = True
+    has_forward: bool = False
+    not_described: tuple[str, ...] = field(default=())
 
     @classmethod
     def of(cls, settings: Mapping[str, str], axis: str) -> BetaflightLaw:
@@ -102,49 +128,76 @@ class BetaflightLaw:
 
         Raises
         ------
-        DataError : another firmware or version, a gain or filter that is missing.
+        DataError : another firmware, a gain or filter that is missing.
         """
-        version = _version(settings)
-        p, i, d = _numbers(settings, AXES[axis])
-        hundredths = version >= (3, 4) or version < (3, 2)
-        (weight,) = _numbers(settings, "dterm_setpoint_weight", "dtermSetpointWeight")
-        (relaxed,) = _numbers(settings, "setpoint_relaxation_ratio", "setpointRelaxRatio")
-        cut = _numbers(settings, "dterm_lowpass_hz", "dterm_lpf_hz")[0]
-        second = _numbers(settings, "dterm_lowpass2_hz")[0] if version >= (3, 4) else 0.0
-        first = 2 if _numbers(settings, "dterm_filter_type")[0] == 1 else 1
-        roll = _number(settings, 1000.0, "pidsum_limit", "pidSumLimit")
-        yaw = _number(settings, 1000.0, "pidsum_limit_yaw", "pidSumLimitYaw")
-        anti_gravity = (1.0, np.inf)
-        if version >= (3, 4) and int(_number(settings, 0.0, "features")) & ANTI_GRAVITY:
-            faster = _number(settings, 1000.0, "anti_gravity_gain") / 1000.0
-            anti_gravity = (faster, _number(settings, np.inf, "anti_gravity_threshold"))
+        law = blackbox_law(settings.get("Firmware revision", ""))
+        read = _Header(law, settings)
+        p, i, d, *more = numbers_of(settings, AXES[axis])
+        derived = law.part("derivative")
+        integral = law.part("integral")
+        if axis not in derived["axes"]:
+            d = 0.0
+        parts = float(derived["weight_parts"])
+        (weight,) = read.needed("setpoint_weight") if parts else (0.0,)
+        (relaxed,) = read.needed("relaxed") if parts else (0.0,)
+        forward = more[0] if more else _of_axis(read.several("forward"), axis)
+        roll = read.one("limit", UNLIMITED)
+        yaw = read.one("yaw_limit", UNLIMITED)
+        limits = (roll, roll, yaw)
+        least, boost = _boost(law, read, axis, d)
+        moving = _moving(law, read)
+        limit, windup = float(integral["limit"]), 1.0
+        if integral["windup"] == "limit":
+            limit = read.one("windup", 100.0) / 100.0 * limits[list(AXES).index(axis)]
+        elif integral["windup"] == "share":
+            windup = read.one("windup", 100.0) / 100.0
+        steps, faster = _anti_gravity(str(integral["anti_gravity"]), read, axis, settings)
         return cls(
-            {f"{AXES[axis]} P": p, "I": i, "D": d},
-            P_SCALE * p,
-            I_SCALE * i,
-            D_SCALE * d,
-            weight / (100.0 if hundredths else 127.0),
+            _name_gains(axis, p, i, d, least, forward, bool(law.scale["f"])),
+            law.scale["p"] * p,
+            law.scale["i"] * i * (law.scale["yaw_i"] if axis == "yaw" else 1.0),
+            law.scale["d"] * least,
+            weight / parts if parts else 0.0,
             relaxed / 100.0 if relaxed < 100.0 else 0.0,
-            tuple((order, cut) for order, cut in ((first, cut), (1, second)) if cut > 0.0),
-            (_number(settings, 0.0, "dterm_notch_hz"), _number(settings, 0.0, "dterm_notch_cutoff")),
-            version < (3, 2),
-            1e-6 * _number(settings, 0.0, "looptime") * _number(settings, 1.0, "pid_process_denom"),
-            (
-                _number(settings, 0.0, "tpa_rate", "dynThrPID") / 100.0,
-                _number(settings, FULL_THROTTLE, "tpa_breakpoint"),
+            _lowpasses(law, read, moving),
+            (read.one("notch", 0.0), read.one("notch_cutoff", 0.0)),
+            derived["of"] == "both",
+            (derived["steps"] == "stated", integral["steps"] == "stated"),
+            1e-6 * number_of(settings, 0.0, "looptime") * number_of(settings, 1.0, "pid_process_denom"),
+            (read.one("tpa_rate", 0.0) / 100.0, read.one("tpa_breakpoint", FULL_THROTTLE)),
+            windup,
+            steps,
+            limits,
+            limit,
+            law.scale["f"] * forward,
+            _tpa_terms(law, read),
+            str(law.part("throttle")["of"]),
+            filters_of("pt1", read.one("yaw_lowpass", 0.0)) if axis == "yaw" else (),
+            boost,
+            _relax(law, read, axis),
+            moving,
+            faster,
+            law.title,
+            law.exact,
+            bool(law.scale["f"]) and forward > 0.0,
+            tuple(
+                f"{what} ({name})"
+                for name, what in law.not_described.items()
+                if number_of(settings, 0.0, name)
             ),
-            _number(settings, 100.0, "iterm_windup", "itermWindupPointPercent") / 100.0,
-            anti_gravity,
-            (roll, roll, yaw),
-            LARGEST_I if version < (3, 2) else LARGEST_I_SINCE,
         )
 
     def kept(self, throttle: FloatArray) -> FloatArray:
-        """(N,) what TPA leaves of P and D."""
+        """(N,) what TPA leaves of its terms."""
         share, begins = self.tpa
         if begins >= FULL_THROTTLE:
             return np.ones(len(throttle))
         return np.asarray(1.0 - share * np.clip((throttle - begins) / (FULL_THROTTLE - begins), 0.0, 1.0))
+
+    def filters_at(self, lowpass_hz: float) -> Filters:
+        """The derivative's low-passes with the moving one at a cut-off (Hz)."""
+        moved = filters_of(self.moving.kind, lowpass_hz) if self.moving else ()
+        return moved + self.filters[len(moved) :]
 
     def weighed(self, setpoint: FloatArray, stick: FloatArray) -> FloatArray:
         """(N,) the setpoint whose derivative the controller takes."""
@@ -152,24 +205,35 @@ class BetaflightLaw:
         return np.asarray(self.weight * share * setpoint)
 
     def controller(self, flown: Conditions) -> Controller:
-        """In small motions, P, D and the setpoint's weight as they were on average over a flight."""
+        """In small motions, with what moves as it was on average over a flight."""
         late = flown.slower
-        kept = float(self.kept(flown.throttle).mean()) if len(flown.throttle) else 1.0
+        means = flown.means or self._means_of_tpa(flown.throttle)
         weight = self.weight
         steps = np.diff(flown.setpoint)
         if self.relaxed and steps.any():
             weight = float(steps @ np.diff(self.weighed(flown.setpoint, flown.stick)) / (steps @ steps))
-        by_step = late if self.stated_steps else 1.0
+        of_d, of_i = (late if stated else 1.0 for stated in self.stated_steps)
+        filters = self.filters
+        if means.lowpass_hz is not None:
+            filters = self.filters_at(means.lowpass_hz)
         return Controller(
             self.stated,
-            self.p * kept,
-            self.i / by_step,
-            self.d * kept * by_step,
+            self.p * means.p,
+            self.i * means.i / of_i,
+            self.d * means.d * of_d,
             weight,
-            tuple((order, cut / late) for order, cut in self.filters),
+            tuple((order, cut / late) for order, cut in filters),
             notch=(self.notch[0] / late, self.notch[1] / late),
-            slope_filtered=self.stated_steps,
+            slope_filtered=self.slope_filtered,
+            p_filters=tuple((order, cut / late) for order, cut in self.p_filters),
+            recorded_forward=flown.forward,
+            i_at_rest=self.i / of_i,
         )
+
+    def _means_of_tpa(self, throttle: FloatArray) -> Means:
+        kept = float(self.kept(throttle).mean()) if len(throttle) else 1.0
+        p, d = (kept if term in self.tpa_terms else 1.0 for term in "PD")
+        return Means(p, 1.0, d)
 
 
 def betaflight(settings: Mapping[str, str], axis: str, flown: Conditions) -> Controller:
@@ -177,25 +241,146 @@ def betaflight(settings: Mapping[str, str], axis: str, flown: Conditions) -> Con
     return BetaflightLaw.of(settings, axis).controller(flown)
 
 
-def _version(settings: Mapping[str, str]) -> tuple[int, int]:
-    revision = settings.get("Firmware revision", "")
-    found = re.match(r"Betaflight (\d+)\.(\d+)", revision)
-    if not found or not (3, 1) <= (version := (int(found[1]), int(found[2]))) <= (3, 5):
-        raise DataError(
-            f"the controller of {revision or 'an unnamed firmware'} is not known here",
-            hint="gains of Betaflight 3.1 to 3.5 are; the loop itself: flysid tf LOG -r betaflight-rate",
-        )
-    return version
+@dataclass(frozen=True)
+class _Header:
+    """A header's settings under the names that a law uses."""
+
+    law: Law
+    settings: Mapping[str, str]
+
+    def several(self, name: str) -> tuple[float, ...]:
+        """The numbers of a setting; none where the header does not state it."""
+        known = (self.settings.get(own) for own in self.law.names.get(name, ()))
+        return next((_split(text) for text in known if text), ())
+
+    def one(self, name: str, otherwise: float) -> float:
+        """The first number of a setting, or another value."""
+        found = self.several(name)
+        return found[0] if found else otherwise
+
+    def needed(self, name: str) -> tuple[float, ...]:
+        """The numbers of a setting that the law cannot do without."""
+        return numbers_of(self.settings, *self.law.names[name])
 
 
-def _number(settings: Mapping[str, str], otherwise: float, *names: str) -> float:
+def _kind(law: Law, read: _Header, name: str) -> str:
+    """Of a low-pass, by its number; the first kind for one that the version does not know."""
+    kinds = law.part("derivative")["kinds"]
+    number = int(read.one(name, 0.0))
+    return str(kinds[number]) if number < len(kinds) else str(kinds[0])
+
+
+def _lowpasses(law: Law, read: _Header, moving: Moving | None) -> Filters:
+    """Of the derivative: the first at its lower cut-off where it moves, and the second."""
+    first = moving.low if moving else read.needed("lowpass_1")[0]
+    second = read.needed("lowpass_2")[0] if law.names.get("lowpass_2") else 0.0
+    kinds = (_kind(law, read, f"lowpass_{number}_type") for number in (1, 2))
+    return tuple(own for kind, hz in zip(kinds, (first, second), strict=True) for own in filters_of(kind, hz))
+
+
+def _moving(law: Law, read: _Header) -> Moving | None:
+    """How the first low-pass follows the throttle; None where it does not."""
+    found = read.several("lowpass_1_moving")
+    if len(found) < 2 or found[0] <= 0.0:
+        return None
+    expo = read.one("lowpass_1_expo", float(law.part("moving")["expo"]))
+    return Moving(_kind(law, read, "lowpass_1_type"), found[0], found[1], expo)
+
+
+def _boost(law: Law, read: _Header, axis: str, d: float) -> tuple[float, Boost | None]:
+    """The least D, and how it grows; the stated D and nothing where it does not."""
+    how = law.part("boost")
+    other = _of_axis(read.several("boost_other"), axis)
+    if not how:
+        return d, None
+    least, most = (other, d) if how["other"] == "least" else (d, other)
+    if not 0.0 < least < most:
+        return d, None
+    gain = float(how["factor"]) * read.one("boost_gain", 0.0) / float(how["smooth_hz"])
+    return least, Boost(
+        most / least,
+        gain,
+        gain * read.one("boost_advance", 0.0) / 100.0,
+        filters_of(str(how["range_kind"]), float(how["range_hz"])),
+        filters_of(str(how["smooth_kind"]), float(how["smooth_hz"])),
+    )
+
+
+def _relax(law: Law, read: _Header, axis: str) -> Relax | None:
+    """The relaxed integral of an axis; None where it is off, or goes by the gyro."""
+    how = law.part("integral")
+    threshold = float(how["relax_threshold"])
+    mode = read.one("relax", float(how.get("relax_default", 0.0)))
+    kind = read.one("relax_type", RELAXED_BY_SETPOINT)
+    if (
+        not threshold
+        or not mode
+        or kind != RELAXED_BY_SETPOINT
+        or (axis == "yaw" and mode not in RELAXED_YAW)
+    ):
+        return None
+    cut = read.one("relax_cutoff", float(how.get("relax_default_hz", 0.0)))
+    reference = float(how.get("relax_reference_hz", 0.0))
+    return Relax(cut, threshold * reference / cut if reference else threshold) if cut > 0.0 else None
+
+
+def _anti_gravity(
+    kind: str, read: _Header, axis: str, settings: Mapping[str, str]
+) -> tuple[tuple[float, float], AntiGravity | None]:
+    """Factor and threshold of the older kind; what the newer kinds need."""
+    off = (1.0, np.inf)
+    if kind == "none" or not int(number_of(settings, 0.0, "features")) & ANTI_GRAVITY:
+        return off, None
+    gain = read.one("anti_gravity_gain", 1000.0 if kind == "steps" else 0.0)
+    if kind == "steps":
+        return (gain / 1000.0, read.one("anti_gravity_threshold", np.inf)), None
+    if axis == "yaw":
+        return off, None
+    cut = read.one("anti_gravity_cutoff", 0.0)
+    return off, AntiGravity(kind, gain, cutoff_hz=cut, p=read.one("anti_gravity_p", 0.0))
+
+
+def _tpa_terms(law: Law, read: _Header) -> tuple[str, ...]:
+    """Terms that TPA shrinks: of the mode where the header states it, else as the law has them."""
+    mode = read.several("tpa_mode")
+    if not mode:
+        return tuple(law.part("throttle")["terms"])
+    return ("D",) if mode[0] == 1.0 else ("P", "D")
+
+
+def _of_axis(values: tuple[float, ...], axis: str) -> float:
+    """Of three values that of an axis; 0 where there are none."""
+    return values[list(AXES).index(axis)] if len(values) == len(AXES) else 0.0
+
+
+def _name_gains(
+    axis: str, p: float, i: float, d: float, least: float, forward: float, has_forward: bool
+) -> dict[str, float]:
+    """As people know them."""
+    named = {f"{AXES[axis]} P": p, "I": i, "D": d}
+    if least < d:
+        named["D least"] = least
+    return named | ({"F": forward} if has_forward else {})
+
+
+def _split(text: str) -> tuple[float, ...]:
+    return tuple(float(part) for part in re.split("[,/]", text))
+
+
+def number_of(settings: Mapping[str, str], otherwise: float, *names: str) -> float:
     """The first of these settings that the header states, or another value."""
     return next((float(settings[name]) for name in names if settings.get(name)), otherwise)
 
 
-def _numbers(settings: Mapping[str, str], *names: str) -> tuple[float, ...]:
+def numbers_of(settings: Mapping[str, str], *names: str) -> tuple[float, ...]:
+    """The numbers of the first of these settings that the header states.
+
+    Raises
+    ------
+    DataError : it states none of them.
+    """
     for name in names:
         text = settings.get(name)
         if text:
-            return tuple(float(part) for part in re.split("[,/]", text))
+            return _split(text)
     raise DataError(f"the log's header does not state {names[0]}", hint="log with the header whole")

@@ -10,6 +10,7 @@ import numpy as np
 
 from flysid.dataset import FloatArray
 from flysid.errors import DataError, UsageError
+from flysid.flightwriter import float_values
 from flysid.loops.betaflight import AXES, Conditions
 from flysid.loops.stick_response import StickRecord
 
@@ -55,7 +56,7 @@ def fields_of(log: Any, stream: str, names: Iterable[str]) -> dict[str, FloatArr
             f"{log.name} lacks a field of the rate loop: {error}",
             hint="log PID terms, sticks and gyro (Betaflight before 4.0)",
         ) from error
-    return {name: np.asarray(table[name], dtype=np.float64) for name in wanted}
+    return {name: float_values(table[name]) for name in wanted}
 
 
 def record_of(
@@ -101,11 +102,14 @@ def slower(time: FloatArray, loops: FloatArray, settings: Mapping[str, str]) -> 
 
     Parameters
     ----------
-    time, loops : (N,) s, and numbers of the loop that a row is of.
+    time, loops : (N,) s, and numbers of the loop that a row is of. Where rows are lost, or the vehicle was
+        started again, the steps differ from most others: those count for nothing.
     """
     stated = 1e-6 * float(settings.get("looptime") or 0.0) * float(settings.get("pid_process_denom") or 1.0)
-    gone = loops[-1] - loops[0]
-    return float((time[-1] - time[0]) / gone / stated) if stated and gone > 0.0 else 1.0
+    steps = np.diff(loops)
+    usual = steps == np.median(steps) if len(steps) else np.zeros(0, dtype=bool)
+    gone = float(steps[usual].sum())
+    return float(np.diff(time)[usual].sum() / gone / stated) if stated and gone > 0.0 else 1.0
 
 
 def even_pieces(

@@ -16,12 +16,13 @@ with the log.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from flysid.dataset import FloatArray
 from flysid.errors import DataError
+from flysid.loops.stages import Filters, response
 from flysid.loops.stick_response import ComplexArray, Loop
 
 THOUSANDTHS = 1000.0
@@ -29,9 +30,6 @@ RELEASE = "ver_sw_release"
 FIRST_ORDER_SINCE = 0x010D0000
 """PX4's release in a ULog, and 1.13, since which its derivative goes through a first-order filter."""
 ARDUPILOT_AXES = {"roll": "RLL", "pitch": "PIT", "yaw": "YAW"}
-
-
-Filters = tuple[tuple[int, float], ...]
 
 
 @dataclass(frozen=True)
@@ -48,6 +46,9 @@ class Controller:
     forward : from the filtered setpoint straight to the output.
     slope_filtered : the setpoint's derivative goes through `filters` and `notch`, too.
     notch : centre and cut-off (Hz) of what the derivative goes through besides; 0 for none.
+    p_filters : of what P goes through.
+    recorded_forward : f (Hz), and the response there of a recorded term that the setpoint alone makes.
+    i_at_rest : of the error's integral while the sticks rest, where `i` is less on average over a flight.
     """
 
     gains: Mapping[str, float]
@@ -61,12 +62,19 @@ class Controller:
     forward: float = 0.0
     slope_filtered: bool = False
     notch: tuple[float, float] = (0.0, 0.0)
+    p_filters: Filters = ()
+    recorded_forward: tuple[FloatArray, ComplexArray] | None = None
+    i_at_rest: float | None = None
+
+    def at_rest(self) -> Controller:
+        """The same while the sticks rest."""
+        return self if self.i_at_rest is None else replace(self, i=self.i_at_rest)
 
     def feedback(self, f: FloatArray) -> ComplexArray:
         """(F,) from the measured rate, its sign left out."""
         s = 2j * np.pi * np.maximum(f, 1e-6)
-        inside = self.p + self.i / s + self.d * s * self._slope_through(f)
-        return np.asarray(inside * _through(self.error_filters, f))
+        inside = self.p * response(self.p_filters, f) + self.i / s + self.d * s * self._slope_through(f)
+        return np.asarray(inside * response(self.error_filters, f))
 
     def reference(self, f: FloatArray) -> ComplexArray:
         """(F,) from the setpoint."""
@@ -74,17 +82,21 @@ class Controller:
         slope = self.weight * self.d * s
         if self.slope_filtered:
             slope = slope * self._slope_through(f)
-        inside = (self.p + self.i / s + slope) * _through(self.error_filters, f)
-        return np.asarray((inside + self.forward) * _through(self.reference_filters, f))
+        p = self.p * response(self.p_filters, f)
+        inside = (p + self.i / s + slope) * response(self.error_filters, f)
+        direct = self.forward + self._recorded_forward_at(f)
+        return np.asarray((inside + direct) * response(self.reference_filters, f))
+
+    def _recorded_forward_at(self, f: FloatArray) -> ComplexArray:
+        """(F,) of the recorded term; 0 where there is none."""
+        if self.recorded_forward is None:
+            return np.zeros(len(f), dtype=np.complex128)
+        at, values = self.recorded_forward
+        return np.asarray(np.interp(f, at, values.real) + 1j * np.interp(f, at, values.imag))
 
     def _slope_through(self, f: FloatArray) -> ComplexArray:
         """(F,) of what the derivative goes through."""
-        through = _through(self.filters, f)
-        centre, cut = self.notch
-        if centre > cut > 0.0:
-            x = f / centre
-            through = through * (1.0 - x * x) / (1.0 + 1j * x * (centre / cut - cut / centre) - x * x)
-        return np.asarray(through)
+        return response(self.filters, f, self.notch)
 
     def miss(self, loop: Loop, low: float, high: float) -> float:
         """Median relative error with which it gives what the log recorded, between two frequencies (Hz)."""
@@ -92,16 +104,6 @@ class Controller:
         s = loop.mean
         told = self.reference(loop.f) * s[0, 0] - self.feedback(loop.f) * s[0, 2]
         return float(np.median(np.abs(told - s[0, 1])[at] / np.abs(s[0, 1])[at]))
-
-
-def _through(filters: Filters, f: FloatArray) -> ComplexArray:
-    """(F,) of low-pass filters of first or second order, one behind the other; a cut-off of 0 is none."""
-    through = np.ones(len(f), dtype=np.complex128)
-    for order, cut in filters:
-        if cut > 0.0:
-            x = 1j * f / cut
-            through = through / (1.0 + x if order == 1 else 1.0 + np.sqrt(2.0) * x + x * x)
-    return through
 
 
 def px4(stated: Mapping[str, float], axis: str) -> Controller:

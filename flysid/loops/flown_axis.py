@@ -17,16 +17,15 @@ from numba import njit
 
 from flysid.dataset import FloatArray
 from flysid.errors import DataError, UsageError
-from flysid.loops.betaflight import AXES, FULL_THROTTLE, BetaflightLaw
+from flysid.loops.betaflight import AXES, FULL_THROTTLE, IDLE_STICK, BetaflightLaw
 from flysid.loops.blackbox_loops import FULL_STICK, even_pieces, fields_of, slower, terms_of
 from flysid.loops.controller import THOUSANDTHS
+from flysid.loops.stages import sections
 from flysid.loops.stick_response import ComplexArray, StickRecord
 
 MOTORS = 4
 SIDES = np.array([[-1.0, -1.0, 1.0, 1.0], [1.0, -1.0, 1.0, -1.0], [1.0, -1.0, -1.0, 1.0]])
 """How roll, pitch and yaw enter the motors: rear right, front right, rear left, front left."""
-IDLE_STICK = 1050.0
-"""us of throttle below which the motors idle (`min_check`), which headers do not state."""
 MOVED_WITHIN_S = 0.1
 """Within which anti-gravity looks for a movement of the throttle."""
 
@@ -101,7 +100,7 @@ class FlownAxis:
                 law.p,
                 law.i,
                 law.d,
-                law.step_s if law.stated_steps else self.step_s,
+                law.step_s if law.slope_filtered else self.step_s,
                 law.windup,
                 law.largest_i,
                 law.limits[self.axis],
@@ -119,8 +118,8 @@ class FlownAxis:
             at(_opened(self.throttle)),
             SIDES[self.axis],
             self.airmode,
-            law.stated_steps,
-            _sections(law),
+            law.slope_filtered,
+            sections(law.filters, law.notch, law.step_s),
             numbers,
         )
         return replace(
@@ -193,30 +192,6 @@ def flown_axis(log: Any, axis: str, settings: Mapping[str, str], *, largest_miss
 def _opened(throttle: FloatArray) -> FloatArray:
     """(N,) throttle as a share of the motors' range."""
     return np.asarray(np.clip((throttle - IDLE_STICK) / (FULL_THROTTLE - IDLE_STICK), 0.0, 1.0))
-
-
-def _sections(law: BetaflightLaw) -> FloatArray:
-    """(S, 5) b0, b1, b2, a1, a2 of the derivative's filters, of the step that the header states.
-
-    Source: PT1 as Betaflight computes it; biquads by Bristow-Johnson's cookbook.
-    """
-    rows = []
-    centre, cut = law.notch
-    if centre > cut > 0.0:
-        turn = 2.0 * np.pi * centre * law.step_s
-        wide = 0.5 * np.sin(turn) * (centre / cut - cut / centre)
-        rows.append(np.array([1.0, -2.0 * np.cos(turn), 1.0, -2.0 * np.cos(turn), 1.0 - wide]) / (1.0 + wide))
-    for order, hz in law.filters:
-        if order == 1:
-            share = law.step_s / (law.step_s + 1.0 / (2.0 * np.pi * hz))
-            rows.append(np.array([share, 0.0, 0.0, share - 1.0, 0.0]))
-        else:
-            turn = 2.0 * np.pi * hz * law.step_s
-            wide = np.sin(turn) / np.sqrt(2.0)
-            half = 0.5 * (1.0 - np.cos(turn))
-            own = np.array([half, 2.0 * half, half, -2.0 * np.cos(turn), 1.0 - wide])
-            rows.append(own / (1.0 + wide))
-    return np.array(rows).reshape(-1, 5)
 
 
 @njit(cache=True)

@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from flysid.dataset import FloatArray
 from flysid.errors import DataError, UsageError
+from flysid.flightwriter import float_values
 from flysid.ingest.lake.events import IN_FORCE
 from flysid.loops.betaflight import AXES
 from flysid.loops.blackbox_loops import LARGEST_SHARE, even_pieces
@@ -121,7 +122,7 @@ def _asked_of_px4(log: Any, axis: str) -> tuple[FloatArray, FloatArray] | None:
             hint=f"log {stream}",
         )
     table = log.table(stream, ["time_ns", "q_d"])
-    time = np.asarray(table["time_ns"], dtype=np.float64) * 1e-9
+    time = float_values(table["time_ns"]) * 1e-9
     turns = np.asarray(table["q_d"].to_pylist(), dtype=np.float64)
     known = np.isfinite(turns).all(axis=1) & (np.abs(turns).sum(axis=1) > 0.0)
     if not known.any():
@@ -143,9 +144,11 @@ def _column(log: Any, stream: str, name: str, place: int | None = None) -> tuple
         raise DataError(
             f"{log.name} lacks {stream}.{name}", hint="log setpoint, output and rate of the rate loop, fast"
         ) from error
-    column = table[name].to_pylist() if place is not None else table[name]
-    values = np.asarray([v[place] for v in column] if place is not None else column, dtype=np.float64)
-    return np.asarray(table["time_ns"], dtype=np.float64) * 1e-9, values
+    if place is None:
+        values = float_values(table[name])
+    else:
+        values = np.asarray([v[place] for v in table[name].to_pylist()], dtype=np.float64)
+    return float_values(table["time_ns"]) * 1e-9, values
 
 
 def _record(

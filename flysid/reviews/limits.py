@@ -43,3 +43,8 @@ def limit(name: str) -> Limit:
     return Limit(
         **tomllib.loads(files(__package__).joinpath("limits.toml").read_text("utf-8"))[section][figure]
     )
+
+
+def rate_lag_limit(axis: str) -> Limit:
+    """Of how late a body rate follows, ms."""
+    return limit("tracking.yaw_rate_lag" if axis == "yaw" else "tracking.rate_lag")

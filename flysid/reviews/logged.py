@@ -16,8 +16,9 @@ import numpy.typing as npt
 from flysid.dataset import FloatArray
 from flysid.errors import RecipeError
 from flysid.facts.clock import LogClock, log_clock
+from flysid.facts.vehicle import firmware_of
 from flysid.flight import Damage, split_address
-from flysid.ingest.align.recipe import Source
+from flysid.ingest.align.recipe import SignalSpec, Source
 from flysid.ingest.align.resample import FOREVER
 from flysid.ingest.align.signals import Loaded, Log, find_source, load_source
 from flysid.ingest.align.things import find_stream, things_of
@@ -48,7 +49,7 @@ class Column:
     def __len__(self) -> int:
         return len(self.values)
 
-    @property
+    @cached_property
     def period_s(self) -> float:
         """From sample to sample, as most are; NaN of fewer than two."""
         return float(np.median(np.diff(self.time_s))) if len(self) > 1 else float("nan")
@@ -121,9 +122,7 @@ class LoggedFlight:
     @cached_property
     def family(self) -> str:
         """Firmware: "ardupilot", "px4", "betaflight", "inav", "crazyflie"; "" where the log does not say."""
-        autopilot = self.info.get("autopilot", "").lower()
-        known = ("ardupilot", "px4", "betaflight", "inav", "emuflight", "crazyflie")
-        return next((name for name in known if autopilot.startswith(name)), autopilot)
+        return firmware_of(self.info)
 
     @cached_property
     def clock(self) -> LogClock:
@@ -184,6 +183,16 @@ class LoggedFlight:
         return found
 
     @cached_property
+    def whole_parameters(self) -> frozenset[str]:
+        """Names of the parameters that the log types as whole numbers."""
+        stream = self.stream("parameters")
+        if not stream or "type" not in self.log.columns(stream):
+            return frozenset()
+        table = self.log.table(stream, ["name", "type"]).to_pydict()
+        pairs = zip(table["name"], table["type"], strict=True)
+        return frozenset(name for name, kind in pairs if "int" in str(kind))
+
+    @cached_property
     def headers(self) -> Mapping[str, str]:
         """Settings of a blackbox header as text, by name; empty in other logs."""
         stream = self.stream("parameters")
@@ -219,7 +228,9 @@ class LoggedFlight:
             found = find_source((source,), self.log)
             if found is None:
                 continue
-            column = self._on_clock(load_source(*found, unit, self.log), f"{found[1]}.{field}", unit)
+            column = self._on_clock(
+                load_source(*found, unit, self.log, resolved=False), f"{found[1]}.{field}", unit
+            )
             if len(column):
                 return column
         return None
@@ -231,6 +242,21 @@ class LoggedFlight:
         except RecipeError:
             return None
 
+    def signal(self, spec: SignalSpec) -> Column | None:
+        """A signal of a recipe, from the first of its sources that has values; None where none has."""
+        for source in spec.sources:
+            found = find_source((source,), self.log)
+            if found is None:
+                continue
+            try:
+                loaded = load_source(*found, spec.unit, self.log, resolved=False)
+            except RecipeError:
+                continue  # a unit of another kind: the next source may fit
+            column = self._on_clock(loaded, f"{found[1]}.{'/'.join(source.fields)}", spec.unit)
+            if len(column):
+                return column
+        return None
+
     def _on_clock(self, loaded: Loaded, address: str, unit: str) -> Column:
         times: list[FloatArray] = [np.zeros(0)]
         values: list[FloatArray] = [np.zeros(0)]
@@ -238,7 +264,7 @@ class LoggedFlight:
             finite = np.isfinite(samples.x)
             start = self.clock.starts_s.get(boot, 0.0)
             begin = self.clock.begins_ns.get(boot, 0)
-            times.append(start + (samples.t_ns[finite] - begin) * 1e-9)
+            times.append(np.asarray(start + (samples.t_ns[finite] - begin) * 1e-9, dtype=np.float64))
             values.append(samples.x[finite])
         return Column(address, unit, np.concatenate(times), np.concatenate(values))
 

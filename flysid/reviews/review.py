@@ -2,30 +2,36 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from flysid.errors import FormatError
 from flysid.extras import Extra, Missing, extra
+from flysid.flight import split_address
+from flysid.ingest.lake.timeline import Curve, Timeline, lay_out, read_fields
 from flysid.progress import tell
 from flysid.reviews.crash import end_at_crash
 from flysid.reviews.fact import Section
 from flysid.reviews.logged import LoggedFlight
-from flysid.reviews.reviewed import Review
+from flysid.reviews.page import write_review
+from flysid.reviews.reviewed import NO_TIMELINE, Review
 from flysid.reviews.sections import SECTIONS, section_of
 
 
-def review(path: str | Path) -> Review:
+def review(path: str | Path, page: str | Path | None = None) -> Review:
     """Review one log: does the vehicle fly well, and what should be changed?
 
     Parameters
     ----------
     path : a log of any format that flysid reads.
+    page : write the page to this file, too.
 
     Raises
     ------
     UsageError, FormatError : there is no such file, or nothing of it can be read.
+    StoreError : the page cannot be written.
 
     Examples
     --------
@@ -44,13 +50,23 @@ def review(path: str | Path) -> Review:
         if results[0].skipped:
             raise FormatError(results[0].reason, path=results[0].path)
         (stored,) = open_lake(place).logs
-        return review_flight(LoggedFlight(stored, stored.manifest.damage, stored.manifest.source.name))
+        flight = LoggedFlight(stored, stored.manifest.damage, stored.manifest.source.name)
+        found = review_flight(flight, with_evidence=page is not None)
+    if page is not None:
+        write_review(page, [found])
+    return found
 
 
-def review_flight(flight: LoggedFlight) -> Review:
-    """All sections of one flight; what breaks in one of them leaves the others as they are."""
+def review_flight(flight: LoggedFlight, *, with_evidence: bool = False) -> Review:
+    """All sections of one flight; what breaks in one of them leaves the others as they are.
+
+    Parameters
+    ----------
+    with_evidence : read the fields behind the figures over time, too: a page shows them.
+    """
     sections = []
     broken = Missing()
+    timeline = NO_TIMELINE
     with broken.gathering():
         flight = extra(Extra.REVIEWED, partial(end_at_crash, flight), None, of="crash") or flight
         for i, key in enumerate(SECTIONS):
@@ -58,10 +74,30 @@ def review_flight(flight: LoggedFlight) -> Review:
             made = extra(Extra.REVIEWED, partial(_review, key, flight), None, of=key)
             if made is not None:
                 sections.append(made)
+        if with_evidence:
+            timeline = extra(
+                Extra.REVIEW_PICTURE, partial(_evidence, flight, sections), timeline, of="evidence"
+            )
     return Review(
-        flight.name, flight.info, flight.clock, flight.air_s, tuple(sections), tuple(broken.sentences)
+        flight.name,
+        flight.info,
+        flight.clock,
+        flight.air_s,
+        tuple(sections),
+        tuple(broken.sentences),
+        flight.whole_parameters,
+        timeline,
     )
 
 
 def _review(key: str, flight: LoggedFlight) -> Section:
     return section_of(key)(flight)
+
+
+def _evidence(flight: LoggedFlight, sections: Sequence[Section]) -> Timeline:
+    """The fields that facts were computed from, on the log's clock, in the order of the page."""
+    fields = dict.fromkeys(field for section in sections for fact in section.facts for field in fact.fields)
+    by_stream: dict[tuple[str, str], list[Curve]] = {}
+    for curve in (curve for panel in read_fields(flight.log, list(fields)) for curve in panel):
+        by_stream.setdefault((split_address(curve.name)[0], curve.unit), []).append(curve)
+    return lay_out(flight.log, list(by_stream.values()))

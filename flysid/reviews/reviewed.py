@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 from flysid.facts.clock import LogClock
+from flysid.facts.vehicle import firmware_of
+from flysid.ingest.lake.timeline import Timeline
 from flysid.reviews.fact import Action, Fact, Finding, Grade, Section, order
 from flysid.showing import Shown, Table
 from flysid.version import __version__
@@ -16,6 +18,8 @@ VERSION = 1
 FIRST_SCREEN = 3
 """Sentences, and next actions: what a person reads before looking away."""
 NOTHING_FOUND = Finding("Nothing in this log can be judged", Grade.WATCH, 0.0, "trust.duration")
+
+NO_TIMELINE = Timeline("", (), (), ())
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -29,6 +33,8 @@ class Review(Shown):
     air_s : spans in the air on that clock.
     sections : in the order of the page.
     broken : a sentence for every section that could not be given.
+    whole : names of the parameters that are whole numbers.
+    timeline : the evidence over time, for a page; empty where none was asked for.
 
     Examples
     --------
@@ -42,12 +48,32 @@ class Review(Shown):
     clock: LogClock
     air_s: tuple[tuple[float, float], ...]
     sections: tuple[Section, ...]
-    broken: tuple[str, ...] = field(default=())
+    broken: tuple[str, ...] = ()
+    whole: frozenset[str] = frozenset()
+    timeline: Timeline = NO_TIMELINE
 
     @property
     def facts(self) -> Iterator[Fact]:
         """All facts, section by section."""
         return (fact for section in self.sections for fact in section.facts)
+
+    @property
+    def family(self) -> str:
+        """Firmware, as `LoggedFlight.family`."""
+        return firmware_of(self.info)
+
+    @property
+    def is_judged(self) -> bool:
+        """Whether any section has something to say on the first screen."""
+        return any(section.findings for section in self.sections)
+
+    @property
+    def values(self) -> dict[str, dict[str, float | str | None]]:
+        """Section -> figure -> value, None where it is not determined: what `--fail-if` compares."""
+        return {
+            section.key: {fact.key.partition(".")[2]: fact.value for fact in section.facts}
+            for section in self.sections
+        }
 
     @property
     def findings(self) -> list[Finding]:

@@ -10,6 +10,8 @@ from flysid.reviews.logged import LoggedFlight
 
 Reviewer = Callable[[LoggedFlight], Section]
 SECTIONS: Mapping[str, str] = {
+    "tracking": "flysid.reviews.tracking",
+    "vibration": "flysid.reviews.vibration",
     "power": "flysid.reviews.power",
     "estimator": "flysid.reviews.estimator",
     "happened": "flysid.reviews.happened",

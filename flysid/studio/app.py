@@ -37,8 +37,9 @@ from flysid.studio.warm import Warm
 if TYPE_CHECKING:
     from flysid.studio.channels import Recipes
     from flysid.studio.flights import Flights
+    from flysid.studio.reviews import Reviews
 
-ROOMS = ("flights", "uploads", "quick_look", "channels", "run_views", "explain")
+ROOMS = ("flights", "uploads", "quick_look", "reviews", "channels", "run_views", "explain")
 """What is imported while the page opens, in this order."""
 FRAME_POLICY = "sandbox allow-scripts; frame-ancestors 'self'"
 UPLOT = ("uPlot.iife.min.js", "uPlot.min.css")  # of the report, which the studio uses too
@@ -92,6 +93,12 @@ class Studio:
         return Flights(self.workspace, self._cache)
 
     @cached_property
+    def reviews(self) -> Reviews:
+        from flysid.studio.reviews import Reviews
+
+        return Reviews(self.workspace)
+
+    @cached_property
     def recipes(self) -> Recipes:
         from flysid.studio.channels import Recipes
 
@@ -116,6 +123,15 @@ class Studio:
     async def track(self, request: Request) -> Response:
         query_of(request, forms.Nothing)
         return answer(await run_in_threadpool(self.flights.track, request.path_params["flight"]))
+
+    async def review(self, request: Request) -> Response:
+        query_of(request, forms.Nothing)
+        return answer(await run_in_threadpool(self.reviews.document, request.path_params["flight"]))
+
+    async def review_page(self, request: Request) -> Response:
+        query_of(request, forms.Nothing)
+        page = await run_in_threadpool(self.reviews.page, request.path_params["flight"])
+        return Response(page, media_type="text/html", headers={"Content-Security-Policy": FRAME_POLICY})
 
     async def series(self, request: Request) -> Response:
         body = await run_in_threadpool(self.flights.series, query_of(request, forms.Window))
@@ -166,6 +182,12 @@ class Studio:
         path = await keep_upload(self.workspace.uploads, asked.name, request.stream(), length)
         job = self.jobs.add(*commands.ingest(self.workspace, path, asked))
         return answer({"job": told(job), "upload": path.parent.name, "name": path.name}, 202)
+
+    async def sample(self, request: Request) -> Response:
+        """A simulated flight, for somebody who has no log at hand; the job that makes it."""
+        query_of(request, forms.Nothing)
+        words, about, then = commands.sample(self.workspace)
+        return answer({"job": told(self.jobs.add(words, "read", about, then))}, 202)
 
     async def quick_look(self, request: Request) -> Response:
         from flysid.studio.quick_look import quick_look
@@ -326,6 +348,8 @@ class Studio:
             ("GET", "flights/{flight}", "flights", self.describe_flight),
             ("GET", "flights/{flight}/track", "flights", self.track),
             ("GET", "flights/{flight}/suggestions", "flights", self.suggest),
+            ("GET", "flights/{flight}/review", "reviews", self.review),
+            ("GET", "flights/{flight}/review.html", "reviews", self.review_page),
             ("GET", "series", "flights", self.series),
             ("GET", "align", "channels", self.align),
             ("GET", "models", "channels", self.list_models),
@@ -334,6 +358,7 @@ class Studio:
             ("GET", "recipes/{name}", "channels", self.recipe),
             ("PUT", "recipes/{name}", "channels", self.recipe),
             ("POST", "uploads", "uploads", self.upload),
+            ("POST", "samples", "uploads", self.sample),
             ("GET", "uploads/{upload}", "quick_look", self.quick_look),
             ("POST", "fits", "channels", self.fit),
             ("POST", "validates", "run_views", self.validate),

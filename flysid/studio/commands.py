@@ -18,6 +18,19 @@ from flysid.studio.jobs import Jobs, Lane
 if TYPE_CHECKING:
     from flysid.studio.channels import Recipes
 
+SAMPLE = "sample-flight"
+SAMPLE_FLIGHT = (
+    "--plant",
+    "ardrone",
+    "--plan",
+    "pilot",
+    "--format",
+    "ulog",
+    "--duration",
+    "60",
+    "--no-truth",
+)
+
 
 def ingest(workspace: Workspace, log: Path, asked: Upload) -> tuple[list[str], Lane, dict[str, str]]:
     """Take a log in."""
@@ -26,6 +39,18 @@ def ingest(workspace: Workspace, log: Path, asked: Upload) -> tuple[list[str], L
     words += ["--time-unit", asked.time_unit] if asked.time_unit else []
     words += ["--date-order", asked.date_order] if asked.date_order else []
     return words, "read", {"upload": log.parent.name, "name": log.name}
+
+
+def sample(workspace: Workspace) -> tuple[list[str], dict[str, str], list[str]]:
+    """Simulate a flight, its folder, and the words that take it in."""
+    workspace.uploads.mkdir(parents=True, exist_ok=True)
+    folder = workspace.uploads / _free_name(workspace.uploads, SAMPLE)
+    words = ["synth", "-o", str(folder), *SAMPLE_FLIGHT]
+    return (
+        words,
+        {"name": "a simulated flight", "sample": folder.name},
+        ["ingest", str(folder), "-o", str(workspace.data)],
+    )
 
 
 def suggestions(jobs: Jobs, workspace: Workspace, flight: str) -> dict[str, Any]:

@@ -13,6 +13,8 @@ from pathlib import Path
 from flysid.files import write_atomically
 
 NOTE = "ended.json"
+WITHOUT_PROGRESS = ("synth",)
+"""Verbs that are done before anybody asks how far they are."""
 
 
 def main(program: str, folder: Path) -> None:
@@ -23,7 +25,8 @@ def main(program: str, folder: Path) -> None:
 
 def words_of(folder: Path) -> list[str]:
     """The words of the command, after `flysid`."""
-    return [*json.loads((folder / "job.json").read_text("utf-8"))["words"], "--progress", "json"]
+    words: list[str] = json.loads((folder / "job.json").read_text("utf-8"))["words"]
+    return words if words[0] in WITHOUT_PROGRESS else [*words, "--progress", "json"]
 
 
 def note(folder: Path, code: int) -> None:

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from flysid.dataset import Dataset, Segment, Signal
+from flysid.dataset import BEGAN, Dataset, Segment, Signal
 from flysid.datasetfile import write_dataset
 from flysid.errors import DataError, RecipeError
 from flysid.extras import Extra, extra
@@ -240,14 +240,15 @@ class _Job:
         )
         segments: list[Segment] = []
         begins = log_clock(log.clocks).begins_ns
+        dates = {c.boot: c.began_utc_ns for c in log.clocks}
         for boot in boots:
             name = f"{log.name}#{boot}" if several else log.name
             series = {n: boots_of[boot] for n, boots_of in tidied.items()}
             if all(len(s.t_ns) for s in series.values()):
                 begin_ns = begins.get(boot, min(int(s.t_ns[0]) for s in series.values()))
-                part = _Boot(
-                    self, name, series, dt_ns, labels.get(boot, Labels()), begin_ns, vehicle_of(log.info)
-                )
+                own = labels.get(boot, Labels())
+                vehicle = vehicle_of(log.info)
+                part = _Boot(self, name, series, dt_ns, own, begin_ns, vehicle, dates.get(boot))
                 found, counts = part.segments(conditions.spans.get(boot))
                 segments += found
                 report = report.plus(counts)
@@ -301,6 +302,7 @@ class _Boot:
     labels: Labels
     begin_ns: int
     vehicle: str = ""
+    began_utc_ns: float | None = None
 
     def segments(self, allowed: Sequence[Span] | None) -> tuple[list[Segment], FlightReport]:
         """Segments, and the counts of what was kept and dropped. `allowed`: where conditions hold."""
@@ -355,8 +357,8 @@ class _Boot:
         if len(u) == 0 or not (np.isfinite(u).all() and np.isfinite(y).all()):
             return None
         marks = {**self._marks(u), **self.labels.marks(span)}
-        if self.vehicle:
-            marks["vehicle"] = self.vehicle
+        marks |= {"vehicle": self.vehicle} if self.vehicle else {}
+        marks |= {BEGAN: self.began_utc_ns * 1e-9} if self.began_utc_ns is not None else {}
         return Segment(u, y, t0_ns=int(coarse[trimmed]), flight=self.name, marks=marks)
 
     def _marks(self, u: FloatArray) -> dict[str, str | float]:

@@ -17,9 +17,9 @@ from flysid.ingest.excitation.excitation import (
     Excitation,
     excitation,
     is_narrow,
-    share_explained,
     spectrum,
 )
+from flysid.ingest.excitation.share import Share, share_explained
 
 REMARKS = ("holes", "band")
 
@@ -45,11 +45,15 @@ class Doubt:
 
 
 class BestInput(NamedTuple):
-    """An output, the input that explains most of it, the share it explains, and the band in which it does."""
+    """An output, the input that explains most of it, the share it explains, and the band in which it does.
+
+    `below_hz` is the end of the band of the input, in which the share is.
+    """
 
     output: str
     input: str
-    share: float
+    share: Share
+    below_hz: float
     band_hz: tuple[float, float] | None
 
 
@@ -101,20 +105,20 @@ def _short(data: Dataset) -> Iterator[Doubt]:
 
 
 def _unexplained(best: Sequence[BestInput]) -> Iterator[Doubt]:
-    for output, name, share, band in best:
-        if band is None:
+    for output, name, share, below_hz, band in best:
+        if share.high < GOOD_COHERENCE:
             yield Doubt(
                 "unexplained",
-                f"{output} does not follow {name} at any frequency",
+                f"{share.words} of the power of {output} below {below_hz:.2g} Hz follows {name}",
                 "excite this axis alone, in calm air; or look for a missing input",
             )
-        elif share < GOOD_COHERENCE:
+        elif band is None and share.low == 0.0:
             yield Doubt(
                 "unexplained",
-                f"only {100.0 * share:.0f} % of the power of {output} follows {name}",
-                "excite this axis alone, in calm air; or look for a missing input",
+                f"{output} is not shown to follow {name} at any frequency",
+                "record longer, excite this axis alone, in calm air; or look for a missing input",
             )
-        elif is_narrow(band):
+        elif band is not None and is_narrow(band):
             yield Doubt(
                 "narrow",
                 f"{output} follows {name} {_between(*band)} only, less than an octave: an oscillation "
@@ -159,7 +163,7 @@ def _holes(data: Dataset, *, most_levels: int = 5) -> Iterator[Doubt]:
 
 
 def _band(best: Sequence[BestInput]) -> Iterator[Doubt]:
-    for output, name, _, band in best:
+    for output, name, _, _, band in best:
         if band is not None and not is_narrow(band):
             yield Doubt(
                 "band",
@@ -173,9 +177,10 @@ def _best_input(data: Dataset, output: int, moves: Sequence[Excitation]) -> Best
     found = []
     for i, signal in enumerate(data.inputs):
         seen = spectrum(data, i, output)
-        share = share_explained(moves[i], seen)
-        found.append(BestInput(data.outputs[output].name, signal.name, share, seen.band_hz()))
-    return max(found, key=lambda f: f.share)
+        share = share_explained(data, moves[i], i, output)
+        name = data.outputs[output].name
+        found.append(BestInput(name, signal.name, share, moves[i].band_hz, seen.band_hz()))
+    return max(found, key=lambda f: f.share.value)
 
 
 def _few(names: list[str], *, most: int = 4) -> str:

@@ -245,8 +245,11 @@ def load_signal(name: str, spec: SignalSpec, log: Log) -> Loaded:
         raise RecipeError(f"signal {name!r}: {error.message}", path=log.name, hint=error.hint) from error
 
 
-def load_source(source: Source, stream: str, unit: str, log: Log) -> Loaded:
-    """The samples of one source, converted to `unit`, sign and scale applied; boots kept apart."""
+def load_source(source: Source, stream: str, unit: str, log: Log, *, resolved: bool = True) -> Loaded:
+    """The samples of one source, converted to `unit`, sign and scale applied; boots kept apart.
+
+    `resolved`: its resolution is found too, which takes as long as all the rest.
+    """
     rows = _read(source, stream, log)
     for column, wanted in source.where.items():
         rows, logged = _rows_where(column, wanted, rows, stream, log.info)
@@ -274,11 +277,14 @@ def load_source(source: Source, stream: str, unit: str, log: Log) -> Loaded:
         boots={int(b): Samples(t_ns[boots == b], values[boots == b]) for b in np.unique(boots)},
         stream=stream,
         field="/".join(source.fields),
-        resolution=quantum(values)
-        if transform.elementwise
-        else _column_quantum(columns, gain * source.scale),
+        resolution=_resolution(source, columns, values, gain) if resolved else 0.0,
         notes=notes,
     )
+
+
+def _resolution(source: Source, columns: FloatArray, values: FloatArray, gain: float) -> float:
+    elementwise = TRANSFORMS[source.transform].elementwise
+    return quantum(values) if elementwise else _column_quantum(columns, gain * source.scale)
 
 
 def quantum(values: FloatArray) -> float:

@@ -100,7 +100,7 @@ def _pair(data: Dataset, column: int, output: int) -> DeadTime:
 def _doubt(data: Dataset, delay: Delay, pair: tuple[int, int]) -> str:
     """Why an estimate says nothing, or ''."""
     if spectrum(data, *pair).band_hz() is None:
-        return "the output does not follow the input at any frequency"
+        return "the output is not shown to follow the input at any frequency"
     if delay.high_s >= LONGEST_S - 0.5 * data.dt_s:
         return f"the data do not bound it below {1e3 * LONGEST_S:.0f} ms"
     return ""

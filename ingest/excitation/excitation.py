@@ -137,12 +137,6 @@ def spectrum(data: Dataset, column: int = 0, output: int = 0, window_s: float | 
     )
 
 
-def share_explained(moves: Excitation, seen: Spectrum) -> float:
-    """Mean coherence where the input has its power: the share of the output that it explains."""
-    used = seen.frequency_hz <= max(moves.band_hz, float(seen.frequency_hz[0]))
-    return float(np.mean(seen.coherence[used]))
-
-
 def is_narrow(band_hz: tuple[float, float]) -> bool:
     """Less than an octave: a single oscillation, not a response."""
     return band_hz[1] < 2.0 * band_hz[0]

@@ -9,6 +9,8 @@ from dataclasses import dataclass, replace
 from flysid.errors import UsageError
 from flysid.facts.modes import family_of
 from flysid.facts.vehicle import NAME, serial_of, vehicle_of
+from flysid.ingest.align.recipe import Recipe, load_recipe
+from flysid.ingest.align.signals import serves
 from flysid.ingest.lake.events import settings
 from flysid.ingest.lake.lake import Lake
 from flysid.ingest.lake.stretches import Stretches, parse_part
@@ -98,6 +100,23 @@ def vehicle_words(lake: Lake) -> dict[str, str]:
     return {flight: shortest_end(name, list(known)) for name, ids in known.items() for flight in ids}
 
 
+def of_one_vehicle(lake: Lake, recipe: str) -> Lake:
+    """The flights, or those with the streams of a recipe where these alone are of one vehicle.
+
+    Parameters
+    ----------
+    recipe : "" for none.
+
+    Raises
+    ------
+    UsageError : as `require_one_vehicle`, of the flights that have the streams.
+    """
+    able = _serving(lake, load_recipe(recipe)) if recipe and len(vehicles(lake)) > 1 else lake
+    chosen = able if able.facts else lake
+    require_one_vehicle(chosen)
+    return chosen
+
+
 def require_one_vehicle(lake: Lake) -> None:
     """Raise UsageError where flights are known to be of several vehicles: a model of all is none of any.
 
@@ -121,6 +140,12 @@ def require_one_vehicle(lake: Lake) -> None:
                 path=lake.address or lake.folder,
                 hint="--flight or --exclude for those of one of them, --pool to put them together",
             )
+
+
+def _serving(lake: Lake, recipe: Recipe) -> Lake:
+    """The flights that have the streams of a channel."""
+    able = [log.name for log in lake.logs if any(serves(log, recipe, name) for name in recipe.channels)]
+    return lake.only(able)
 
 
 def _state(lake: Lake) -> dict[str, dict[str, list[str]]]:

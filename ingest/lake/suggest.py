@@ -23,9 +23,9 @@ from flysid.ingest.excitation.excitation import (
     Spectrum,
     excitation,
     is_narrow,
-    share_explained,
     spectrum,
 )
+from flysid.ingest.excitation.share import Share, share_explained
 from flysid.progress import tell
 
 Verdict = Literal["good", "closed loop", "weak", "too slow", "too quiet", "too short", "excluded"]
@@ -40,8 +40,8 @@ class Suggestion:
     ----------
     rate_hz, duration_s : of the dataset it gives; 0 where it gives none.
     input_rms : of the input about its mean, in `input_unit`.
-    coherence : mean over the band that holds 95 % of the input's power: the share of the output's power
-        that a linear model of this input can explain there at best.
+    coherence : in the band that holds 95 % of the input's power, the share of the output's power that a
+        linear model of this input can explain.
     band_hz : where the coherence counts: outside, a model must not be trusted.
     delay_s, delay_low_s, delay_high_s : dead time and what cannot be told from it; None where unknown.
     sign : +1 where the output follows the input, -1 where it goes against it, 0 where unknown (see `Delay`).
@@ -133,8 +133,8 @@ def _assess(log: Log, recipe: Recipe, data: Dataset, pair: tuple[int, int], loop
     moves = excitation(data, column)
     seen = spectrum(data, column, output)
     delay = _delay(data, column, output)
-    coherence = share_explained(moves, seen)
-    verdict, advice = _verdict(data, spec, column, moves, seen)
+    share = share_explained(data, moves, *pair)
+    verdict, advice = _verdict(data, spec, column, (moves, seen, share))
     through = [name for name in spec.reference if name != data.inputs[column].name]
     if verdict == "good" and (loop.closed or through):
         advice = "; ".join(filter(None, (_through(through), advice)))
@@ -153,7 +153,7 @@ def _assess(log: Log, recipe: Recipe, data: Dataset, pair: tuple[int, int], loop
         duration_s=len(data) * data.dt_s,
         input_rms=moves.rms,
         input_unit=data.inputs[column].unit,
-        coherence=coherence,
+        coherence=share.value,
         band_hz=seen.band_hz(),
         delay_s=None if delay is None else delay.delay_s,
         delay_low_s=None if delay is None else delay.low_s,
@@ -180,12 +180,12 @@ def _delay(data: Dataset, column: int, output: int) -> Delay | None:
 
 
 def _verdict(
-    data: Dataset, spec: ChannelSpec, column: int, moves: Excitation, seen: Spectrum
+    data: Dataset, spec: ChannelSpec, column: int, found: tuple[Excitation, Spectrum, Share]
 ) -> tuple[Verdict, str]:
     """In this order: nothing moved, too short, too slow, not explained or in a narrow band, good."""
+    moves, seen, share = found
     name = data.inputs[column].name
     unit = data.inputs[column].unit
-    coherence = share_explained(moves, seen)
     rate = 1.0 / data.dt_s
     duration = len(data) * data.dt_s
     if moves.quiet:
@@ -200,10 +200,10 @@ def _verdict(
         slow = f"logged at {rate:.3g} Hz, seen up to {rate / 2:.2g} Hz; this needs {spec.min_rate_hz:.3g} Hz"
         return "too slow", slow + remedy
     band = seen.band_hz()
-    if band is None:
-        return "weak", f"the output does not follow {name} at any frequency; {ALONE}"
-    if coherence < GOOD_COHERENCE:
-        return "weak", f"only {100.0 * coherence:.0f} % of the output's power follows {name}; {ALONE}"
-    if is_narrow(band):
+    if share.high < GOOD_COHERENCE:
+        return "weak", f"{share.words} of the output's power follows {name}; {ALONE}"
+    if band is None and share.low == 0.0:
+        return "weak", f"the output is not shown to follow {name} at any frequency; {ALONE}"
+    if band is not None and is_narrow(band):
         return "weak", f"the output follows {name} in a narrow band only; {ALONE}"
     return "good", too_short_alone(duration)

@@ -47,7 +47,7 @@ SCENES: dict[str, Scene] = {
     "README.md": Scene(
         before={
             "make demo": inputs.repository,
-            "flysid doctor flight.tlog": inputs.few_logs,
+            "flysid flight.bin": inputs.few_logs,
             "flysid fit flight.csv --from pitch_cmd --to v_x -o csv-run": inputs.table_log,
             "flysid compare run other-run": inputs.other_run,
             "flysid gains flight.bfl": HIRO,
@@ -154,6 +154,7 @@ SCENES: dict[str, Scene] = {
         },
         codes={"flysid compare old new --fail-if 'free_run.ci95.low > 0'": 4},  # the new one is worse
     ),
+    "docs/review.md": Scene({"": COPTER}),
     "docs/settings.md": Scene(
         before={
             'eval "$(_FLYSID_COMPLETE=zsh_source flysid)"': program("zsh"),
@@ -203,6 +204,12 @@ NOT_TYPED: dict[str, dict[str, str]] = {
         "make test": "it is what runs the doors",
         "make doors": "it is this",
         "pip install .": REGISTRY,
+    },
+    "docs/export.md": {
+        'pip install "flysid[mpc]"': REGISTRY,
+        "flysid export run --channel longitudinal --onnx longitudinal.onnx": (
+            "it needs onnx; tests/flysid/export/test_onnx.py gives the command where that is"
+        ),
     },
     "docs/fleet.md": {'pip install "flysid[fleet]"': REGISTRY},
     "docs/index.md": {"flysid demo": "README's `make demo` is this command"},

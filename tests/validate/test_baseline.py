@@ -18,6 +18,7 @@ from flysid.progress import listening
 from flysid.validate.cautions import cautions
 from flysid.validate.compare_models import across_channels, compare
 from flysid.validate.diagnostics import diagnose
+from flysid.validate.intervals import Scope
 from flysid.validate.report import ReportContext, render
 from flysid.validate.tables import to_csv, to_markdown
 from flysid.validate.terminal import summary, table
@@ -145,11 +146,13 @@ def test_a_better_model_of_one_rule_is_called_linear_in_every_form() -> None:
     assert pair.one_rule
     assert not pair.earned
     page = render(ReportContext({"roll": c}, train={"roll": TRAIN}))
-    assert "A linear model is enough on roll." in page
+    assert "A linear model is enough on another flight like these on roll." in page
     assert "not from fuzziness" in page
     assert "The fuzzy model is better" not in page
     for text in (table({"roll": c}), to_markdown({"roll": c}), page):
-        assert "TS better (one rule: linear)" in text
+        assert (
+            "TS better (one rule: linear)" in text or f"TS better on {Scope.LIKE} (one rule: linear)" in text
+        )
     assert c.to_json()["channels"][c.channel]["free_run"]["one_rule"]
     said = cautions({"roll": c}, {"roll": diagnose(c, TRAIN)})
     assert any("has one rule: it is a linear model" in x.text for x in said)
@@ -175,7 +178,7 @@ def test_better_than_a_poor_baseline_is_not_better_than_every_linear_model() -> 
     page = render(ReportContext({"roll": c}, train={"roll": TRAIN}))
     assert "The fuzzy model is better than the chosen linear model, not shown against ARX." in page
     for text in (summary({"roll": c}), to_markdown({"roll": c}), page):
-        assert "TS better than STATESPACE, not shown against ARX" in text
+        assert "TS better than STATESPACE on another flight like these, not shown against ARX" in text
     assert ",better,arx\n" in to_csv({"roll": c})
     found = c.to_json()["channels"][c.channel]["free_run"]
     assert found["short_of"] == ["arx"]
@@ -198,4 +201,6 @@ def test_better_than_every_linear_model_is_a_headline() -> None:
     assert not c.entry(horizon=1).rivals
     again = across_channels({"one": c})["one"]
     assert again.verdict == c.verdict
-    assert "The fuzzy model is better on roll." in render(ReportContext({"roll": c}))
+    assert "The fuzzy model is better on another flight like these, on roll." in render(
+        ReportContext({"roll": c})
+    )

@@ -12,6 +12,7 @@ from flysid.validate.caution_data import WEIGHTS
 from flysid.validate.cautions import MOST, cautions
 from flysid.validate.compare_models import compare
 from flysid.validate.diagnostics import diagnose
+from flysid.validate.intervals import Scope
 from flysid.validate.verdict import Verdict
 from flysid.validate.words import verdict_words
 from tests.fakes import flown
@@ -49,11 +50,13 @@ def test_cautions_are_at_most_six_worst_first() -> None:
 def test_a_difference_that_is_shown_and_small_is_called_small() -> None:
     (pair,) = compared().verdict.values()
     same = replace(pair, verdict=Verdict.SAME, ci95=(-2.8, -0.2))
-    assert verdict_words(same) == "same within 5 %"
-    assert verdict_words(replace(same, ci95=(-2.8, 8.2))) == "same within 10 %"
-    assert verdict_words(replace(same, ci95=(0.2, 7.0))) == "same within 10 %"  # Holm took it back
+    assert verdict_words(same) == f"same within 5 % on {Scope.LIKE}"
+    assert verdict_words(replace(same, ci95=(-2.8, 8.2))) == f"same within 10 % on {Scope.LIKE}"
+    assert (
+        verdict_words(replace(same, ci95=(0.2, 7.0))) == f"same within 10 % on {Scope.LIKE}"
+    )  # Holm took it back
     below = replace(pair.evidence, resolution=1.0)
-    assert verdict_words(replace(same, evidence=below)) == "same"
+    assert verdict_words(replace(same, evidence=below)) == f"same on {Scope.LIKE}"
 
 
 def test_low_coherence_is_no_warning_where_a_free_run_follows_the_output() -> None:

@@ -16,6 +16,7 @@ from flysid.validate.cautions import cautions
 from flysid.validate.compare_models import Comparison, Turn, across_channels, compare
 from flysid.validate.diagnostics import diagnose
 from flysid.validate.document import to_json
+from flysid.validate.intervals import Scope
 from flysid.validate.report import ReportContext, render
 from flysid.validate.tables import to_markdown
 from flysid.validate.terminal import summary, table
@@ -98,8 +99,8 @@ def test_the_headline_is_the_free_run_in_whatever_order_the_horizons_are_asked_f
     assert "free run: RMSE" in summary({"roll": turned})
     lines = table({"roll": turned}).splitlines()
     free, ahead = (
-        next(line for line in lines[lines.index(f"roll (m/s), {h}") :] if line.startswith("  ts")).split()
-        for h in ("free run", "1 step (0.05 s)")
+        next(line for line in lines[lines.index(title) :] if line.startswith("  ts")).split()
+        for title in (f"roll (m/s), {h}: verdicts on {Scope.LIKE}" for h in ("free run", "1 step (0.05 s)"))
     )
     assert free[-4:-2] == ["2", "3"]  # rules and parameters stand in the lines of the headline only
     assert ahead[-3].endswith("]")

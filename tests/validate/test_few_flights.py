@@ -23,7 +23,7 @@ def test_equal_models_are_called_better_or_worse_about_as_rarely_as_it_says(coun
     rng = np.random.default_rng(count)
     said = [equal_verdict(count, 400, rng) for _ in range(25)]
     assert sum(p.verdict in ("better", "worse") for p in said) <= 4
-    assert {p.scope for p in said} == {Scope.ANOTHER}
+    assert {p.scope for p in said} == {Scope.LIKE}
 
 
 @pytest.mark.parametrize("count", [2, 3, 4, 5])

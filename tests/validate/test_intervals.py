@@ -37,7 +37,7 @@ def test_the_scope_is_another_flight_only_where_several_flights_are_unseen() -> 
     rng = np.random.default_rng(0)
     ea, eb = ([rng.normal(size=300) for _ in range(4)] for _ in range(2))
     flights = ["f", "f", "g", "h"]
-    assert (change(ea, eb, flights).scope, change(ea, eb, flights).units) == (Scope.ANOTHER, 3)
+    assert (change(ea, eb, flights).scope, change(ea, eb, flights).units) == (Scope.LIKE, 3)
     seen = change(ea, eb, flights, seen=["g", "x"])
     assert (seen.scope, seen.units, seen.block) == (Scope.THESE, 12, 100)
     assert change(ea, eb, ["f"] * 4).scope is Scope.THIS

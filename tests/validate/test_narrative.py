@@ -34,7 +34,7 @@ def test_models_that_a_constant_equals_are_not_called_better() -> None:
     page = Page(render(ReportContext.of(both))).words
     assert "On roll a constant does as well in free run as either model: see the cautions." in page
     assert "smaller on yaw" in page
-    assert "The fuzzy model is better on 1 of 2 channels." in page
+    assert "The fuzzy model is better on another flight like these on 1 of 2 channels." in page
     assert narrative.as_good_as_constant({"": both["yaw"]}) == []
 
 

@@ -92,7 +92,7 @@ class Page(HTMLParser):
 
 def test_page_says_the_verdict_and_loads_nothing() -> None:
     page = Page(rendered())
-    assert "The fuzzy model is better on roll." in page.words
+    assert "The fuzzy model is better on another flight like these, on roll." in page.words
     for tag, attributes in page.tags:
         assert tag not in {"link", "iframe", "object", "embed", "img", "base"}
         assert "style" not in attributes, "the policy forbids style attributes"

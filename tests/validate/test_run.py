@@ -129,7 +129,7 @@ def test_all_six_flights_are_judged_by_models_that_have_not_seen_them(turned: Ru
         assert set(turn.both.flights) == set(held.train.flights) - set(turn.test.flights)
     judgement = judge_run(turned)
     pair = judgement.document["channels"][CHANNEL]["free_run"]["pairs"]["line"]
-    assert (pair["scope"], pair["units"], pair["unit"]) == ("another flight", 6, "flights")
+    assert (pair["scope"], pair["units"], pair["unit"]) == ("another flight of this day", 6, "flights")
     assert len(pair["by_flight"]) == 6
     assert pair["verdict"] == "worse"
     assert "each of 6 flights was left out once and judged by models fitted to the others" in pair["reason"]
@@ -141,7 +141,7 @@ def test_all_six_flights_are_judged_by_models_that_have_not_seen_them(turned: Ru
 def test_without_rotation_two_flights_are_judged_and_said_to_be_few(judgement: Judgement) -> None:
     document = judgement.document
     pair = document["channels"][CHANNEL]["free_run"]["pairs"]["ts"]
-    assert (pair["scope"], pair["units"]) == ("another flight", 2)
+    assert (pair["scope"], pair["units"]) == ("another flight of this day", 2)
     assert any("Only 2 held-out flights" in c["text"] for c in document["cautions"])
 
 

@@ -47,7 +47,9 @@ def test_csv_cells_are_no_formulas() -> None:
 
 def test_markdown_is_one_table_whatever_the_names() -> None:
     calm = to_markdown({"roll": compared()}).splitlines()
-    assert calm[0].startswith("- **roll**: TS better (one rule: linear); free run: RMSE 0.")
+    assert calm[0].startswith(
+        "- **roll**: TS better on another flight like these (one rule: linear); free run: RMSE 0."
+    )
     assert calm[1].startswith(
         "- RMSE, FIT and VAF are of all held-out samples together. CHANGE is of a typical"
     )

@@ -39,7 +39,7 @@ def render_flights(timelines: Sequence[Timeline], title: str, most_samples: int 
             title=one_line(title),
             styles=Markup(styles),
             scripts=[Markup(script) for script in scripts],
-            data=Markup(script_json([_document(t, size) for t in timelines])),
+            data=Markup(script_json([timeline_document(t, size) for t in timelines])),
             flights=[
                 {"name": one_line(t.name), "moments": t.moments, "clock": one_line(t.clock)}
                 for t in timelines
@@ -50,7 +50,8 @@ def render_flights(timelines: Sequence[Timeline], title: str, most_samples: int 
     )
 
 
-def _document(timeline: Timeline, size: int) -> dict[str, Any]:
+def timeline_document(timeline: Timeline, size: int) -> dict[str, Any]:
+    """What the page's script draws; `size` samples at a time become their extremes."""
     return {
         "panels": [[_trace(trace, size) for trace in panel] for panel in timeline.panels],
         "modes": [[start, end, one_line(name)] for start, end, name in timeline.modes],

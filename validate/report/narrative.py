@@ -125,7 +125,8 @@ def title(pairs: Heads, idle: Sequence[str] = ()) -> str:
     base = base_words(pairs)
     scope = narrow_scope(pairs)
     worth = [(n, p) for n, p in pairs if n not in idle]
-    count = {v: sum(p.verdict is v and p.scope in (scope, Scope.ANOTHER) for _, p in worth) for v in Verdict}
+    heard = [p for _, p in worth if p.scope is scope or (p.scope.is_unseen and scope.is_unseen)]
+    count = {v: sum(p.verdict is v for p in heard) for v in Verdict}
     count[Verdict.NOT_ENOUGH] = sum(p.verdict is Verdict.NOT_ENOUGH for _, p in worth)
     one_rule = sum(p.verdict is Verdict.BETTER and p.one_rule for _, p in worth)
     contested = [p for _, p in worth if p.contested]
@@ -168,9 +169,11 @@ def title(pairs: Heads, idle: Sequence[str] = ()) -> str:
 
 
 def narrow_scope(pairs: Heads) -> Scope:
-    """The scope of all verdicts where they share one, else another flight, which "better" alone means."""
+    """The scope of all verdicts where they share one, else that of flights like these, or another flight."""
     scopes = {p.scope for _, p in pairs}
-    return scopes.pop() if len(scopes) == 1 else Scope.ANOTHER
+    if len(scopes) == 1:
+        return scopes.pop()
+    return Scope.LIKE if any(s.is_unseen and s is not Scope.ANOTHER for s in scopes) else Scope.ANOTHER
 
 
 def alone(comparisons: Mapping[str, Comparison]) -> str:
@@ -252,7 +255,7 @@ def _gains(pairs: Heads) -> list[str]:
         for name, p in pairs
         if p.earned and p.change_pct is not None and p.ci95 is not None
     ]
-    typical = " on a typical flight" if narrow_scope(pairs) is Scope.ANOTHER else ""
+    typical = " on a typical flight" if narrow_scope(pairs).is_unseen else ""
     return [f"In free run{typical} its error is {list_words(said)}."] if 0 < len(said) <= 4 else []
 
 

@@ -27,7 +27,8 @@ class Channels {
       recipes, models, query, parts: this.parts, stay,
       chosen: () => [...this.ticked].sort().map((id) => id.split("|")), // the same ticks, the same command, whichever flight was looked at first
       all: (ids) => ids.length === flights.length && count <= flights.length,
-      picked: (recipe) => { this.untick(recipe); this.draw(); },
+      picked: (recipe) => { this.untick(recipe); this.flights.forEach((flight) => this.preselect(flight.id)); this.draw(); },
+      knows: (recipe) => [...this.found.values()].some((one) => one.suggestions.some((s) => s.recipe === recipe && s.verdict in CLASS)),
       changed: () => { this.aligned.clear(); this.stripped = ""; this.draw(); },
     });
     this.matrix = el("div", { class: "scroll", role: "region", "aria-label": "Flights and channels", tabindex: 0 });

@@ -6,10 +6,10 @@ import { recipeEditor } from "./recipe.js";
 import { takesField } from "./fields.js";
 
 // The panel. `chosen()` gives [flight, recipe, channel] of every tick; `all` says whether these flights are every one there is;
-// `picked` is told a recipe that was chosen, `changed` that a recipe has been kept.
+// `picked` is told a recipe that was chosen, `knows` whether a recipe has channels to tick, `changed` that a recipe has been kept.
 export class FitPanel {
-  constructor({ recipes, models, query, parts, chosen, all, picked, changed, stay }) {
-    Object.assign(this, { recipes, parts, chosen, all, changed, stay, asked: 0 });
+  constructor({ recipes, models, query, parts, chosen, all, picked, knows, changed, stay }) {
+    Object.assign(this, { recipes, parts, chosen, all, knows, changed, stay, asked: 0 });
     this.flight = query.get("f") || "";
     this.fields = this.makeFields(query);
     this.models = el("fieldset", { class: "models" }, el("legend", {}, "Models besides ARX, OE and the references"), models.map(({ name, usual }) =>
@@ -105,6 +105,7 @@ export class FitPanel {
     this.taken.replaceChildren(...this.parts.list());
     const say = (content, can) => { this.begin.disabled = !can; this.command.replaceChildren(content); };
     if (!recipe && !(fields.from.value && fields.to.value)) { say(el("p", { class: "hint" }, "Choose a recipe, or an input and an output."), false); return; }
+    if (recipe && this.knows(recipe) && !this.chosen().some(([, name]) => name === recipe)) { say(el("p", { class: "hint" }, "Tick a channel of " + recipe + "."), false); return; }
     try {
       const answer = await send("POST", "fits", this.body(true));
       if (number === this.asked) { say(copyable(answer.command + "\n" + answer.then), true); }

@@ -3,6 +3,7 @@ import { Refused, follow, get, send } from "./api.js";
 import { breakable, clock, date, el, go, guarded, plain, size } from "./page.js";
 import { Plots, shown } from "./plots.js";
 import { knownFields, takesField } from "./fields.js";
+import { reviewOf } from "./reviews.js";
 
 const MOST_FIELDS = 300; // listed at once; the search narrows them
 
@@ -27,21 +28,28 @@ export async function showFlights(main, query, stay) {
     go("channels", { from: ends.from.value, to: ends.to.value, f: flight ? flight.id : "" });
   });
   const known = el("div", {});
-  side.append(drop, el("label", {}, "Flight", find), select, facts, search, tree, identify, known);
+  const fields = el("div", { class: "fields" }, search, tree, identify);
+  const unfold = el("button", { class: "narrow", "aria-expanded": "false", onclick: () => {
+    const isOpen = fields.classList.toggle("open");
+    unfold.setAttribute("aria-expanded", String(isOpen));
+  } }, "Fields");
+  side.append(drop, el("label", {}, "Flight", find), select, facts, unfold, fields, known);
 
   const map = el("details", { class: "map" }, el("summary", {}, "Where it flew"));
   const events = el("details", {}, el("summary", {}, "Modes, messages and parameter changes"));
   const pairs = el("div", { class: "tools" });
   const plots = new Plots(el("div", {}), () => remember());
   const title = el("h1", {}, "Drop a log");
-  const welcome = el("p", {}, "Anywhere on this page: PX4 .ulg, ArduPilot .bin, MAVLink .tlog, ROS bags, MCAP, Betaflight, Crazyflie, AR.Drone, tables. It stays on this machine.");
+  const answer = el("section", { class: "answer", "aria-label": "Review" });
+  const welcome = el("div", {}, el("p", {}, "Anywhere on this page: PX4 .ulg, ArduPilot .bin, MAVLink .tlog, ROS bags, MCAP, Betaflight, Crazyflie, AR.Drone, tables. It stays on this machine."),
+    el("p", {}, "No log at hand? ", el("button", { onclick: () => trySample() }, "Try a simulated flight")));
   const foot = el("p", { class: "foot" },
     ...[["/", "find"], ["Enter", "add to a plot"], ["Shift Enter", "to the last plot"], ["\u2190 \u2192", "move"], ["+ \u2212", "zoom"], ["0", "all"],
       [", .", "first cursor"], ["< >", "second cursor"], ["x", "remove plot"]].flatMap(([k, what]) => [el("kbd", {}, k), " " + what + "  "]),
     "Drag on a plot zooms, a click sets the first cursor, Shift-click the second, double-click shows all.");
-  work.append(title, welcome, pairs, plots.parent, map, events, foot);
+  work.append(title, welcome, answer, pairs, plots.parent, map, events, foot);
   let flight = null;
-  const parts = [search, tree, identify, select, find.parentElement, pairs, plots.parent, map, events, foot];
+  const parts = [fields, unfold, select, find.parentElement, answer, pairs, plots.parent, map, events, foot];
   const reveal = (expected) => { // what needs a flight, where there is one or will be
     parts.forEach((part) => { part.hidden = !flight && !expected; });
     welcome.hidden = Boolean(flight || expected);
@@ -86,6 +94,7 @@ export async function showFlights(main, query, stay) {
     listPairs();
     listEvents();
     known.replaceChildren(...knownFields(flight));
+    reviewOf(answer, flight, plots);
     drawMap(null);
     remember();
   });
@@ -193,6 +202,25 @@ export async function showFlights(main, query, stay) {
     }
   });
 
+  // A simulated flight is made by one job and taken in by the next.
+  const trySample = guarded(async () => {
+    arriving.textContent = "simulating a flight of a minute";
+    const made = (await send("POST", "samples")).job;
+    const simulated = await ended(made);
+    if (simulated.state !== "done") { arriving.replaceChildren("a simulated flight: " + simulated.state, el("pre", {}, await fetchLog(made.id))); return; }
+    let reading = null;
+    while (!reading) {
+      reading = (await get("jobs")).jobs.find((job) => job.about.sample === made.about.sample && job.id !== made.id);
+      if (!reading) { await new Promise((resolve) => setTimeout(resolve, 200)); }
+    }
+    const read = await ended(reading);
+    const id = (await get("jobs/" + read.id)).out.trim().split("\n").filter(Boolean).pop();
+    arriving.textContent = id ? "a simulated flight: read" : "a simulated flight: " + read.state;
+    await list(id);
+    if (id) { select.value = id; await open(id); }
+  });
+  const ended = (job) => new Promise((resolve) => stay.push(follow(job.id, (kind, told) => { if (kind === "ended") { resolve(told); } })));
+
   files.addEventListener("change", () => take([...files.files]));
   for (const kind of ["dragover", "dragleave", "drop"]) {
     main.addEventListener(kind, (event) => {
@@ -219,11 +247,11 @@ export async function showFlights(main, query, stay) {
   stay.push(() => document.removeEventListener("keydown", slash));
 
   const numbers = (text) => (text ? text.split("~").map((x) => (x === "" ? null : +x)) : null);
-  const fields = query.getAll("p").map((names) => names.split(";"));
-  const show = (id) => open(id, fields.length ? fields : null, numbers(query.get("t")), numbers(query.get("c")));
-  if (query.get("f") && fields.length) {
+  const drawn = query.getAll("p").map((names) => names.split(";"));
+  const show = (id) => open(id, drawn.length ? drawn : null, numbers(query.get("t")), numbers(query.get("c")));
+  if (query.get("f") && drawn.length) {
     reveal(true); // plots have their width only where they are shown
-    plots.expect(query.get("f"), fields, numbers(query.get("t")));
+    plots.expect(query.get("f"), drawn, numbers(query.get("t")));
   }
   const listing = list(query.get("f"));
   if (query.get("f")) {

@@ -19,7 +19,7 @@ class Runs {
     this.filter = el("input", { type: "search", "aria-label": "Find runs", placeholder: "recipe, verdict, ...", value: query.get("q") || "", oninput: () => this.changed() });
     this.differ = el("input", { type: "checkbox", checked: query.get("d") === "1", onchange: () => this.changed() });
     this.compare = el("button", { onclick: guarded(() => this.compared()) });
-    this.table = el("div", { class: "scroll", role: "region", "aria-label": "Runs", tabindex: 0 });
+    this.table = el("div", { class: "scroll stacked", role: "region", "aria-label": "Runs", tabindex: 0 });
     this.below = el("section", { class: "run" });
     main.append(el("div", { class: "work" }, el("h1", {}, "Runs"),
       el("div", { class: "tools" }, this.filter, el("label", { class: "tick" }, this.differ, "only what differs"), this.compare), this.table,
@@ -43,7 +43,7 @@ class Runs {
     this.compare.disabled = this.picked.size !== 2;
     this.compare.textContent = this.picked.size === 2 ? "Compare the two" : "Compare (tick two)";
     const head = el("tr", {}, columns.map(([title]) => el("th", { scope: "col" }, title)));
-    const body = rows.map(([run, c]) => el("tr", { "data-open": run.id === this.open ? "yes" : null }, columns.map(([, cell]) => el("td", {}, cell(run, c)))));
+    const body = rows.map(([run, c]) => el("tr", { "data-open": run.id === this.open ? "yes" : null }, columns.map(([title, cell]) => el("td", { "data-label": title }, cell(run, c)))));
     this.table.replaceChildren(rows.length ? el("table", {}, el("thead", {}, head), el("tbody", {}, body))
       : el("p", { class: "hint" }, this.runs.length ? "No run has these words." : "No runs yet: fit on the page Channels."));
     if (focused) { this.table.querySelector('[data-focus="' + CSS.escape(focused) + '"]')?.focus(); }
@@ -56,11 +56,11 @@ class Runs {
     const every = [
       ["compare", (run) => this.tick(run)],
       ["run", (run, c) => el("button", { onclick: guarded(() => this.show(run)), "data-focus": "show " + run.id + c.channel }, run.name)],
-      ["fitted", (run) => run.fitted_at.slice(0, 16).replace("T", " "), (run) => run.fitted_at],
-      ["recipe", (run) => run.recipe || "from a field to a field", (run) => run.recipe],
       ["channel", (run, c) => c.channel, (run, c) => c.channel],
       ["verdict", (run, c) => [el("b", {}, c.verdict), c.scope ? el("div", { class: "hint" }, c.scope) : null].filter(Boolean), (run, c) => c.verdict + c.scope],
       ["change in free-run error, 95 %", (run, c) => bar(c, reach)],
+      ["fitted", (run) => run.fitted_at.slice(0, 16).replace("T", " "), (run) => run.fitted_at],
+      ["recipe", (run) => run.recipe || "from a field to a field", (run) => run.recipe],
       ["errors", (run, c) => el("div", { class: "hint" }, Object.entries(c.rmse).slice(0, 6).map(([name, x]) => name + "\u00a0" + plain(+x.toPrecision(3))).join(", ") + " " + c.unit)],
       ["settings", (run) => el("div", { class: "hint" }, (this.differ.checked ? differing : names).filter((name) => told.get(run.id).has(name))
         .map((name, i) => [i ? ", " : "", name + "\u00a0", el(differing.includes(name) ? "b" : "span", {}, told.get(run.id).get(name))]))],

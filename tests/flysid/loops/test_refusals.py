@@ -75,8 +75,11 @@ def torn(log: Any, every: int) -> Any:
 
 REFUSED: dict[str, tuple[Callable[[], Any], str]] = {
     # the controller is not known
-    "Betaflight 4": (lambda: log_of(40.0, {"Firmware revision": "Betaflight 4.4.0 (x) Y"}), "not known here"),
-    "another firmware": (lambda: log_of(40.0, {"Firmware revision": "INAV 7.0.0 (x) Y"}), "not known here"),
+    "another law": (
+        lambda: log_of(40.0, {"Firmware revision": "INAV 7.0.0 (x) Y"}),
+        "not state dterm_lpf_hz",
+    ),
+    "a fork": (lambda: log_of(40.0, {"Firmware revision": "EmuFlight 0.4.1 (x) Y"}), "is not described"),
     "unnamed firmware": (lambda: log_of(40.0, {"Firmware revision": ""}), "unnamed firmware"),
     "no header": (lambda: without(log_of(40.0), "parameters"), "records no rate loop"),
     "gains missing": (lambda: log_of(40.0, {"rollPID": ""}), "does not state rollPID"),

@@ -215,3 +215,22 @@ def test_from_the_job_to_the_verdict_explained(browser: Any, judged: Server) -> 
         model = item.models[label]
         expected = run_from_window(model, replace(segment, u=u), first)[first:]
         assert np.abs(np.array(outputs) - expected).max() < 1e-9 * max(1.0, float(np.ptp(segment.y)))
+
+
+def test_a_flight_opens_with_its_review(page: Page) -> None:
+    until(lambda: page.all(".answer .headline"))
+    assert page.find(".answer .headline").text
+    page.find(".answer details summary").click()
+    assert page.all(".answer tbody tr")
+
+
+def test_an_empty_studio_offers_a_flight(browser: Any, tmp_path: Path) -> None:
+    with studio(tmp_path / "data") as empty:
+        page = Page(browser, empty)
+        until(lambda: page.all("main button"))
+        [offer] = [button for button in page.all("main button") if "simulated flight" in button.text]
+        offer.click()
+        until(lambda: page.all(".answer .headline"))
+        assert page.find("h1").text.endswith(".ulg")
+        assert page.drawn()
+        assert not page.wrong()

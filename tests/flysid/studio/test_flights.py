@@ -184,3 +184,36 @@ def test_a_dropped_log_becomes_a_flight(tmp_path: Path) -> None:
         assert len(server.get("flights").json["flights"]) == 1
     beside = {p.name for p in tmp_path.iterdir()}
     assert beside == {"data", "data.studio"}
+
+
+def test_a_flight_is_reviewed_and_its_figures_lead_to_curves(server: Server, flight: Any) -> None:
+    review = server.get(f"flights/{flight['id']}/review").json
+    assert review["log"] == flight["log"]
+    assert review["findings"][0]["text"]
+    for section in review["sections"].values():
+        for fact in section["facts"].values():
+            for field in fact["plots"]:
+                assert server.get("series", {"f": flight["id"], "s": field}).status == 200
+
+
+def test_the_page_of_a_review_stands_in_a_frame_of_its_own(server: Server, flight: Any) -> None:
+    page = server.get(f"flights/{flight['id']}/review.html")
+    assert b"<h1" in page.body
+    assert "sandbox" in page.headers["content-security-policy"]
+
+
+def test_a_flight_that_is_not_there_has_no_review(server: Server) -> None:
+    assert server.get("flights/nothing/review").status == 404
+
+
+def test_an_empty_studio_makes_a_flight(tmp_path: Path) -> None:
+    with studio(tmp_path / "data") as empty:
+        made = empty.send("POST", "samples").json["job"]
+        assert empty.wait(made["id"])["state"] == "done"
+        [reading] = [
+            job
+            for job in empty.get("jobs").json["jobs"]
+            if job["about"].get("sample") == made["about"]["sample"] and job["id"] != made["id"]
+        ]
+        assert empty.wait(reading["id"])["state"] == "done"
+        assert empty.get("flights").json["count"] == 1

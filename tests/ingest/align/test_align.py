@@ -1,4 +1,5 @@
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -8,8 +9,9 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from flysid.dataset import BEGAN
 from flysid.errors import DataError, RecipeError
-from flysid.flight import Flight, Source, field_metadata
+from flysid.flight import ClockMap, Flight, Source, field_metadata
 from flysid.ingest.align.align import align, dataset
 from flysid.ingest.align.recipe import Recipe, load_recipe, parse_recipe
 from flysid.ingest.align.resample import period_ns
@@ -72,6 +74,17 @@ def test_equal_rates_come_through_bit_for_bit() -> None:
     np.testing.assert_array_equal(data.segments[0].y[:, 0], Y50)
     assert data.segments[0].t0_ns == T50[0]
     assert (data.inputs[0].name, data.inputs[0].unit) == ("u", "deg")
+
+
+def test_segments_carry_the_date_of_their_flight_where_the_log_knows_it() -> None:
+    dated = replace(
+        flight_of(CMD=table(T50, u=U50), STATE=table(T50, y=Y50)),
+        clocks=(ClockMap(0, int(T50[0]), int(T50[-1]), utc_offset_ns=1_700_000_000_000_000_000),),
+    )
+    (segment,) = dataset([dated], recipe(), "c").segments
+    assert segment.marks[BEGAN] == pytest.approx(1.7e9 + T50[0] * 1e-9)
+    (segment,) = dataset([replace(dated, clocks=())], recipe(), "c").segments
+    assert BEGAN not in segment.marks
 
 
 def enumerated(t_ns: Any, names: Mapping[int, str], **columns: Any) -> pa.Table:

@@ -44,7 +44,7 @@ def test_good_data_have_a_band_and_no_fault() -> None:
     [
         (data(1e-6 * U), "quiet", "e-06 deg rms only"),
         (data(dt_s=0.1), "slow", "10 Hz resolves dynamics up to 5 Hz only, this channel needs 20 Hz"),
-        (data(y=RNG.normal(size=len(U))), "unexplained", "y does not follow u at any frequency"),
+        (data(y=RNG.normal(size=len(U))), "unexplained", "% of the power of y below"),
         (data(U[:2500], Y[:2500]), "short", "50 s alone will hardly give a verdict"),
         (data(np.sign(U), Y), "holes", "input u takes 2 distinct values (-1, 1 deg)"),
         (oscillation(), "narrow", "y follows u from 3.8 to 4.9 Hz only, less than an octave"),

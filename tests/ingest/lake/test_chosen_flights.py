@@ -14,8 +14,17 @@ from flysid.errors import UsageError
 from flysid.facts.vehicle import vehicle_of
 from flysid.flight import Source
 from flysid.ingest.formats.base import Parts, StreamPart, Summary
-from flysid.ingest.lake.chosen_flights import Selection, require_one_vehicle, select, vehicles
+from flysid.ingest.lake.batch import ingest_logs
+from flysid.ingest.lake.chosen_flights import (
+    Selection,
+    of_one_vehicle,
+    require_one_vehicle,
+    select,
+    vehicles,
+)
+from flysid.ingest.lake.finding import find_logs
 from flysid.ingest.lake.lake import Lake
+from flysid.ingest.lake.lake import open as open_lake
 from flysid.ingest.lake.stretches import Stretches
 from flysid.store import create_data_folder, write_flight
 from tests.ingest.lake.test_lake import attitudes
@@ -164,3 +173,19 @@ def test_a_quadrotor_and_a_hexarotor_are_two(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="flights of 2 vehicles, by kind: quadrotor"):
         require_one_vehicle(flysid.open(data))
     require_one_vehicle(select(flysid.open(data), Selection(exclude=("flight1",))))
+
+
+def test_flights_without_the_streams_of_a_recipe_are_of_no_other_vehicle(tmp_path: Path) -> None:
+    for kind in ("dataflash", "ulog"):
+        words = (
+            f"synth -o {tmp_path / kind} --plant ardrone --plan steps --duration 20 --no-truth -q --format"
+        )
+        made = CliRunner().invoke(root, [*words.split(), kind])
+        assert made.exit_code == 0, made.output
+    logs = find_logs([tmp_path / "dataflash", tmp_path / "ulog"])
+    list(ingest_logs(logs, tmp_path / "data", bounds=None))
+    lake = open_lake(tmp_path / "data")
+    with pytest.raises(UsageError, match="flights of 2 vehicles"):
+        of_one_vehicle(lake, "")
+    (kept,) = of_one_vehicle(lake, "px4-velocity").facts
+    assert kept.format == "ulog"

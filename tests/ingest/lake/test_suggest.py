@@ -203,7 +203,7 @@ def test_a_table_s_fields_are_to_be_named() -> None:
 
 
 def found_in(flight: str, share: int) -> Suggestion:
-    words = f"only {share} % of the output's power follows motor1; fly steps"
+    words = f"at most {share} % of the output's power follows motor1; fly steps"
     return Suggestion(
         flight,
         "r",
@@ -234,7 +234,7 @@ def test_several_flights_are_a_row_a_channel() -> None:
         ("pitch", "+motor2", "1", "60 s", "250 Hz", "0.14", "0.5 to 120", "20 (10-16)"),
     ]
     assert pooled_advice(found, {f: f for f in "abc"}) == [
-        "roll (2 flights), pitch (c): only 9 to 23 % of the output's power follows the input; fly steps"
+        "roll (2 flights), pitch (c): at most 9 to 23 % of the output's power follows the input; fly steps"
     ]
 
 

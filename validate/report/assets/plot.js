@@ -170,6 +170,7 @@
     panels.forEach(function (traces, index) {
       var box = document.createElement("div"), key = document.createElement("ul");
       box.className = "chart";
+      key.dataset.fields = traces.map(function (trace) { return trace.name; }).join(" ");
       box.tabIndex = 0;
       box.setAttribute("role", "img");
       box.setAttribute("aria-label", traces.map(function (trace) { return trace.name; }).join(", ") + " over time");
@@ -228,11 +229,12 @@
         if (move) { look(view.min + move[0] * span, view.max + move[1] * span); } else { look(0, end); }
       });
     });
-    section.querySelectorAll(".go").forEach(function (button) {
+    var others = document.querySelectorAll('.go[data-flight="' + section.dataset.index + '"]');
+    Array.from(section.querySelectorAll(".go")).concat(Array.from(others)).forEach(function (button) {
       button.addEventListener("click", function () {
         var at = +button.dataset.at, half = Math.min(end, 10) / 2;
-        look(at - half, at + half);
-        section.scrollIntoView();
+        if (button.dataset.at) { look(at - half, at + half); } else { look(0, end); }
+        (parent.querySelector('[data-fields~="' + button.dataset.field + '"]') || section).scrollIntoView();
       });
     });
     look(0, end);

@@ -1,0 +1,137 @@
+"""`flysid review LOG...`: does the vehicle fly well, and what should be changed?"""
+
+from __future__ import annotations
+
+import json
+import shlex
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from flysid.cli.addresses import SOURCE
+from flysid.cli.checks import Words
+from flysid.cli.display import Display
+from flysid.cli.output import ExitCode, check_target, printable, say
+from flysid.cli.source import flight_options, opened_flights, reading_options
+from flysid.cli.trust import Own, Setting
+from flysid.showing import fold
+
+if TYPE_CHECKING:
+    from flysid.ingest.lake.chosen_flights import Selection
+    from flysid.reviews.reviewed import Review
+
+
+@click.command("review")
+@click.argument("sources", type=SOURCE, nargs=-1, required=True, metavar="LOG...")
+@flight_options
+@click.option(
+    "-o",
+    "--output",
+    type=click.Path(dir_okay=False, path_type=Path),
+    help="Write the page to this file, and proposed parameters beside it.",
+)
+@click.option("--force", cls=Own, is_flag=True, help="Replace the page if it exists.")
+@click.option("--json", "as_json", is_flag=True, help="Print everything as JSON.")
+@click.option("--markdown", "as_markdown", is_flag=True, help="Print Markdown, for a pull request.")
+@click.option(
+    "--fail-if",
+    "condition",
+    cls=Setting,
+    help="Exit with 4 if this holds, e.g. 'vibration.accel_rms > 30'.",
+)
+@reading_options
+def command(
+    sources: tuple[Path, ...],
+    selection: Selection,
+    output: Path | None,
+    force: bool,
+    as_json: bool,
+    as_markdown: bool,
+    condition: str | None,
+    told: Words,
+) -> int:
+    """Review a log: does the vehicle fly well, and what should be changed?
+
+    The first sentence is the answer. What follows are at most three next actions, each from evidence in the
+    log, and every figure that it holds: tracking, vibration, power, estimator, events. What it does not hold
+    is named with the parameter that logs it. `flysid LOG` does the same.
+
+    Exit code 3: nothing in a log could be judged; 4: --fail-if holds.
+    """
+    from flysid.errors import UsageError
+    from flysid.validate.condition import check_grammar
+
+    if as_json and as_markdown:
+        raise UsageError("--json and --markdown each say what to print", hint="give one of them")
+    if condition:
+        check_grammar(condition)
+    if output is not None:
+        check_target(output, force, makes_folders=True)
+    found = list(_reviews(sources, told, selection, with_evidence=output is not None))
+    if as_json:
+        documents = [review.to_dict() for review in found]
+        click.echo(json.dumps(documents[0] if len(documents) == 1 else documents, indent=1, allow_nan=False))
+    else:
+        from flysid.reviews.lines import markdown, terminal_lines
+
+        texts = [markdown(r) if as_markdown else _folded(terminal_lines(r)) for r in found]
+        click.echo("\n\n".join(texts))
+    if output is not None:
+        _write(output, found, sources)
+    elif not (as_json or as_markdown):
+        names = " ".join(shlex.quote(str(source)) for source in sources)
+        say(f"next: the page with pictures and evidence: flysid review {names} -o review.html")
+    if condition and _holds(condition, found):
+        return ExitCode.CHECK_FAILED
+    return 0 if all(review.is_judged for review in found) else 3
+
+
+def _folded(lines: Iterable[str]) -> str:
+    return "\n".join(fold(printable(line)) for line in lines)
+
+
+def _reviews(
+    sources: Sequence[Path], told: Words, selection: Selection, *, with_evidence: bool
+) -> Iterator[Review]:
+    """The reviews of all flights of all sources, in their order."""
+    from flysid.ingest.lake.chosen_flights import select
+    from flysid.reviews.logged import LoggedFlight
+    from flysid.reviews.review import review_flight
+
+    with ExitStack() as stack:
+        stack.enter_context(Display().shown())
+        for source in sources:
+            lake = stack.enter_context(opened_flights(source, told, selection=selection))
+            for log in select(lake, selection).logs:
+                flight = LoggedFlight(log, log.manifest.damage, log.manifest.source.name)
+                yield review_flight(flight, with_evidence=with_evidence)
+
+
+def _write(output: Path, found: Sequence[Review], sources: Sequence[Path]) -> None:
+    """The page, and the parameters that it proposes in a file beside it."""
+    from flysid.reviews.page import write_review
+    from flysid.reviews.parameter_file import file_suffix, parameter_text
+
+    names = " ".join(shlex.quote(str(source)) for source in sources)
+    write_review(output, found, f"flysid review {names} -o {shlex.quote(str(output))}")
+    click.echo(str(output))
+    for review in found:
+        text = parameter_text(review.actions, review.family, review.whole)
+        if text:
+            beside = output.with_name(f"{output.stem}-{Path(review.name).stem}{file_suffix(review.family)}")
+            beside.write_text(text, "utf-8")
+            say(f"proposed parameters: {beside}")
+
+
+def _holds(condition: str, found: Sequence[Review]) -> bool:
+    """Whether it holds of any log; which, and why, is printed."""
+    from flysid.validate.condition import matching_channels
+
+    document: dict[str, Any] = {"channels": {review.name: review.values for review in found}}
+    failed = matching_channels(condition, document)
+    for name, why in failed.items():
+        say(f"check failed on {name}: {condition}" + (f" ({why})" if why else ""))
+    return bool(failed)

@@ -1,0 +1,120 @@
+"""`flysid vehicle LOG... -o vehicle`: one model of six degrees of freedom of the whole vehicle."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from flysid.cli import complete
+from flysid.cli.addresses import SOURCE
+from flysid.cli.checks import Words
+from flysid.cli.display import Display, progress_options
+from flysid.cli.output import check_target, printable, say
+from flysid.cli.source import READING_OF_A_FIT, flight_options, opened_flights, reading_options
+from flysid.cli.trust import Own, ProjectFile, Setting
+from flysid.showing import fold
+
+if TYPE_CHECKING:
+    from flysid.ingest.align.signals import Log
+    from flysid.ingest.lake.chosen_flights import Selection
+
+RECIPE = "sixdof"
+
+
+@click.command("vehicle")
+@click.argument("logs", nargs=-1, required=True, type=SOURCE)
+@click.option(
+    "--recipe",
+    "-r",
+    cls=ProjectFile,
+    default=RECIPE,
+    show_default=True,
+    shell_complete=complete.recipes,
+    help="Where motors and instruments are logged: a shipped recipe, or a .toml file.",
+)
+@flight_options
+@click.option(
+    "--full-scale",
+    cls=Setting,
+    type=click.FloatRange(min=0.0, min_open=True),
+    help="What motor commands are shares of, beyond --zero.  [default: found]",
+)
+@click.option("--zero", cls=Setting, type=float, help="The motor command that stops.  [default: found]")
+@click.option("--calm", is_flag=True, help="Indoors: hold the wind at zero.")
+@click.option(
+    "--output",
+    "-o",
+    cls=Own,
+    type=click.Path(path_type=Path, file_okay=False),
+    help="Write the vehicle here.",
+)
+@click.option("--force", cls=Own, is_flag=True, help="Replace the folder if it exists.")
+@click.option("--json", "as_json", is_flag=True, help="Print everything as JSON.")
+@reading_options
+@progress_options
+def command(
+    logs: tuple[Path, ...],
+    recipe: str,
+    selection: Selection,
+    full_scale: float | None,
+    zero: float | None,
+    calm: bool,
+    output: Path | None,
+    force: bool,
+    as_json: bool,
+    told: Words,
+    quiet: bool,
+    display: Display,
+) -> int:
+    """Fit one model of the whole vehicle, with six degrees of freedom, to ordinary flights.
+
+    LOGS are logs, tables (.csv), or an ingested folder. Motors and gyro are needed. Voltage, accelerometer,
+    attitude, velocity and position each tell more. A number that the flights do not determine is named, with
+    the flight that would tell. 'flysid export' writes the vehicle for simulators and controllers.
+    """
+    if output is not None:
+        check_target(output, force)
+    from flysid.ingest.align.recipe import load_recipe
+    from flysid.ingest.align.vehicle_channel import vehicle_data
+    from flysid.sixdof.fitted import FILE
+    from flysid.sixdof.vehicle import Vehicle
+
+    estimator = Vehicle(zero=zero, full=full_scale, calm=True if calm else None)
+    chosen = load_recipe(recipe)
+    with display.shown(), _flights(logs, told, selection) as flights:
+        data = vehicle_data(flights, chosen)
+        vehicle = estimator.fit(data.dataset)
+    if as_json:
+        click.echo(json.dumps(vehicle.to_dict(), indent=1, allow_nan=False))
+    else:
+        click.echo("\n".join(fold(printable(line)) for line in vehicle.lines()))
+    if data.lacking:
+        say(f"not logged: {', '.join(data.lacking)}", quiet)
+    if output is not None:
+        from flysid.files import replacing_folder
+
+        with replacing_folder(output) as folder:
+            vehicle.save(folder / FILE)
+        say(f"written: {output / FILE}", quiet)
+    return 0
+
+
+@contextmanager
+def _flights(paths: Sequence[Path], told: Words, selection: Selection) -> Iterator[list[Log]]:
+    """The flights of all paths; of an ingested folder, those that are chosen."""
+    from flysid.ingest.lake.chosen_flights import require_one_vehicle, select
+
+    found: list[Log] = []
+    with ExitStack() as stack:
+        for path in paths:
+            share = READING_OF_A_FIT / len(paths)
+            own = select(stack.enter_context(opened_flights(path, told, share, selection)), selection)
+            if not selection.pool:
+                require_one_vehicle(own)
+            found += own.logs
+        yield found

@@ -1,0 +1,80 @@
+"""Parts of a rate controller that move in flight: what makes D, I and the filters more or less."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from flysid.dataset import FloatArray
+from flysid.loops.stages import Filters
+
+
+@dataclass(frozen=True)
+class Means:
+    """What the parts of a law that move were on average over a flight, as shares of what the header states.
+
+    Attributes
+    ----------
+    p, i, d : of the gains.
+    lowpass_hz : cut-off of the first low-pass where it moves.
+    """
+
+    p: float = 1.0
+    i: float = 1.0
+    d: float = 1.0
+    lowpass_hz: float | None = None
+
+
+@dataclass(frozen=True)
+class Boost:
+    """How D grows from the gain `d`: by up to `most` with quick motions.
+
+    Attributes
+    ----------
+    most : of D, over the least.
+    by_rate, by_setpoint : what a deg/s^2 of the filtered rate, or of the setpoint, adds to the share.
+    range_filters, smooth_filters : of the rate's slope, and of the factor.
+    """
+
+    most: float
+    by_rate: float
+    by_setpoint: float
+    range_filters: Filters
+    smooth_filters: Filters
+
+
+@dataclass(frozen=True)
+class Relax:
+    """The integral while the setpoint moves: times 1 - |r - its low-pass| / threshold, never below 0."""
+
+    cutoff_hz: float
+    threshold: float
+
+
+@dataclass(frozen=True)
+class Moving:
+    """A low-pass between two cut-offs (Hz) by the throttle; expo 0 is the older, cubic curve."""
+
+    kind: str
+    low: float
+    high: float
+    expo: float
+
+    def cutoff(self, throttle: FloatArray) -> FloatArray:
+        """(N,) Hz, of throttles from 0 to 1."""
+        if self.expo:
+            curve = throttle * (1.0 - throttle) * self.expo / 10.0 + throttle
+            return np.asarray((self.high - self.low) * curve + self.low)
+        return np.asarray(np.maximum(1.5 * throttle * (1.0 - throttle**2 / 3.0) * self.high, self.low))
+
+
+@dataclass(frozen=True)
+class AntiGravity:
+    """How the integral speeds up as the throttle moves: steps, highpass or slope, with what they need."""
+
+    kind: str
+    gain: float
+    threshold: float = np.inf
+    cutoff_hz: float = 0.0
+    p: float = 0.0

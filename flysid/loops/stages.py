@@ -1,0 +1,73 @@
+"""Low-pass filters and notches as flight firmwares compute them: their sections, and their responses.
+
+A low-pass of several equal stages (PT2, PT3) is that many of first order, each with a higher cut-off, so that
+the whole is at -3 dB where it says.
+
+Source: Betaflight's filter.c; biquads by Bristow-Johnson's cookbook.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from flysid.dataset import FloatArray
+
+ComplexArray = npt.NDArray[np.complex128]
+Filters = tuple[tuple[int, float], ...]
+"""Orders (1, or 2 for a Butterworth biquad) and cut-offs (Hz), one behind the other."""
+STAGES = {"pt1": 1, "pt2": 2, "pt3": 3}
+
+
+def filters_of(kind: str, hz: float) -> Filters:
+    """A low-pass by its firmware's name: pt1, pt2, pt3 or biquad; none for a cut-off of 0.
+
+    >>> filters_of("biquad", 90.0), filters_of("pt1", 0.0)
+    (((2, 90.0),), ())
+    >>> [round(hz, 1) for _, hz in filters_of("pt2", 100.0)]
+    [155.4, 155.4]
+    """
+    if hz <= 0.0:
+        return ()
+    if kind == "biquad":
+        return ((2, hz),)
+    stages = STAGES[kind]
+    return ((1, hz / np.sqrt(2.0 ** (1.0 / stages) - 1.0) if stages > 1 else hz),) * stages
+
+
+def sections(filters: Filters, notch: tuple[float, float], step_s: float) -> FloatArray:
+    """(S, 5) b0, b1, b2, a1, a2 of a notch (centre and lower cut-off, Hz) and low-passes behind it."""
+    rows = []
+    centre, cut = notch
+    if centre > cut > 0.0:
+        turn = 2.0 * np.pi * centre * step_s
+        wide = 0.5 * np.sin(turn) * (centre / cut - cut / centre)
+        rows.append(np.array([1.0, -2.0 * np.cos(turn), 1.0, -2.0 * np.cos(turn), 1.0 - wide]) / (1.0 + wide))
+    for order, hz in filters:
+        if order == 1:
+            share = step_s / (step_s + 1.0 / (2.0 * np.pi * hz))
+            rows.append(np.array([share, 0.0, 0.0, share - 1.0, 0.0]))
+        else:
+            turn = 2.0 * np.pi * hz * step_s
+            wide = np.sin(turn) / np.sqrt(2.0)
+            half = 0.5 * (1.0 - np.cos(turn))
+            own = np.array([half, 2.0 * half, half, -2.0 * np.cos(turn), 1.0 - wide])
+            rows.append(own / (1.0 + wide))
+    return np.array(rows).reshape(-1, 5)
+
+
+def response(filters: Filters, f: FloatArray, notch: tuple[float, float] = (0.0, 0.0)) -> ComplexArray:
+    """(F,) of low-passes one behind the other and a notch, at frequencies far below their sample rate.
+
+    A cut-off of 0 is no filter.
+    """
+    through: ComplexArray = np.ones(len(f), dtype=np.complex128)
+    for order, cut in filters:
+        if cut > 0.0:
+            x = 1j * f / cut
+            through = through / (1.0 + x if order == 1 else 1.0 + np.sqrt(2.0) * x + x * x)
+    centre, cut = notch
+    if centre > cut > 0.0:
+        far = f / centre
+        through = through * (1.0 - far * far) / (1.0 + 1j * far * (centre / cut - cut / centre) - far * far)
+    return np.asarray(through)

@@ -1,0 +1,139 @@
+"""Pictures of a review as inline SVG."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+
+import numpy as np
+from markupsafe import Markup
+
+from flysid.dataset import FloatArray
+from flysid.reviews.fact import HeatMap, MotorPlan, Picture
+from flysid.validate.report.svg import (
+    Axes,
+    box,
+    frame,
+    legend,
+    line,
+    picture,
+    segment,
+    span,
+    text,
+)
+
+WIDTH = 470.0
+HEIGHT = 210.0
+LEVELS = 8
+"""Shades of a heat map: more are not told apart."""
+SHOWN_DB = 60.0
+"""Of a spectrum below its highest peak."""
+
+
+def draw_picture(drawn: Picture) -> Markup:
+    """Lines on two axes, with marks, and a veil over what the log cannot show."""
+    xs = [one.x for one in drawn.lines]
+    ys = [_in_db(one.y) if drawn.log_y else one.y for one in drawn.lines]
+    x_range = _limits(xs)
+    if drawn.hidden_from is not None:
+        x_range = (x_range[0], max(x_range[1], 1.05 * drawn.hidden_from))
+    y_range = span(*ys) if ys else (0.0, 1.0)
+    if drawn.log_y:
+        y_range = (max(y_range[0], y_range[1] - SHOWN_DB), y_range[1])
+    axes = Axes(x_range, y_range, left=52.0, top=24.0, width=WIDTH - 66.0, height=HEIGHT - 74.0)
+    unit = f"{drawn.y_label}, dB" if drawn.log_y else drawn.y_label
+    parts = [frame(axes, unit, drawn.x_label)]
+    if drawn.hidden_from is not None:
+        start = float(axes.px(drawn.hidden_from))
+        parts += [
+            box((start, axes.right), (axes.top, axes.bottom), "outside"),
+            text(axes.right, axes.top + 12, "not logged", anchor="end"),
+        ]
+    parts += [line(axes, one.x, y, f"line {one.style}") for one, y in zip(drawn.lines, ys, strict=True)]
+    for x, words in drawn.marks.items():
+        at = float(axes.px(x))
+        parts += [segment(at, axes.top, at, axes.bottom, "mark"), text(at + 3, axes.top + 12, words)]
+    if len(drawn.lines) > 1:
+        parts.append(legend([(f"line {one.style}", one.name) for one in drawn.lines], axes.left, HEIGHT - 4))
+    return picture(WIDTH, HEIGHT, parts, f"{drawn.title}: {drawn.y_label} over {drawn.x_label}")
+
+
+def draw_heat_map(drawn: HeatMap) -> Markup:
+    """A quantity over two axes in shades, the darkest is the highest."""
+    axes = Axes(
+        (float(drawn.x[0]), float(drawn.x[-1])),
+        (float(drawn.y[0]), float(drawn.y[-1])),
+        left=52.0,
+        top=24.0,
+        width=WIDTH - 66.0,
+        height=HEIGHT - 64.0,
+    )
+    shades = _shades(drawn.values)
+    x_edges = axes.px(_edges(drawn.x))
+    y_edges = axes.py(_edges(drawn.y))
+    parts = []
+    for row in range(shades.shape[0]):
+        for first, end, shade in _runs(shades[row]):
+            if shade > 0:
+                rows = (float(y_edges[row]), float(y_edges[row + 1]))
+                parts.append(box((float(x_edges[first]), float(x_edges[end])), rows, f"heat h{shade}"))
+    parts.append(frame(axes, drawn.y_label, drawn.x_label))
+    return picture(WIDTH, HEIGHT, parts, f"{drawn.title}: {drawn.y_label} over {drawn.x_label}")
+
+
+def draw_motors(drawn: MotorPlan) -> Markup:
+    """Motors from above, front up, each with its share of the range in percent."""
+    size = 240.0
+    middle = size / 2.0
+    reach = 78.0
+    mean = float(np.mean(drawn.shares)) if drawn.shares else 0.0
+    parts = [text(middle, 14, "front", anchor="middle")]
+    spots = [(middle + reach * right, middle - reach * forward) for forward, right in drawn.places]
+    parts += [segment(middle, middle, x, y, "arm") for x, y in spots]
+    for (x, y), share, name in zip(spots, drawn.shares, drawn.names, strict=True):
+        heavy = share > 1.1 * mean
+        parts.append(_disc(x, y, 20.0 + 14.0 * share, "motor heavy" if heavy else "motor"))
+        parts += [
+            text(x, y + 5, f"{100.0 * share:.0f} %", css="t big", anchor="middle"),
+            text(x, y + 19, name, anchor="middle"),
+        ]
+    return picture(size, size, parts, f"{drawn.title}: motors from above, mean share of their range")
+
+
+def _disc(x: float, y: float, radius: float, css: str) -> Markup:
+    return Markup('<circle cx="{:.1f}" cy="{:.1f}" r="{:.1f}" class="{}"/>').format(x, y, radius, css)
+
+
+def _in_db(values: FloatArray) -> FloatArray:
+    """(N,) powers in decibels."""
+    return np.asarray(10.0 * np.log10(np.maximum(values, np.finfo(float).tiny)))
+
+
+def _limits(xs: Sequence[FloatArray]) -> tuple[float, float]:
+    """From the lowest finite value to the highest, without a margin."""
+    every = np.concatenate([x[np.isfinite(x)] for x in xs]) if xs else np.zeros(0)
+    if not len(every) or every.min() == every.max():
+        return (0.0, 1.0)
+    return float(every.min()), float(every.max())
+
+
+def _shades(values: FloatArray) -> np.ndarray[tuple[int, ...], np.dtype[np.int_]]:
+    """(rows, columns) 0 to `LEVELS`, from the median of what is finite to the highest."""
+    known = values[np.isfinite(values)]
+    if not len(known):
+        return np.zeros(values.shape, dtype=int)
+    low, high = float(np.median(known)), float(known.max())
+    share = (np.nan_to_num(values, nan=low) - low) / max(high - low, np.finfo(float).tiny)
+    return np.clip(np.ceil(LEVELS * share), 0, LEVELS).astype(int)
+
+
+def _runs(row: np.ndarray[tuple[int, ...], np.dtype[np.int_]]) -> list[tuple[int, int, int]]:
+    """(first, end, value) of equal neighbours."""
+    edges = [0, *(np.flatnonzero(np.diff(row)) + 1).tolist(), len(row)]
+    return [(a, b, int(row[a])) for a, b in pairwise(edges)]
+
+
+def _edges(centres: FloatArray) -> FloatArray:
+    """(N + 1,) edges of cells around (N,) centres, held inside the first and the last."""
+    middles = (centres[:-1] + centres[1:]) / 2.0
+    return np.concatenate([centres[:1], middles, centres[-1:]])

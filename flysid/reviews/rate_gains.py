@@ -1,0 +1,83 @@
+"""The gains of a rate loop as a log states them, by the names that their firmware takes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from flysid.ingest.lake.events import written
+from flysid.loops.betaflight import AXES
+from flysid.loops.controller import ARDUPILOT_AXES
+from flysid.reviews.fact import Change
+from flysid.reviews.logged import LoggedFlight
+
+BLACKBOX = {"betaflight": "{term}_{axis}", "emuflight": "{term}_{axis}", "inav": "mc_{term}_{axis}"}
+"""Firmware -> how its command line calls a gain."""
+DIGITS = 2
+"""Behind the first, of a gain that is proposed."""
+SMALLER_D = ("d_min", "d_max")
+"""Betaflight since 4.0 keeps a second D beside the first."""
+
+
+def stated_gains(flight: LoggedFlight, axis: str) -> dict[str, float]:
+    """Name -> value of P, I and D of an axis; {} where the log does not state them.
+
+    Examples
+    --------
+    >>> import flysid
+    >>> from flysid.ingest.align.signals import FlightLog
+    >>> stated_gains(LoggedFlight(FlightLog(flysid.read("sample_logs/01-multisine-seed1.tlog"))), "roll")
+    {}
+    """
+    if flight.has("main"):
+        return dict(_of_blackbox(flight, axis))
+    stems = (f"MC_{axis.upper()}RATE_", f"ATC_RAT_{ARDUPILOT_AXES[axis]}_", f"RATE_{ARDUPILOT_AXES[axis]}_")
+    stated = flight.parameters
+    stem = next((stem for stem in stems if stem + "P" in stated), None)
+    if stem is None:
+        return {}
+    names = (stem + term for term in ("P", "I", "D"))
+    return {name: float(written(stated[name])) for name in names if name in stated}
+
+
+def _of_blackbox(flight: LoggedFlight, axis: str) -> Iterator[tuple[str, float]]:
+    pattern = BLACKBOX.get(flight.family, BLACKBOX["betaflight"])
+    terms = flight.headers.get(AXES[axis], "").split(",")
+    for term, text in zip("pid", terms, strict=False):
+        if text.strip().isdecimal():
+            yield pattern.format(term=term, axis=axis), float(text)
+    place = list(AXES).index(axis)
+    for name in SMALLER_D:
+        values = flight.headers.get(name, "").split(",")
+        if len(values) > place and values[place].strip().isdecimal() and float(values[place]):
+            yield f"{name}_{axis}", float(values[place])
+
+
+def scaled_gains(flight: LoggedFlight, axis: str, factor: float, *, integral: bool = True) -> list[Change]:
+    """The gains of an axis that are not zero, multiplied, rounded towards what they are.
+
+    Parameters
+    ----------
+    integral : whether I is one of them.
+    """
+    whole = flight.has("main")
+    found = []
+    for name, old in stated_gains(flight, axis).items():
+        is_integral = name.split("_")[-1] == "I" or "i" in name.split("_")
+        if not old or (is_integral and not integral):
+            continue
+        new = _rounded(
+            factor * old, old, 1.0 if whole else 10.0 ** (np.floor(np.log10(factor * old)) - DIGITS)
+        )
+        if new != old:
+            found.append(Change(name, old, new))
+    return found
+
+
+def _rounded(value: float, old: float, step: float) -> float:
+    """To a whole number of steps, towards the old value: never further from it than wanted."""
+    steps = value / step
+    slack = 1e-9 * steps
+    whole = np.ceil(steps - slack) if value < old else np.floor(steps + slack)
+    return float(f"{whole * step:.{DIGITS + 1}g}") if step < 1.0 else float(whole * step)

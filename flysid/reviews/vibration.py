@@ -1,0 +1,305 @@
+"""Section "Vibration and filters": how much a vehicle shakes, at which frequencies, what its filters cost."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from flysid.errors import DataError
+from flysid.reviews.fact import Action, Fact, Finding, Grade, Section
+from flysid.reviews.filters import gyro_chain
+from flysid.reviews.gyro import UNIT, LoggedGyro, logged_gyro, sources_of, throttle_of
+from flysid.reviews.limits import limit
+from flysid.reviews.logged import Column, LoggedFlight
+from flysid.reviews.notches import propose_notch
+from flysid.reviews.shaking import accelerometer_clips, accelerometer_level
+from flysid.reviews.spectrum_pictures import pictures_of
+from flysid.showing import first_of, significant
+from flysid.spectra.causes import name_causes
+from flysid.spectra.chain import Chain
+from flysid.spectra.peaks import Peak, peaks_of
+from flysid.spectra.spectrum import Windows, windows_of
+
+MOTION_HZ = 20.0
+"""Below it, what moves is the vehicle."""
+BANDS_HZ = {"mid": (MOTION_HZ, 80.0), "high": (80.0, np.inf)}
+"""Key of a band -> its edges: propellers' wash and the frame; motors."""
+DELAY_HZ = 10.0
+PHASE_HZ = 30.0
+"""At which a chain of filters is described: where vehicles are steered, and where small ones cross over."""
+TONE_SHARE = 0.25
+"""Of the power of all that the gyro measures: from there on, a tone is worth a sentence."""
+
+
+@dataclass(frozen=True, eq=False)
+class Shaking:
+    """The spectra of one flight's gyro.
+
+    Attributes
+    ----------
+    flight, gyro : what they are of.
+    windows : axis -> in the air, of the signal that shows most.
+    chain : of the filters; None where it is not known.
+    no_chain : why not.
+    """
+
+    flight: LoggedFlight
+    gyro: LoggedGyro
+    windows: dict[str, Windows]
+    chain: Chain | None
+    no_chain: str = ""
+
+    @classmethod
+    def of(cls, flight: LoggedFlight) -> Shaking:
+        """Of a flight."""
+        gyro = logged_gyro(flight)
+        windows = {}
+        for axis, column in gyro.best.items():
+            air = column.where(flight.flying(column.time_s))
+            try:
+                windows[axis] = windows_of(air.time_s, air.values)
+            except DataError:
+                continue
+        try:
+            return cls(flight, gyro, windows, gyro_chain(flight, gyro))
+        except DataError as error:
+            return cls(flight, gyro, windows, None, error.message)
+
+    @cached_property
+    def throttle(self) -> Column | None:
+        """0 to 1."""
+        return throttle_of(self.flight)
+
+    @cached_property
+    def peaks(self) -> dict[str, list[Peak]]:
+        """Axis -> peaks with their causes, the strongest first."""
+        return {
+            axis: name_causes(
+                windows,
+                peaks_of(windows, lowest_hz=3.0),
+                sources_of(self.flight, axis),
+                self.throttle if self.gyro.best is self.gyro.raw else None,
+            )
+            for axis, windows in self.windows.items()
+        }
+
+    @property
+    def strongest(self) -> tuple[str, Peak] | None:
+        """Axis and peak that carry most power."""
+        found = [(axis, peak) for axis, peaks in self.peaks.items() for peak in peaks]
+        return max(found, key=lambda pair: pair[1].rms, default=None)
+
+    @property
+    def is_raw(self) -> bool:
+        """Whether the spectra are of the gyro before its filters, of every other sample at least."""
+        best = self.gyro.best is self.gyro.raw and self.gyro.every_sample and bool(self.windows)
+        if not best or self.chain is None:
+            return False
+        rate = min(windows.rate_hz for windows in self.windows.values())
+        return rate > 0.4 * self.chain.fastest_hz
+
+    def may_fold(self, peak: Peak) -> bool:
+        """Whether a faster tone would pass the filters nearly as well as the one that shows."""
+        if self.is_raw:
+            return False
+        if self.gyro.best is self.gyro.raw or self.chain is None:
+            return True
+        shown, faster = np.abs(
+            self.chain.response(np.array([peak.hz, peak.folded(8.0 * peak.nyquist_hz)[0]]))
+        )
+        return bool(faster > 0.1 * shown)
+
+
+def review(flight: LoggedFlight) -> Section:
+    """Section "Vibration and filters"."""
+    shaking = Shaking.of(flight)
+    facts = (
+        *accelerometer_level(flight),
+        *accelerometer_clips(flight),
+        *_gyro_facts(shaking),
+        *_filter_facts(shaking),
+    )
+    findings = tuple(_findings(shaking, facts)) if flight.was_flown else ()
+    actions = tuple(_actions(shaking)) if flight.was_flown else ()
+    shown = pictures_of(shaking.windows, shaking.peaks, shaking.throttle)
+    return Section("vibration", "Vibration and filters", facts, findings, actions, shown)
+
+
+def _gyro_facts(shaking: Shaking) -> Iterator[Fact]:
+    gyro = shaking.gyro
+    if not shaking.windows:
+        why = "the log holds no gyro" if not gyro.best else "the gyro was logged too little in the air"
+        yield Fact("vibration.gyro_rate", "rate of the logged gyro", missing=why, remedy=gyro.remedy)
+        return
+    addresses = tuple(column.address for column in gyro.best.values())
+    rate = max(windows.rate_hz for windows in shaking.windows.values())
+    before = "before the filters" if gyro.best is gyro.raw else "behind the filters"
+    yield Fact(
+        "vibration.gyro_rate",
+        "rate of the logged gyro",
+        rate,
+        "Hz",
+        note=f"{before}; frequencies above {significant(rate / 2.0)} Hz show below it"
+        + (f"; {gyro.note}" if gyro.note else ""),
+        fields=addresses,
+        remedy=gyro.remedy,
+    )
+    yield from (_band(shaking, key, addresses) for key in BANDS_HZ)
+    yield from _peak_facts(shaking, addresses)
+
+
+def _band(shaking: Shaking, key: str, addresses: tuple[str, ...]) -> Fact:
+    low, high = BANDS_HZ[key]
+    words = f"{low:g} to {high:g} Hz" if np.isfinite(high) else f"above {low:g} Hz"
+    label = f"gyro noise, {words}"
+    found = {axis: w.rms(low, high) for axis, w in shaking.windows.items() if w.nyquist_hz > 1.25 * low}
+    if not found:
+        return Fact(
+            f"vibration.gyro_{key}",
+            label,
+            missing="the gyro is logged too slowly",
+            remedy=shaking.gyro.remedy,
+        )
+    axis = max(found, key=lambda name: found[name])
+    return Fact(
+        f"vibration.gyro_{key}", label, found[axis], UNIT, note=f"RMS, worst in {axis}", fields=addresses
+    )
+
+
+def _peak_facts(shaking: Shaking, addresses: tuple[str, ...]) -> Iterator[Fact]:
+    strongest = shaking.strongest
+    if strongest is None:
+        yield Fact("vibration.peak", "strongest peak", "none above the noise", fields=addresses)
+        return
+    axis, peak = strongest
+    address = addresses[list(shaking.windows).index(axis)]
+    notes = [f"{axis}, {peak.height_db:.0f} dB over the floor, Nyquist {significant(peak.nyquist_hz)} Hz"]
+    notes += [peak.cause] if peak.cause else []
+    notes += [_folded_words(peak)] if shaking.may_fold(peak) else []
+    yield Fact(
+        "vibration.peak",
+        "strongest peak",
+        peak.hz,
+        "Hz",
+        peak.interval,
+        note="; ".join(notes),
+        fields=(address,),
+    )
+    grade = limit("vibration.tone").grade(peak.rms) if _is_loud(shaking, axis, peak) else Grade.PLAIN
+    yield Fact("vibration.peak_rms", "its size", peak.rms, UNIT, grade=grade, note="RMS", fields=(address,))
+
+
+def _folded_words(peak: Peak) -> str:
+    others = [f"{hz:.0f}" for hz in peak.folded(4.0 * peak.nyquist_hz)]
+    return f"or folded from {first_of(others, 3)} Hz"
+
+
+def _is_loud(shaking: Shaking, axis: str, peak: Peak) -> bool:
+    return peak.rms**2 >= TONE_SHARE * shaking.windows[axis].rms() ** 2
+
+
+def _filter_facts(shaking: Shaking) -> Iterator[Fact]:
+    chain = shaking.chain
+    if chain is None or not (chain.steps or chain.unknown):
+        why = shaking.no_chain or "no filter is on"
+        yield Fact("vibration.filter_delay", "delay of the gyro's filters", missing=why)
+        return
+    note = "; ".join(dict.fromkeys(step.words for step in chain.steps))
+    if chain.unknown:
+        note = f"without: {'; '.join(chain.unknown)}" + (f". {note}" if note else "")
+    yield Fact(
+        "vibration.filter_delay",
+        f"delay of the gyro's filters at {DELAY_HZ:g} Hz",
+        1000.0 * chain.delay_s(DELAY_HZ),
+        "ms",
+        note=note,
+    )
+    yield Fact(
+        "vibration.filter_phase",
+        f"phase that they cost at {PHASE_HZ:g} Hz",
+        chain.phase_deg(PHASE_HZ),
+        "deg",
+        note=note,
+    )
+    if shaking.is_raw and not chain.unknown:
+        axis = max(shaking.windows, key=lambda name: shaking.windows[name].rms(MOTION_HZ))
+        windows = shaking.windows[axis]
+        noise = windows.hz >= MOTION_HZ
+        left = chain.noise_left(windows.hz[noise], windows.mean[noise])
+        yield Fact(
+            "vibration.filter_noise",
+            "gyro noise behind the filters",
+            left,
+            UNIT,
+            note=f"RMS above {MOTION_HZ:g} Hz in {axis}; {significant(windows.rms(MOTION_HZ))} before them",
+            fields=(shaking.gyro.raw[axis].address,),
+        )
+
+
+def _findings(shaking: Shaking, facts: tuple[Fact, ...]) -> Iterator[Finding]:
+    of = {fact.key: fact for fact in facts}
+    tone = list(_tone_finding(shaking, of))
+    yield from tone
+    level = of.get("vibration.accel_level")
+    if tone and level is not None and level.grade is Grade.GOOD:
+        level = None  # it does not show slow oscillation, and would sound like praise
+    if level is not None and isinstance(level.value, float) and level.grade is not Grade.PLAIN:
+        peak = of["vibration.accel_peak"]
+        grade = level.grade
+        if grade is Grade.GOOD and peak.grade is not Grade.GOOD:
+            grade = Grade.WATCH
+        size = {Grade.GOOD: "low", Grade.WATCH: "at the limit", Grade.BAD: "too high"}[grade]
+        top = significant(float(peak.value or 0.0))
+        words = f"Vibration is {size}: {significant(level.value)} m/s2, up to {top}"
+        yield Finding(words, grade, 0.2 if grade is Grade.GOOD else 0.7, level.key, level.note)
+    clips = of.get("vibration.accel_clips")
+    if clips is not None and isinstance(clips.value, float) and clips.value > 0.0:
+        times = "once" if clips.value == 1.0 else f"{clips.value:.0f} times"
+        yield Finding(f"The accelerometer clipped {times}", clips.grade, 0.6, clips.key, clips.note)
+
+
+def _tone_finding(shaking: Shaking, of: dict[str, Fact]) -> Iterator[Finding]:
+    strongest = shaking.strongest
+    if strongest is None or "vibration.peak_rms" not in of:
+        return
+    grade = of["vibration.peak_rms"].grade
+    if grade.rank < Grade.WATCH.rank:
+        return
+    axis, peak = strongest
+    axes = [name for name in shaking.peaks if name == axis or _shares(shaking, name, peak)]
+    verb = "shakes" if len(axes) == 1 else "shake"
+    text = f"{_listed(axes).capitalize()} {verb} by {significant(peak.rms)} deg/s"
+    rate, at = significant(2.0 * peak.nyquist_hz), significant(peak.hz)
+    if peak.cause or not shaking.may_fold(peak):
+        more = f"{peak.cause}; logged at {rate} Hz" if peak.cause else ""
+        yield Finding(f"{text} at {at} Hz", grade, 0.8, "vibration.peak", more)
+        return
+    more = f"it shows at {at} Hz, {_folded_words(peak)}"
+    yield Finding(
+        f"{text}; at {rate} Hz of logging its frequency cannot be told", grade, 0.8, "vibration.peak", more
+    )
+
+
+def _listed(names: list[str]) -> str:
+    """ "roll, pitch and yaw"."""
+    return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
+
+
+def _shares(shaking: Shaking, axis: str, peak: Peak) -> bool:
+    """Whether an axis shakes at the frequency of another one's peak."""
+    return any(
+        peak.band[0] <= own.hz <= peak.band[1] and _is_loud(shaking, axis, own) for own in shaking.peaks[axis]
+    )
+
+
+def _actions(shaking: Shaking) -> Iterator[Action]:
+    strongest = shaking.strongest
+    if strongest is None or shaking.chain is None or not shaking.is_raw:
+        return
+    axis, peak = strongest
+    action = propose_notch(shaking.flight, shaking.chain, shaking.windows[axis], peak, MOTION_HZ, PHASE_HZ)
+    if action is not None:
+        yield action

@@ -1,0 +1,149 @@
+"""Damage of telemetry: straight lines over link losses, commands beyond full scale, a clock that wanders."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from flysid.stretch import FloatArray
+
+BoolArray = npt.NDArray[np.bool_]
+
+STRAIGHT_S = 0.08
+"""A shorter straight line may be chance."""
+LINE = 1e-5
+"""Of a signal's spread: a second difference below it is what writing in decimals leaves of a line."""
+BEYOND = 1.0005
+"""Of full scale: what rounding may add."""
+WINDOW_S = 4.0
+"""Over which two clocks are compared."""
+LATEST_S = 0.12
+"""Two clocks are sought no further apart."""
+ALIKE = 0.6
+"""Least correlation of two rates that show how their clocks stand."""
+
+
+@dataclass(frozen=True)
+class Damage:
+    """What is wrong with a flight's samples.
+
+    Attributes
+    ----------
+    samples : looked at.
+    straight, beyond : samples in straight lines, and with a command beyond full scale.
+    straight_runs : how many lines.
+    clock_sd_s, clock_range_s : of the gyro's clock against the attitude's; None where either is missing.
+    """
+
+    flight: str
+    samples: int
+    straight: int
+    straight_runs: int
+    beyond: int
+    most: float
+    clock_sd_s: float | None = None
+    clock_range_s: float | None = None
+
+    @property
+    def lines(self) -> list[str]:
+        """In words, one a kind; none where nothing is wrong."""
+        said = []
+        if self.straight:
+            share = 100.0 * self.straight / self.samples
+            said.append(
+                f"link losses: {self.straight} of {self.samples} samples ({share:.1f} %) "
+                f"lie on {self.straight_runs} straight lines"
+            )
+        if self.beyond:
+            said.append(
+                f"motors beyond full scale in {self.beyond} of {self.samples} samples, "
+                f"up to {self.most:.3g} times full scale"
+            )
+        if self.clock_sd_s is not None and self.clock_range_s is not None and self.wanders:
+            said.append(
+                f"the on-board clock wanders against the attitude's: sd {1e3 * self.clock_sd_s:.0f} ms, "
+                f"range {1e3 * self.clock_range_s:.0f} ms"
+            )
+        return said
+
+    @property
+    def wanders(self) -> bool:
+        """The gyro's clock against the attitude's moves by more than comparing windows leaves."""
+        return self.clock_sd_s is not None and self.clock_sd_s > 0.01
+
+
+def straight_lines(signals: FloatArray, dt_s: float, *, standing: bool = False) -> BoolArray:
+    """(N,) samples in stretches of at least 80 ms over which every column is a straight line.
+
+    Parameters
+    ----------
+    standing : lines along which nothing moves count, too: an instrument always moves, a motor at its stop
+        does not.
+    """
+    n = len(signals)
+    found = np.zeros(n, dtype=bool)
+    spread = signals.std(axis=0)
+    moving = signals[:, spread > 0.0]
+    if n < 3 or not moving.shape[1]:
+        return found
+    size = np.maximum(spread[spread > 0.0], np.abs(moving[1:-1]))
+    bend = np.abs(np.diff(moving, 2, axis=0)) <= LINE * size
+    straight = np.concatenate([[False], bend.all(axis=1), [False]])
+    least = max(round(STRAIGHT_S / dt_s) - 1, 1)
+    for first, last in runs(straight):
+        moved = np.abs(moving[last] - moving[first - 1]).max() > 0.0
+        if last - first >= least and (standing or moved):
+            found[first - 1 : last + 1] = True
+    return found
+
+
+def runs(mask: BoolArray) -> list[tuple[int, int]]:
+    """(first, behind the last) of every stretch of True."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(np.int8), [0]])))
+    return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
+
+
+def beyond_full_scale(commands: FloatArray) -> BoolArray:
+    """(N,) samples with a command above full scale or below zero."""
+    return np.asarray(((commands > BEYOND) | (commands < 1.0 - BEYOND)).any(axis=1))
+
+
+def clock_offsets(
+    gyro: FloatArray, rates: FloatArray, usable: BoolArray, dt_s: float
+) -> tuple[FloatArray, FloatArray]:
+    """How late the rates of another instrument are against the gyro, window by window.
+
+    Parameters
+    ----------
+    gyro, rates : (N, 3) rad/s, of the two clocks.
+    usable : (N,) samples that are not damaged.
+
+    Returns
+    -------
+    (W,) seconds at the middle of each window; (W,) seconds by which `rates` are late there.
+    """
+    width = max(round(WINDOW_S / dt_s), 8)
+    reach = max(round(LATEST_S / dt_s), 1)
+    times = []
+    offsets = []
+    for first in range(reach, len(gyro) - width - reach, width // 2):
+        middle = slice(first, first + width)
+        if not usable[first - reach : first + width + reach].all():
+            continue
+        own = gyro[middle] - gyro[middle].mean(axis=0)
+        likeness = []
+        for lag in range(-reach, reach + 1):
+            other = rates[first + lag : first + lag + width]
+            other = other - other.mean(axis=0)
+            size = np.sqrt((own**2).sum() * (other**2).sum())
+            likeness.append(float((own * other).sum() / size) if size > 0.0 else 0.0)
+        best = int(np.argmax(likeness))
+        if likeness[best] < ALIKE or best in (0, 2 * reach):
+            continue
+        left, top, right = likeness[best - 1 : best + 2]
+        bow = left - 2.0 * top + right
+        offsets.append((best - reach + (0.5 * (left - right) / bow if bow < 0.0 else 0.0)) * dt_s)
+        times.append((first + 0.5 * width) * dt_s)
+    return np.array(times), np.array(offsets)

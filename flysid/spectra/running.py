@@ -1,0 +1,32 @@
+"""The one loop over samples of a filter whose coefficients may change with every sample."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from flysid.dataset import FloatArray
+
+
+def run_section(rows: FloatArray, x: FloatArray) -> FloatArray:
+    """(N,) x through a section, see `flysid.spectra.stages`; `rows` is (1, 5) or (N, 5)."""
+    y: FloatArray = _run(rows, x)
+    return y
+
+
+@njit(cache=True, error_model="numpy")
+def _run(rows: FloatArray, x: FloatArray) -> FloatArray:
+    y = np.empty(x.size)
+    if x.size == 0:
+        return y
+    x1 = x2 = y1 = y2 = x[0]
+    fixed = rows.shape[0] == 1
+    for n in range(x.size):
+        k = 0 if fixed else n
+        now = rows[k, 0] * x[n] + rows[k, 1] * x1 + rows[k, 2] * x2 - rows[k, 3] * y1 - rows[k, 4] * y2
+        x2 = x1
+        x1 = x[n]
+        y2 = y1
+        y1 = now
+        y[n] = now
+    return y

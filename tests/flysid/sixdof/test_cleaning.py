@@ -1,0 +1,81 @@
+"""Damage of telemetry is found, counted and left out: lines over link losses, impossible commands, clocks."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import flysid
+from flysid.dataset import Dataset
+from flysid.sixdof.cleaning import Damage, clock_offsets, straight_lines
+from flysid.sixdof.records import Scale, find_scale, flights_of
+
+
+def damaged(data: Dataset, first: int, length: int, times: float) -> Dataset:
+    """The first flight with a link loss: all signals run straight, motors to `times` full scale."""
+    segment = data.segments[0]
+    u, y = segment.u.copy(), segment.y.copy()
+    rows = slice(first, first + length)
+    way = np.linspace(0.0, 1.0, length)[:, None]
+    u[rows] = u[first] + way * (times - u[first])
+    y[rows] = y[first] + way * (30.0 - y[first])
+    return data.with_segments([replace(segment, u=u, y=y), *data.segments[1:]])
+
+
+def test_a_link_loss_is_counted_and_left_out(still: Dataset) -> None:
+    found = flights_of(damaged(still, 500, 200, 73.0), Scale(0.0, 1.0))
+    (damage,) = found.damage
+    assert damage.straight_runs == 1
+    assert damage.straight == pytest.approx(200, abs=4)
+    assert damage.beyond == pytest.approx(198, abs=4)
+    assert damage.most == pytest.approx(73.0)
+    assert not found.records[0].flying[505:695].any()
+    assert "200" in damage.lines[0] or "19" in damage.lines[0] or "20" in damage.lines[0]
+
+
+def test_a_link_loss_changes_no_number(still: Dataset) -> None:
+    whole = flysid.Vehicle(free_runs=False).fit(still)
+    with_loss = flysid.Vehicle(free_runs=False).fit(damaged(still, 500, 300, 20.0))
+    np.testing.assert_allclose(with_loss["roll of motor 1"].value, whole["roll of motor 1"].value, rtol=0.05)
+    assert any("straight" in line for line in with_loss.lines())
+
+
+def test_a_whole_flight_has_no_damage(still: Dataset) -> None:
+    (damage,) = flights_of(still).damage
+    assert damage.lines == []
+    assert not damage.wanders
+
+
+@pytest.mark.parametrize("standing", [True, False])
+def test_what_stands_still_is_a_line_of_an_instrument_only(standing: bool) -> None:
+    x = np.random.default_rng(0).standard_normal((200, 2))
+    x[50:80] = x[50]
+    assert straight_lines(x, 0.01, standing=standing)[50:80].all() == standing
+
+
+def test_a_wandering_clock_is_measured() -> None:
+    rng = np.random.default_rng(5)
+    t = np.arange(0.0, 60.0, 0.01)
+    late = 0.03 * np.sin(2.0 * np.pi * t / 30.0)
+    parts = [(rng.uniform(0.3, 3.0), rng.uniform(0.0, 6.0)) for _ in range(24)]
+    gyro = np.stack([sum(np.sin(2 * np.pi * f * t + p + k) for f, p in parts) for k in range(3)], axis=1)
+    other = np.stack([np.interp(t - late, t, gyro[:, k]) for k in range(3)], axis=1)
+    _, found = clock_offsets(gyro, other, np.ones(len(t), dtype=bool), 0.01)
+    damage = Damage("f", len(t), 0, 0, 0, 1.0, float(found.std(ddof=1)), float(np.ptp(found)))
+    assert damage.clock_sd_s == pytest.approx(late.std(), rel=0.25)
+    assert "wanders" in " ".join(damage.lines)
+
+
+@pytest.mark.parametrize(
+    ("values", "scale"),
+    [
+        ([0.0, 0.4, 0.9], Scale(0.0, 1.0)),
+        ([0.0, 40.0, 95.0], Scale(0.0, 100.0)),
+        ([1100.0, 1500.0, 1900.0], Scale(1000.0, 1000.0)),
+        ([0.0, 30000.0, 65000.0], Scale(0.0, 65535.0)),
+    ],
+)
+def test_the_scale_of_commands_is_found(values: list[float], scale: Scale) -> None:
+    assert find_scale(np.repeat(values, 10)) == scale

@@ -1,0 +1,89 @@
+"""`flysid vehicle`: from a table to vehicle.json, numbers with intervals, and what is wrong in words."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner, Result
+
+import flysid
+from flysid.cli import root
+from flysid.dataset import Dataset
+from flysid.errors import DataError, FlysidError, RecipeError, UsageError
+from tests.flysid.sixdof.hidden_quad import HiddenQuad, write_table
+
+
+def vehicle(*arguments: str | Path) -> Result:
+    return CliRunner().invoke(root, ["vehicle", *map(str, arguments)])
+
+
+@pytest.fixture(scope="module")
+def table(still: Dataset, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_table(tmp_path_factory.mktemp("tables") / "flight.csv", still, voltage=11.1)
+
+
+def test_a_table_becomes_a_vehicle(table: Path, tmp_path: Path) -> None:
+    done = vehicle(table, "-o", tmp_path / "vehicle", "--calm")
+    assert done.exit_code == 0, done.output
+    assert "thrust of a motor" in done.stdout
+    assert "not determined" in done.stdout
+    found = flysid.load_vehicle(tmp_path / "vehicle")
+    assert found["roll of motor 1"].value == pytest.approx(-HiddenQuad().roll, rel=0.05)
+    assert isinstance(vehicle(table, "-o", tmp_path / "vehicle").exception, UsageError)
+
+
+def test_two_logs_are_one_vehicle_and_json_holds_it(gusty: Dataset, tmp_path: Path) -> None:
+    paths = []
+    for i, segment in enumerate(gusty.segments):
+        paths.append(write_table(tmp_path / f"{i}.csv", gusty.with_segments([segment])))
+    done = vehicle(*paths, "--json", "-q", "--pool")
+    assert done.exit_code == 0, done.output
+    document = json.loads(done.stdout)
+    assert len(document["flights"]) == 2
+    assert {row["name"] for row in document["numbers"] if row["is_determined"]} >= {"motor lag"}
+
+
+def test_pulses_and_axes_are_found_and_said(still: Dataset, tmp_path: Path) -> None:
+    segment = still.segments[0]
+    y = segment.y * np.repeat([1.0, -1.0, 1.0, -1.0, 1.0], [1, 2, 1, 2, 10])
+    half = y[:, 6:10].copy()
+    y[:, 6:10] = np.stack([-half[:, 1], half[:, 0], half[:, 3], -half[:, 2]], axis=1)
+    pulses = replace(segment, u=1000.0 + 1000.0 * segment.u, y=y)
+    done = vehicle(write_table(tmp_path / "pulses.csv", still.with_segments([pulses])), "--calm")
+    assert done.exit_code == 0, done.output
+    assert "pulses" in done.stdout
+    assert "forward, right, down" in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("change", "kind", "words"),
+    [
+        (lambda names: [n.replace("motor", "m") for n in names], RecipeError, "no commands of motors"),
+        (lambda names: [n.replace("gyro", "rate") for n in names], RecipeError, "no gyro"),
+    ],
+)
+def test_what_is_not_logged_is_named(
+    table: Path, tmp_path: Path, change: object, kind: type[FlysidError], words: str
+) -> None:
+    head, _, rest = table.read_text().partition("\n")
+    assert callable(change)
+    other = tmp_path / "other.csv"
+    other.write_text(",".join(change(head.split(","))) + "\n" + rest)
+    done = vehicle(other)
+    assert isinstance(done.exception, kind)
+    assert words in str(done.exception)
+
+
+def test_motors_that_stand_still_are_no_flight(table: Path, tmp_path: Path) -> None:
+    lines = table.read_text().splitlines()
+    rows = [line.split(",") for line in lines[1:]]
+    still = [",".join([row[0], "0", "0", "0", "0", *row[5:]]) for row in rows]
+    other = tmp_path / "bench.csv"
+    other.write_text("\n".join([lines[0], *still]) + "\n")
+    done = vehicle(other)
+    assert isinstance(done.exception, DataError)
+    assert "no motors turn" in str(done.exception)
