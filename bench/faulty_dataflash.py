@@ -252,7 +252,7 @@ def _ardupilot_tables(flight: Flight, rpm: bool, imu_hz: float) -> list[Rows]:
         ),
         _rows(flight, MAG, 10.0, {f"Mag{a}": field[:, i] for i, a in enumerate("XYZ")}),
         _rows(flight, BARO, 10.0, {"Alt": -position[:, 2], "Press": 96_000 + 11.5 * position[:, 2]}),
-        _rows(flight, POWR, 10.0, {"Vcc": 5.12, "VServo": 5.0}),
+        _rows(flight, POWR, 10.0, {"Vcc": flight["board"], "VServo": 5.0}),
         _rows(
             flight,
             dataflash.XKF1,
@@ -294,8 +294,8 @@ def _ardupilot_tables(flight: Flight, rpm: bool, imu_hz: float) -> list[Rows]:
             )
             for i, (a, kind) in enumerate(zip("NED", PSC, strict=True))
         ),
-        _moments(EV, {"Id": [(1.0, 10), (GROUND_S, 28), (AIR_S[1], 18), (SECONDS - 1.0, 11)]}),
-        _moments(ARM, {"ArmState": [(1.0, 1), (SECONDS - 1.0, 0)]}),
+        _moments(flight, EV, {"Id": [(1.0, 10), (GROUND_S, 28), (AIR_S[1], 18), (SECONDS - 1.0, 11)]}),
+        _moments(flight, ARM, {"ArmState": [(1.0, 1), (SECONDS - 1.0, 0)]}),
     ]
     for i, name in enumerate(("accel", "accel_2")):
         accel, gyro = flight[name], flight["gyro"]
@@ -352,9 +352,10 @@ def _rows(flight: Flight, kind: MessageKind, rate_hz: float, values: Mapping[str
     return rows
 
 
-def _moments(kind: MessageKind, values: Mapping[str, list[tuple[float, int]]]) -> Rows:
+def _moments(flight: Flight, kind: MessageKind, values: Mapping[str, list[tuple[float, int]]]) -> Rows:
     """Messages of one kind at moments."""
     ((label, moments),) = values.items()
+    moments = [(time_s, value) for time_s, value in moments if time_s <= flight.time_s[-1]]
     rows = kind.rows(len(moments))
     rows["TimeUS"] = [BEGIN_US + round(1e6 * time_s) for time_s, _ in moments]
     rows[label] = [value for _, value in moments]

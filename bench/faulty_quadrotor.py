@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
+from scipy import signal
 
 from flysid.dataset import FloatArray
 
@@ -27,6 +28,10 @@ EXPO = 0.65
 GROUND_S, CLIMB_S = 3.0, 5.0
 POWER_W_N = 17.0
 """Electrical power of a rotor over its thrust, both at full throttle."""
+WANDER_M, WANDER_S = 0.25, 20.0
+"""How far the GPS wanders, and over what time."""
+BROWNING_S = 1.5
+"""How long the supply of the board falls before the log ends."""
 DELAY = 1
 """Periods from a gyro's sample to the motors' command."""
 FILTER_HZ, SLOPE_HZ = 60.0, 30.0
@@ -57,6 +62,8 @@ class Quadrotor:
     glitch_s, glitch_m : when the GPS jumps, and how far; 0 for never.
     loose_m_s2 : standard deviation of the rattling of the first accelerometer.
     gain : factor on the rate loop's gains in roll and pitch.
+    fails_s : when the first motor stops for good; 0 for never.
+    browns_s : when the board's supply goes, and the log with it; 0 for never.
     """
 
     seed: int
@@ -87,6 +94,8 @@ class Quadrotor:
     glitch_m: float = 0.0
     loose_m_s2: float = 0.0
     gain: float = 1.0
+    fails_s: float = 0.0
+    browns_s: float = 0.0
 
     @property
     def stated_hover(self) -> float:
@@ -153,7 +162,16 @@ def fly(vehicles: Sequence[Quadrotor]) -> list[Flight]:
     time_s = np.arange(steps) / RATE_HZ
     tables = {name: np.stack(values, axis=1) for name, values in kept.items()}
     flights = [Flight(v, time_s, {name: t[i] for name, t in tables.items()}) for i, v in enumerate(vehicles)]
-    return [_measured(flight) for flight in flights]
+    return [_cut_off(_measured(flight)) for flight in flights]
+
+
+def _cut_off(flight: Flight) -> Flight:
+    """Until the board's supply is gone."""
+    last_s = flight.vehicle.browns_s
+    if not last_s:
+        return flight
+    n = int(last_s * RATE_HZ)
+    return replace(flight, time_s=flight.time_s[:n], columns={k: v[:n] for k, v in flight.columns.items()})
 
 
 class _Bodies:
@@ -180,6 +198,8 @@ class _Bodies:
         self.filtered, self.filtered_2, self.slope = (np.zeros((n, 3)) for _ in range(3))
         self.gyros = [np.zeros((n, 3))] * DELAY
         self.used = np.zeros(n)
+        self.blow = np.zeros(n)
+        self.lying = np.zeros(n, dtype=bool)
         self.voltage = 4.15 * self.of["cells"]
         self.route = np.stack([_route(rng) for rng in self.rng])
         self.headings = np.stack([_headings(rng) for rng in self.rng])
@@ -218,7 +238,11 @@ class _Bodies:
         torque = self._rate_loop(rates, self.gyros.pop(0), flying)
         thrusts = self._mix(lift, torque) if flying else np.full((len(self.p), 4), 0.05)
         throttles = (EXPO - 1.0 + np.sqrt((1.0 - EXPO) ** 2 + 4.0 * EXPO * thrusts)) / (2.0 * EXPO)
+        failed = (self.of["fails_s"] > 0.0) & (time_s >= self.of["fails_s"])
+        self.effect[failed, 0] = 0.0
+        self.blow[:] = 0.0
         self._move(throttles, noise, flying)
+        self._hit_ground(flying)
         return {
             "position": self.p.copy(),
             "velocity": self.v.copy(),
@@ -234,10 +258,18 @@ class _Bodies:
             "voltage": self.voltage,
             "current": self.current,
             "used_ah": self.used.copy(),
-            "force": self.force,
+            "force": self.force - np.stack([0.0 * self.blow, 0.0 * self.blow, self.blow], axis=1),
             "torques": torque,
             "wanted_thrust": thrusts.mean(axis=1),
         }
+
+    def _hit_ground(self, flying: bool) -> None:
+        """Who falls on the ground stays there; the blow takes its speed away in 20 ms."""
+        hits = ~self.lying & (self.p[:, 2] > 0.3) & (self.v[:, 2] > 2.0) & flying
+        self.blow[hits] = self.v[hits, 2] / 0.02
+        self.lying |= hits
+        self.v[self.lying] = 0.0
+        self.w[self.lying] = 0.0
 
     def _rate_loop(self, rates: FloatArray, gyro: FloatArray, flying: bool) -> FloatArray:
         """Torques as shares of the largest: a PID on a filtered gyro, its slope filtered once more."""
@@ -397,12 +429,18 @@ def _measured(flight: Flight) -> Flight:
         rattle = np.convolve(rng.normal(size=n), [0.5, 0.3, 0.2], "same") * vehicle.loose_m_s2 / 0.6
         accel = accel + (rattle * strong[:, 0])[:, None] * np.array([0.6, 0.6, 1.0])
     gyro = flight["rates"] + 0.01 * shake + 0.01 * strong * rng.normal(size=(n, 3))
-    wander = 0.3 * np.cumsum(rng.normal(size=(n, 3)), axis=0) / np.sqrt(RATE_HZ * 20.0)
+    step = 1.0 / (RATE_HZ * WANDER_S)
+    wander = WANDER_M * signal.lfilter(
+        [np.sqrt(2.0 * step)], [1.0, step - 1.0], rng.normal(size=(n, 3)), axis=0
+    )
     gps = flight["position"] + wander + 0.02 * rng.normal(size=(n, 3))
     if vehicle.glitch_m:
         jumped = (flight.time_s >= vehicle.glitch_s) & (flight.time_s < vehicle.glitch_s + 5.0)
         gps[jumped, :2] += vehicle.glitch_m * np.array([0.6, 0.8])
+    left_s = vehicle.browns_s - flight.time_s if vehicle.browns_s else np.full(n, np.inf)
+    board = 5.12 - 0.6 * np.clip(BROWNING_S - left_s, 0.0, BROWNING_S)
     sensed = {
+        "board": board,
         "rpm": rpm,
         "accel": np.clip(accel, -157.0, 157.0),
         "accel_2": accel_2,

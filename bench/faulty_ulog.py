@@ -220,7 +220,7 @@ def _px4_columns(flight: Flight) -> dict[str, dict[str, Any]]:
             "baro_alt_meter": HOME[2] - position[:, 2],
             "baro_pressure_pa": 96_000 + 11.5 * position[:, 2],
         },
-        "system_power": {"voltage5v_v": 5.12},
+        "system_power": {"voltage5v_v": flight["board"]},
         "vehicle_status": {
             "nav_state": POSITION,
             "arming_state": np.where(armed, 2, 1),

@@ -117,4 +117,10 @@ def _findings(ratios: Sequence[Fact], of_gps: Sequence[Fact]) -> Iterator[Findin
     text = f"The estimator {verb} {whose}: test ratio {worst.value:.1f}"
     if worst.at_s is not None:
         text = f"{text} at {worst.at_s:.0f} s"
-    yield Finding(text, worst.grade, 0.3 if jumped else 0.8, worst.key, limit("estimator.test_ratio").source)
+    yield Finding(
+        text,
+        worst.grade,
+        0.3 if jumped else 0.8 if worst.grade is Grade.BAD else 0.45,
+        worst.key,
+        limit("estimator.test_ratio").source,
+    )

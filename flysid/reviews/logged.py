@@ -95,6 +95,7 @@ class LoggedFlight:
     damage : what could not be read of it, and what was lost before it was written.
     file : name of the log, where it is not the flight's id.
     read : every column that was read, by its address: what a page shows as evidence.
+    crashed_s : when it crashed by its sensors, on the log's clock: see `crash.end_at_crash`.
 
     Examples
     --------
@@ -109,6 +110,7 @@ class LoggedFlight:
     damage: Damage = Damage()  # noqa: RUF009 - frozen
     file: str = ""
     read: dict[str, Column] = field(default_factory=dict)
+    crashed_s: float = float("inf")
 
     @property
     def name(self) -> str:
@@ -149,7 +151,7 @@ class LoggedFlight:
     def ends_s(self) -> float:
         """When the flight ended badly, on the log's clock: what follows says nothing of how it flies."""
         final = [self.clock.seconds(m.boot, m.span[0]) for m in self.mishaps if m.span[1] == FOREVER]
-        return min(final, default=float("inf"))
+        return min([*final, self.crashed_s])
 
     @cached_property
     def air_s(self) -> tuple[tuple[float, float], ...]:

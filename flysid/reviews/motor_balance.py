@@ -31,6 +31,7 @@ class Balance:
     ----------
     shares : (n,) of the motors' ranges.
     trims : roll, pitch and yaw, as shares of the mean.
+    doubts : half the interval of 95 % of each trim, from how much blocks of the flight differ.
     speeds : (n,) rpm; NaN where it is not logged.
     calm : only level and slow flight was taken.
     """
@@ -38,6 +39,7 @@ class Balance:
     motors: tuple[Motor, ...]
     shares: FloatArray
     trims: dict[str, float]
+    doubts: dict[str, float]
     speeds: FloatArray
     calm: bool
 
@@ -45,6 +47,14 @@ class Balance:
     def spread(self) -> float:
         """From the least to the most, as a share of the mean."""
         return float(np.ptp(self.shares) / self.shares.mean())
+
+    @property
+    def grade(self) -> Grade:
+        """Of the spread; good, too, where the largest trim may be a slow wave."""
+        axis = main_axis(self)
+        if self.doubts[axis] > abs(self.trims[axis]):
+            return Grade.GOOD
+        return limit("power.motor_spread").grade(self.spread)
 
     @property
     def odd(self) -> int | None:
@@ -78,7 +88,8 @@ def weigh(flight: LoggedFlight, motors: tuple[Motor, ...]) -> Balance | None:
     if not shares.mean() > 0.0:
         return None
     speeds = np.array([_mean_speed(m, time_s[chosen]) for m in motors])
-    return Balance(motors, shares, _trims(motors, shares), speeds, enough)
+    trims = _trims(motors, shares)
+    return Balance(motors, shares, trims, _doubts(motors, time_s[chosen]), speeds, enough)
 
 
 def _mean_speed(motor: Motor, time_s: FloatArray) -> float:
@@ -86,6 +97,20 @@ def _mean_speed(motor: Motor, time_s: FloatArray) -> float:
         return float("nan")
     speeds = motor.speed.at(time_s)
     return float(np.nanmean(speeds)) if np.isfinite(speeds).any() else float("nan")
+
+
+def _doubts(motors: Sequence[Motor], time_s: FloatArray, *, block_s: float = 5.0) -> dict[str, float]:
+    """Axis -> half the interval of its trim; a slow wave in a short flight is no trim."""
+    blocks = (time_s // block_s).astype(int)
+    found = []
+    for block in np.unique(blocks):
+        shares = np.array([np.nanmean(m.command.at(time_s[blocks == block])) for m in motors])
+        if shares.mean() > 0.0:
+            found.append(list(_trims(motors, shares).values()))
+    if len(found) < 3:
+        return dict.fromkeys(AXES, float("inf"))
+    half = 1.96 * np.std(found, axis=0, ddof=1) / np.sqrt(len(found))
+    return dict(zip(AXES, half.tolist(), strict=True))
 
 
 def _trims(motors: Sequence[Motor], shares: FloatArray) -> dict[str, float]:
@@ -113,11 +138,14 @@ def facts(balance: Balance | None, motors: tuple[Motor, ...], remedy: str) -> It
     spread = balance.spread
     yield Fact(
         "power.motor_spread", "difference between motors", 100.0 * spread, "%",
-        grade=known.grade(spread), note=f"{note}; {known.source}", fields=fields,
+        grade=balance.grade, note=f"{note}; {known.source}", fields=fields,
     )  # fmt: skip
     for axis, trim in balance.trims.items():
+        half = 100.0 * balance.doubts[axis]
+        interval = (100.0 * trim - half, 100.0 * trim + half) if np.isfinite(half) else None
+        label, share = f"{axis} trim", 100.0 * trim
         yield Fact(
-            f"power.trim_{axis}", f"{axis} trim", 100.0 * trim, "%", note="of the hover thrust", fields=fields
+            f"power.trim_{axis}", label, share, "%", interval, note="of the hover thrust", fields=fields
         )
     for motor, share, speed in zip(balance.motors, balance.shares, balance.speeds, strict=True):
         key = f"power.motor_{motor.number}"
@@ -132,8 +160,10 @@ def findings(balance: Balance | None) -> Iterator[Finding]:
     """The motor that stands out, or the axis that is trimmed."""
     if balance is None:
         return
-    grade = limit("power.motor_spread").grade(balance.spread)
+    grade = balance.grade
     if grade is Grade.GOOD:
+        if limit("power.motor_spread").grade(balance.spread) is not Grade.GOOD:
+            return  # it differs, but not for good
         worst = f"{max(1.0, 100.0 * balance.spread):.0f} %"
         yield Finding(f"The motors share the load evenly, within {worst}", grade, 0.3, "power.motor_spread")
         return
@@ -169,7 +199,7 @@ def pair_of(balance: Balance) -> tuple[list[int], list[int], float]:
     """Numbers of the motors that carry more and less along the main axis, and how much more as a share."""
     axis = main_axis(balance)
     effects = {"roll": lambda m: -m.place[1], "pitch": lambda m: m.place[0], "yaw": lambda m: m.spin}
-    signs = np.array([np.sign(round(effects[axis](m), 6)) for m in balance.motors])
+    signs = np.array([float(np.sign(round(effects[axis](m), 6))) for m in balance.motors])
     signs *= np.sign(balance.trims[axis])
     more, less = balance.shares[signs > 0.0].mean(), balance.shares[signs < 0.0].mean()
     numbers = np.array([m.number for m in balance.motors])
@@ -203,7 +233,7 @@ def _turns_alike(balance: Balance, i: int) -> bool:
 
 def actions(balance: Balance | None) -> Iterator[Action]:
     """What to look at on the bench."""
-    if balance is None or limit("power.motor_spread").grade(balance.spread) is Grade.GOOD:
+    if balance is None or balance.grade is Grade.GOOD:
         return
     if balance.odd is not None and balance.apart(balance.odd) < 0.0:
         return  # less is no fault of its own, and the log does not show whose

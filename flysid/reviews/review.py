@@ -10,6 +10,7 @@ from flysid.errors import FormatError
 from flysid.extras import Extra, Missing, extra
 from flysid.progress import tell
 from flysid.reviews.evidence import evidence
+from flysid.reviews.crash import end_at_crash
 from flysid.reviews.fact import Section
 from flysid.reviews.logged import LoggedFlight
 from flysid.reviews.page import write_review
@@ -65,6 +66,7 @@ def review_flight(flight: LoggedFlight, *, with_evidence: bool = False) -> Revie
     broken = Missing()
     timeline = NO_TIMELINE
     with broken.gathering():
+        flight = extra(Extra.REVIEWED, partial(end_at_crash, flight), None, of="crash") or flight
         for i, key in enumerate(SECTIONS):
             tell(f"reviewing: {key}", log=flight.name, share=i / len(SECTIONS))
             made = extra(Extra.REVIEWED, partial(_review, key, flight), None, of=key)

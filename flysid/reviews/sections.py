@@ -14,6 +14,7 @@ SECTIONS: Mapping[str, str] = {
     "vibration": "flysid.reviews.vibration",
     "power": "flysid.reviews.power",
     "estimator": "flysid.reviews.estimator",
+    "happened": "flysid.reviews.happened",
     "trust": "flysid.reviews.trust",
 }
 """Key of a section -> the module whose `review` computes it."""

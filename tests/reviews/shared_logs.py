@@ -11,6 +11,7 @@ import pytest
 import flysid
 from flysid.dataset import FloatArray
 from flysid.ingest.align.signals import FlightLog
+from flysid.reviews.crash import end_at_crash
 from flysid.reviews.logged import LoggedFlight
 
 SHARED = Path(__file__).parents[3] / "shared" / "logs"
@@ -25,7 +26,7 @@ def logged(name: str) -> LoggedFlight:
 
 def open_logged(path: Path) -> LoggedFlight:
     """A log of a file."""
-    return LoggedFlight(FlightLog(flysid.read(path)))
+    return end_at_crash(LoggedFlight(FlightLog(flysid.read(path))))
 
 
 def ulog_values(name: str, topic: str, field: str, instance: int = 0) -> tuple[FloatArray, FloatArray]:

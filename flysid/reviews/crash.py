@@ -1,0 +1,111 @@
+"""Crashes that a log does not state: it tips over, or hits something, and never flies again."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from flysid.reviews.attitude import tilt
+from flysid.reviews.logged import Column, LoggedFlight
+from flysid.reviews.motors import Motor, read_motors
+
+TIPPED_DEG = 60.0
+"""PX4's FD_FAIL_R and FD_FAIL_P."""
+IMPACT_M_S2 = 60.0
+"""Six times gravity: no more than aerobatics take."""
+OUTSTANDING = 3.0
+"""An impact is so many times what 99.9 % of the flight before feels."""
+BEFORE_S = 5.0
+"""Tipping over comes at most so long before the impact."""
+
+
+@dataclass(frozen=True)
+class Crash:
+    """When a flight ended badly.
+
+    Attributes
+    ----------
+    begins_s : when it tipped over, else the impact: what follows says nothing of how it flies.
+    tipped_s : when it leant more than 60 deg; NaN where it did not, or the attitude is not logged.
+    impact_s, impact_m_s2 : of the hardest blow.
+    field : of the accelerometer.
+    """
+
+    begins_s: float
+    tipped_s: float
+    impact_s: float
+    impact_m_s2: float
+    field: str
+
+
+def acceleration(flight: LoggedFlight) -> Column | None:
+    """Size of the acceleration that the first accelerometer felt, in m/s2."""
+    imu = (flight.things("IMU") or ["IMU"])[0]
+    for fields in (
+        [f"{imu}.Acc{axis}" for axis in "XYZ"],
+        [f"sensor_combined.accelerometer_m_s2[{i}]" for i in range(3)],
+        [f"vehicle_acceleration.xyz[{i}]" for i in range(3)],
+        [f"main.accSmooth[{i}]" for i in range(3)],
+    ):
+        parts = [flight.quantity(field, unit="m/s/s", stated="m/s/s") for field in fields]
+        known = [part for part in parts if part is not None]
+        if len(known) == 3 and len({len(part) for part in known}) == 1:
+            size = np.sqrt(sum(part.values**2 for part in known))
+            if not size.any():
+                continue  # a sensor that is not there, or whose scale is not logged
+            return Column(known[0].address, "m/s2", known[0].time_s, size)
+    return None
+
+
+def find_crash(flight: LoggedFlight) -> Crash | None:
+    """The hardest blow in the air, if it had tipped over before it or its motors never carry again."""
+    felt = acceleration(flight)
+    if felt is None or not flight.was_flown:
+        return None
+    last_s = max(last for _, last in flight.air_s)
+    first_s = min(first for first, _ in flight.air_s)
+    flown = felt.where((felt.time_s > first_s) & (felt.time_s < last_s + BEFORE_S))
+    if len(flown) < 100:
+        return None
+    at = int(np.argmax(flown.values))
+    hardest, impact_s = float(flown.values[at]), float(flown.time_s[at])
+    usual = flown.values[flown.time_s < impact_s - BEFORE_S]
+    if hardest < IMPACT_M_S2 or not len(usual) or hardest < OUTSTANDING * np.percentile(usual, 99.9):
+        return None
+    tipped_s = _tipped(flight, impact_s)
+    if not np.isfinite(tipped_s) and not _never_carries(read_motors(flight), impact_s, first_s):
+        return None
+    begins_s = tipped_s if np.isfinite(tipped_s) else impact_s
+    return Crash(begins_s, tipped_s, impact_s, hardest, felt.address)
+
+
+def end_at_crash(flight: LoggedFlight) -> LoggedFlight:
+    """The same flight, which ends where it tips over or hits something for good."""
+    crash = find_crash(flight)
+    return replace(flight, crashed_s=crash.begins_s) if crash else flight
+
+
+def _tipped(flight: LoggedFlight, impact_s: float) -> float:
+    """When it leant too far in the seconds before the impact; NaN where it did not."""
+    if flight.family not in ("ardupilot", "px4"):
+        return float("nan")
+    lean = tilt(flight)
+    if lean is None:
+        return float("nan")
+    inside = lean.where((lean.time_s >= impact_s - BEFORE_S) & (lean.time_s <= impact_s + 0.5))
+    over = inside.values > TIPPED_DEG
+    return float(inside.time_s[np.argmax(over)]) if over.any() else float("nan")
+
+
+def _never_carries(motors: tuple[Motor, ...], impact_s: float, first_s: float) -> bool:
+    """Whether the motors idle from within a second of the impact to the end of the log."""
+    if not motors:
+        return False
+    command = motors[0].command
+    mean = np.mean([m.command.at(command.time_s) for m in motors], axis=0)
+    before = (command.time_s > first_s) & (command.time_s < impact_s - BEFORE_S)
+    after = command.time_s > impact_s + 1.0
+    if not before.any():
+        return False
+    return bool(not after.any() or np.nanmax(mean[after]) < 0.5 * np.nanmedian(mean[before]))
