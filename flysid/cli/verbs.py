@@ -85,6 +85,15 @@ VERBS: Mapping[str, Verb] = {
             step="Look",
         ),
         Verb(
+            "spectrum",
+            "Show at which frequencies a vehicle shakes: peaks and their causes.",
+            (
+                "flysid spectrum flight.bfl",
+                "flysid spectrum flight.ulg sensor_combined.accelerometer_m_s2[2] --plot spectrum.png",
+            ),
+            step="Look",
+        ),
+        Verb(
             "ls",
             "List flights, and what they can identify.",
             (
@@ -225,6 +234,15 @@ VERBS: Mapping[str, Verb] = {
             (
                 "flysid gains flight.bfl",
                 "flysid gains data --axis roll --plot loop.png",
+            ),
+            step="Judge",
+        ),
+        Verb(
+            "filters",
+            "Show what a gyro's filters cost and remove, beside others.",
+            (
+                "flysid filters flight.bfl",
+                "flysid filters flight.bfl --try 'notch 86 40' --without gyro_lpf2",
             ),
             step="Judge",
         ),

@@ -96,9 +96,9 @@ def compare(chain: Chain, pieces: Sequence[Rows], row_hz: float, step: float) ->
     """
     if chain.unknown:
         raise DataError(
-            f"the chain cannot be replayed: {'; '.join(chain.unknown)}",
-            hint="the filters that are known are listed; a log of the motors' RPM needs bidirectional DShot "
-            "and Betaflight 4.5 or later",
+            "; ".join(chain.unknown),
+            hint="switch them off for one flight; Betaflight 4.5 and later log the motors' RPM with "
+            "bidirectional DShot",
         )
     settled = int(np.ceil(3.0 * chain.slowest_s * row_hz))
     errors, removed, weight = 0.0, 0.0, 0

@@ -51,6 +51,7 @@ SCENES: dict[str, Scene] = {
             "flysid fit flight.csv --from pitch_cmd --to v_x -o csv-run": inputs.table_log,
             "flysid compare run other-run": inputs.other_run,
             "flysid gains flight.bfl": HIRO,
+            "flysid spectrum flight.bfl": HIRO,
             "flysid studio data --live udp:0.0.0.0:14550 --watch run": inputs.watched,
             "flysid ingest s3://inbox -o s3://lake --vehicle-in 'v[0-9]+'": inputs.buckets(
                 "s3://inbox", "s3://lake"
@@ -111,6 +112,18 @@ SCENES: dict[str, Scene] = {
         shown={"flysid gains flight.bfl": 0},
     ),
     "docs/index.md": Scene({"": COPTER}),
+    "docs/vibration.md": Scene(
+        before={
+            "": each(
+                real("blackbox/greenreaper_flight14.bfl", "flight.bfl"),
+                real("ulog/quad_position_76s.ulg", "flight.ulg"),
+                real("blackbox/btfl_002.bbl", "hidden.bbl"),
+                lines(f"cp {inputs.SAMPLES}/01-steps-seed2.tlog flight.tlog"),
+            )
+        },
+        codes={"flysid filters hidden.bbl": 3},
+        shown={"flysid spectrum flight.ulg": 0, "flysid filters flight.bfl --without gyro_lpf2": 1},
+    ),
     "docs/kinematics.md": Scene({"": inputs.motion_capture}),
     "docs/models.md": Scene(
         {
@@ -248,6 +261,7 @@ LONG: dict[str, int] = {
     "docs/studio.md": 11,
     "docs/transfer-functions.md": 34,
     "docs/vehicle.md": 11,
+    "docs/vibration.md": 17,
     "docs/watching.md": 19,
 }
 """Pages that `make soak` alone types: together the doors may cost 120 s of CPU. Measured, in seconds."""

@@ -1,0 +1,94 @@
+"""`flysid filters LOG [--try ...]`: the gyro's filters, their cost, and that of others."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from flysid.cli.addresses import SOURCE
+from flysid.cli.bounds import POSITIVE
+from flysid.cli.checks import Words
+from flysid.cli.display import Display
+from flysid.cli.output import align_columns, printable
+from flysid.cli.reviewed_logs import reviewed_logs
+from flysid.cli.source import flight_options, reading_options
+from flysid.showing import fold, significant
+
+if TYPE_CHECKING:
+    from flysid.ingest.lake.chosen_flights import Selection
+    from flysid.reviews.logged import LoggedFlight
+
+
+@click.command("filters")
+@click.argument("source", type=SOURCE)
+@flight_options
+@click.option(
+    "--try",
+    "more",
+    multiple=True,
+    metavar="FILTER",
+    help="Add one: 'notch HZ WIDTH', 'pt1 HZ', 'pt2 HZ', 'pt3 HZ', 'biquad HZ'; repeatable.",
+)
+@click.option(
+    "--without", multiple=True, metavar="TEXT", help="Take away those with this in their name; repeatable."
+)
+@click.option(
+    "--crossover",
+    type=POSITIVE,
+    metavar="HZ",
+    help="Where phase counts.  [default: that of the gains in the log, else 30]",
+)
+@click.option("--json", "as_json", is_flag=True, help="Print everything as JSON.")
+@reading_options
+def command(
+    source: Path,
+    selection: Selection,
+    more: tuple[str, ...],
+    without: tuple[str, ...],
+    crossover: float | None,
+    as_json: bool,
+    told: Words,
+) -> int:
+    """Show what the gyro's filters cost and remove, beside other filters.
+
+    The chain is rebuilt from the parameters in the log (Betaflight 3.1 on, PX4 1.10 on, ArduPilot 4.0 on), at
+    the real time of an iteration. It is run again on the raw gyro, where the log has it, and compared with
+    what the vehicle logged. Notches whose frequencies are not in the log are named, and not run.
+    """
+    from flysid.reviews.filter_trial import stage_of, try_filters
+
+    for words in more:
+        stage_of(words)
+    with Display().shown(), reviewed_logs(source, told, selection) as flights:
+        found = []
+        for flight in flights:
+            hz, known_from = (crossover, "as given") if crossover else _crossover(flight)
+            trial = try_filters(flight, more, without, crossover_hz=hz, crossover_from=known_from)
+            found.append((flight.name, trial))
+    if as_json:
+        body = [{"log": name, **trial.to_dict()} for name, trial in found]
+        click.echo(json.dumps(body, indent=1, allow_nan=False))
+    for name, trial in found if not as_json else ():
+        head = [name] if len(found) > 1 else []
+        lines = [*head, *align_columns(trial.rows()), *(fold(note) for note in trial.notes())]
+        click.echo("\n".join(printable(line) for text in lines for line in text.splitlines()))
+    return 0 if any(trial.is_whole for _, trial in found) else 3
+
+
+def _crossover(flight: LoggedFlight, otherwise_hz: float = 30.0) -> tuple[float, str]:
+    """Of the roll loop that the gains in the log make, where they determine it; and how that is known."""
+    from flysid.errors import FlysidError
+    from flysid.loops.judged import judge
+
+    try:
+        (judged,) = judge([flight.log], ("roll",))[:1]
+    except (FlysidError, ValueError):
+        return otherwise_hz, f"not determined; {otherwise_hz:g} Hz are assumed (--crossover HZ)"
+    figure = judged.margins.crossover_hz if judged.margins is not None else None
+    if figure is None or figure.value is None:
+        return otherwise_hz, f"not determined; {otherwise_hz:g} Hz are assumed (--crossover HZ)"
+    edges = f"[{significant(figure.low)}, {significant(figure.high)}]"
+    return figure.value, f"{significant(figure.value)} Hz {edges} of the roll loop, from the gains in the log"
