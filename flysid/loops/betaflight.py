@@ -28,7 +28,7 @@ from flysid.dataset import FloatArray
 from flysid.errors import DataError
 from flysid.laws.described import Law, blackbox_law
 from flysid.loops.controller import Controller
-from flysid.loops.law_parts import AntiGravity, Boost, Means, Moving, Relax
+from flysid.loops.law_parts import AntiGravity, Boost, Means, Moving, Relax, TermCheck
 from flysid.loops.stages import ComplexArray, Filters, filters_of
 
 AXES = {"roll": "rollPID", "pitch": "pitchPID", "yaw": "yawPID"}
@@ -38,11 +38,18 @@ IDLE_STICK = 1050.0
 """us of throttle below which the motors idle (`min_check`), which headers do not state."""
 ANTI_GRAVITY = 1 << 28
 """Bit of `features` that switches it on."""
+ACCELERATION = 100.0
+"""deg/s^2 to a unit of the setpoint's limit."""
 UNLIMITED = 1000.0
 """Of an output whose limit the header does not state: all of the motors' range."""
 RELAXED_YAW = (2, 4)
 """Modes of the relaxed integral that include yaw."""
 RELAXED_BY_SETPOINT = 1.0
+
+
+def stated_step_s(settings: Mapping[str, str]) -> float:
+    """Of the rate loop, s, as a header states it; 0 where it does not."""
+    return 1e-6 * number_of(settings, 0.0, "looptime") * number_of(settings, 1.0, "pid_process_denom")
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,6 +63,7 @@ class Conditions:
     slower : steps of the loop over those that the header states.
     means : of what moves in laws since 4.0; None: of TPA alone, by the throttle.
     forward : f (Hz), and the recorded F term's response to the setpoint there; None where there is no F term.
+    checks : how well the law's terms are those that the log recorded.
     """
 
     throttle: FloatArray
@@ -64,6 +72,7 @@ class Conditions:
     slower: float = 1.0
     means: Means | None = None
     forward: tuple[FloatArray, ComplexArray] | None = None
+    checks: tuple[TermCheck, ...] = ()
 
 
 NO_CONDITIONS = Conditions(np.zeros(0), np.zeros(0), np.zeros(0))
@@ -87,8 +96,13 @@ class BetaflightLaw:
     anti_gravity : factor of the integral while the throttle moves by more than a threshold (us) in 0.1 s.
     limits : of the outputs of roll, pitch and yaw.
     largest_i : of the integral.
+    freezes : the integral does not grow while the axes ask for more than the motors have.
+    rotates : the integrals of all axes stay where they are in space as the body turns.
     p_filters : of yaw's P.
     boost, relax, moving, faster : parts that only some versions have.
+    setpoint_field : of the log.
+    acceleration : limit of the setpoint, deg/s^2, which sticks do not show; 0: none.
+    cut_terms : the log has terms without their fractions.
     title : version, and which law stands in for an unknown one.
     not_described : settings of this log that change the law in a way that is not described.
     """
@@ -109,6 +123,8 @@ class BetaflightLaw:
     anti_gravity: tuple[float, float]
     limits: tuple[float, float, float]
     largest_i: float
+    freezes: bool = False
+    rotates: bool = False
     f: float = 0.0
     tpa_terms: tuple[str, ...] = ("P", "D")
     throttle_of: str = "stick"
@@ -117,6 +133,9 @@ class BetaflightLaw:
     relax: Relax | None = None
     moving: Moving | None = None
     faster: AntiGravity | None = None
+    setpoint_field: str = "setpoint"
+    acceleration: float = 0.0
+    cut_terms: bool = False
     title: str = ""
     exact: bool = True
     has_forward: bool = False
@@ -163,12 +182,14 @@ class BetaflightLaw:
             (read.one("notch", 0.0), read.one("notch_cutoff", 0.0)),
             derived["of"] == "both",
             (derived["steps"] == "stated", integral["steps"] == "stated"),
-            1e-6 * number_of(settings, 0.0, "looptime") * number_of(settings, 1.0, "pid_process_denom"),
+            stated_step_s(settings),
             (read.one("tpa_rate", 0.0) / 100.0, read.one("tpa_breakpoint", FULL_THROTTLE)),
             windup,
             steps,
             limits,
             limit,
+            bool(integral.get("freezes", False)),
+            bool(integral.get("rotates", False)),
             law.scale["f"] * forward,
             _tpa_terms(law, read),
             str(law.part("throttle")["of"]),
@@ -177,6 +198,9 @@ class BetaflightLaw:
             _relax(law, read, axis),
             moving,
             faster,
+            str(derived.get("setpoint", "setpoint")),
+            ACCELERATION * _unpack(read.one("yaw_acceleration" if axis == "yaw" else "acceleration", 0.0)),
+            bool(law.part("record").get("cut", False)),
             law.title,
             law.exact,
             bool(law.scale["f"]) and forward > 0.0,
@@ -186,6 +210,11 @@ class BetaflightLaw:
                 if number_of(settings, 0.0, name)
             ),
         )
+
+    @property
+    def changes_in_flight(self) -> bool:
+        """Whether parts of it move by more than the throttle's TPA."""
+        return bool(self.boost or self.relax or self.moving or self.faster or self.throttle_of == "mixer")
 
     def kept(self, throttle: FloatArray) -> FloatArray:
         """(N,) what TPA leaves of its terms."""
@@ -228,6 +257,8 @@ class BetaflightLaw:
             p_filters=tuple((order, cut / late) for order, cut in self.p_filters),
             recorded_forward=flown.forward,
             i_at_rest=self.i / of_i,
+            law=self.title,
+            exact=self.exact,
         )
 
     def _means_of_tpa(self, throttle: FloatArray) -> Means:
@@ -361,6 +392,17 @@ def _name_gains(
     if least < d:
         named["D least"] = least
     return named | ({"F": forward} if has_forward else {})
+
+
+def _unpack(value: float) -> float:
+    """A limit of the setpoint's acceleration; 3.1 prints the bits of a float, which counts ten times as much.
+
+    >>> _unpack(100.0), _unpack(1092616192.0)
+    (100.0, 100.0)
+    """
+    if value < 2.0**24:
+        return value
+    return 10.0 * float(np.array(int(value), dtype=np.uint32).view(np.float32))
 
 
 def _split(text: str) -> tuple[float, ...]:

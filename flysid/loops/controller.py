@@ -15,13 +15,14 @@ with the log.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from flysid.dataset import FloatArray
 from flysid.errors import DataError
+from flysid.loops.law_parts import LARGEST_MISS, TermCheck
 from flysid.loops.stages import Filters, response
 from flysid.loops.stick_response import ComplexArray, Loop
 
@@ -49,6 +50,8 @@ class Controller:
     p_filters : of what P goes through.
     recorded_forward : f (Hz), and the response there of a recorded term that the setpoint alone makes.
     i_at_rest : of the error's integral while the sticks rest, where `i` is less on average over a flight.
+    law : firmware and version whose law this is, for people.
+    exact : whether that version is described; else the nearest one stands in.
     """
 
     gains: Mapping[str, float]
@@ -65,6 +68,8 @@ class Controller:
     p_filters: Filters = ()
     recorded_forward: tuple[FloatArray, ComplexArray] | None = None
     i_at_rest: float | None = None
+    law: str = ""
+    exact: bool = True
 
     def at_rest(self) -> Controller:
         """The same while the sticks rest."""
@@ -177,14 +182,35 @@ def _find_stated(stated: Mapping[str, float], *names: str) -> tuple[float, ...]:
 
 
 def refuse_misfit(
-    controller: Controller, loop: Loop, low: float, high: float, *, largest: float = 0.15
+    controller: Controller,
+    loop: Loop,
+    low: float,
+    high: float,
+    checks: Sequence[TermCheck] = (),
+    *,
+    largest: float = LARGEST_MISS,
 ) -> float:
-    """The miss of a controller; raises DataError where it is not what the log recorded."""
+    """The miss of a controller; raises DataError where it is not what the log recorded.
+
+    Parameters
+    ----------
+    low, high : Hz, between which it is compared.
+    checks : of its terms; those that miss are named. All of them must fit where the law only stands in.
+    """
     miss = controller.miss(loop, low, high)
-    if not miss <= largest:
+    off = "; ".join(check.complaint() for check in checks if not check.fits)
+    if not controller.exact and (off or not checks):
+        raise DataError(
+            f"{controller.law}, and {off or 'the log records no terms to check it against'}",
+            hint="update flysid, or log with a version that is described; "
+            "the loop itself: flysid tf LOG -r betaflight-rate",
+        )
+    proven = bool(checks) and not off
+    if not miss <= largest and not proven:
         raise DataError(
             f"the stated gains do not give what the log recorded: {100.0 * miss:.0f} % off between "
-            f"{low:.0f} and {high:.0f} Hz, {100.0 * largest:.0f} % are allowed; the log does not show why",
+            f"{low:.0f} and {high:.0f} Hz, {100.0 * largest:.0f} % are allowed; "
+            f"{off or 'the log does not show why'}",
             hint="possible causes to look at: a term of the firmware's law that this log does not carry, "
             "another profile or mode, gains changed in flight, another unit",
         )

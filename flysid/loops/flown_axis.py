@@ -17,17 +17,14 @@ from numba import njit
 
 from flysid.dataset import FloatArray
 from flysid.errors import DataError, UsageError
+from flysid.loops.axis_flight import FULL_STICK, MOVED_WITHIN_S, SIDES, fields_of, outputs_of, slower
 from flysid.loops.betaflight import AXES, FULL_THROTTLE, IDLE_STICK, BetaflightLaw
-from flysid.loops.blackbox_loops import FULL_STICK, even_pieces, fields_of, slower, terms_of
+from flysid.loops.blackbox_loops import even_pieces
 from flysid.loops.controller import THOUSANDTHS
 from flysid.loops.stages import sections
 from flysid.loops.stick_response import ComplexArray, StickRecord
 
 MOTORS = 4
-SIDES = np.array([[-1.0, -1.0, 1.0, 1.0], [1.0, -1.0, 1.0, -1.0], [1.0, -1.0, -1.0, 1.0]])
-"""How roll, pitch and yaw enter the motors: rear right, front right, rear left, front left."""
-MOVED_WITHIN_S = 0.1
-"""Within which anti-gravity looks for a movement of the throttle."""
 
 
 @dataclass(frozen=True)
@@ -148,19 +145,20 @@ def flown_axis(log: Any, axis: str, settings: Mapping[str, str], *, largest_miss
     law = BetaflightLaw.of(settings, axis)
     if not law.step_s:
         raise DataError(f"{log.name} does not state its looptime", hint="log with the header whole")
-    terms = [terms_of(other) for other in range(len(AXES))]
+    if law.changes_in_flight:
+        raise DataError(
+            f"{log.name}: {law.title} is not stepped with its motors here",
+            hint="its loop under other gains: flysid predict",
+        )
     motors = [f"motor[{i}]" for i in range(MOTORS)]
     names = ["time_ns", "loopIteration", f"gyroADC[{k}]", f"rcCommand[{k}]", "rcCommand[3]"]
-    values = fields_of(log, "main", [*names, *motors, *(name for own in terms for name in own)])
+    values = fields_of(log, "main", [*names, *motors])
     asked = fields_of(log, "setpoint", ["time_ns", f"setpoint[{k}]"])
     time = values["time_ns"] * 1e-9
     idle, full = (float(part) for part in settings.get("motorOutput", "0,0").split(","))
     turned = (np.array([values[name] for name in motors]) - idle) / max(full - idle, 1.0)
     throttle = values["rcCommand[3]"]
-    outputs = [
-        np.clip(sum(values[name] for name in own), -limit, limit)
-        for own, limit in zip(terms, law.limits, strict=True)
-    ]
+    outputs = outputs_of(log, settings)
     every = [side[:, None] * output for side, output in zip(SIDES, outputs, strict=True)]
     others = np.sum([part for j, part in enumerate(every) if j != k], axis=0)
     misses = []
@@ -185,7 +183,7 @@ def flown_axis(log: Any, axis: str, settings: Mapping[str, str], *, largest_miss
         values[f"gyroADC[{k}]"],
         THOUSANDTHS / MOTORS * (SIDES[k] @ turned),
         misses[1] < misses[0],
-        slower(time, values["loopIteration"], settings),
+        slower(time, values["loopIteration"], law.step_s),
     )
 
 

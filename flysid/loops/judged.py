@@ -19,6 +19,7 @@ from flysid.loops.controller import (
     px4_order,
     refuse_misfit,
 )
+from flysid.loops.law_parts import TermCheck
 from flysid.loops.margins import Figure, Margins, margins, trusted_band
 from flysid.loops.parameterlogs import (
     ardupilot_parameters,
@@ -56,6 +57,8 @@ class Judged:
     gains : as the firmware names them.
     refused : why nothing is known; "" where something is.
     miss : how far the controller that the gains make is from what the log recorded.
+    checks : the same of its terms, the worst of the flights.
+    law : firmware and version, where its law is described.
     """
 
     axis: str
@@ -67,6 +70,8 @@ class Judged:
     margins: Margins | None = None
     loop: Loop | None = None
     controller: Controller | None = None
+    checks: tuple[TermCheck, ...] = ()
+    law: str = ""
 
     def lines(self) -> list[str]:
         """At most five lines for people."""
@@ -74,10 +79,13 @@ class Judged:
         whose = f"{len(self.flights)} flights" if len(self.flights) > 1 else ", ".join(self.flights)
         head = f"{self.axis}: {gains} ({whose})" if gains else f"{self.axis} ({whose})"
         if self.margins is None:
-            return [head, f"  refused: {self.refused}", f"  try: {self.hint}"]
+            told = [f"  {self.law}, term by term: {self._terms()}"] if self.checks else []
+            return [head, f"  refused: {self.refused}", f"  try: {self.hint}", *told]
         low, high = self.margins.band_hz
         crossing, peaks, answers = (_known(row) for row in _rows(self.margins))
         checked = f"the rebuilt controller gives the recorded output to {100.0 * self.miss:.0f} %"
+        if self.checks:
+            checked += f" ({self.law}: {self._terms()})"
         rows = [
             "; ".join(crossing),
             "; ".join(peaks + _list_unknown(self.margins)),
@@ -93,6 +101,8 @@ class Judged:
             "flights": list(self.flights),
             "gains": dict(self.gains),
             "refused": self.refused or None,
+            "law": self.law or None,
+            "terms": [asdict(check) | {"fits": check.fits} for check in self.checks],
         }
         if self.margins is None:
             return told
@@ -101,6 +111,19 @@ class Judged:
         }
         band = list(self.margins.band_hz)
         return told | {"controller_miss": self.miss, "band_hz": band, "figures": figures}
+
+    def _terms(self) -> str:
+        return ", ".join(check.said() for check in self.checks)
+
+
+def _worst(of_flights: Iterable[tuple[TermCheck, ...]]) -> tuple[TermCheck, ...]:
+    """Of every term the check that misses most."""
+    worst: dict[str, TermCheck] = {}
+    for check in (own for checks in of_flights for own in checks):
+        known = worst.setdefault(check.term, check)
+        if check.miss > known.miss:
+            worst[check.term] = check
+    return tuple(worst.values())
 
 
 def _rows(m: Margins) -> list[list[tuple[str, Figure, str, str]]]:
@@ -284,19 +307,23 @@ def _judge(group: list[Stating], axis: str) -> Judged:
     logs = [log for log, _ in group]
     names = tuple(log.name for log in logs)
     gains: Mapping[str, float] = {}
+    law = ""
+    checks: tuple[TermCheck, ...] = ()
     try:
         kind = _kind(logs[0])
         settings = [_state(own) for _, own in group]
         stated = kind.controller(settings[0], axis, NO_CONDITIONS)
-        gains = stated.gains
+        gains, law = stated.gains, stated.law
         parts = [kind.record(log, axis, own) for log, own in zip(logs, settings, strict=True)]
         each = [kind.controller(own, axis, flown) for own, (_, flown) in zip(settings, parts, strict=True)]
+        checks = _worst(flown.checks for _, flown in parts)
         loop = Loop.of([record for record, _ in parts])
         low, high = trusted_band(loop)
         controller = each[0]
-        miss = refuse_misfit(controller, loop, low, high)
-        return Judged(axis, names, gains, "", "", miss, margins(loop, controller), loop, controller)
+        miss = refuse_misfit(controller, loop, low, high, checks)
+        found = margins(loop, controller.at_rest())
+        return Judged(axis, names, gains, "", "", miss, found, loop, controller, checks, law)
     except (DataError, UsageError) as error:
-        return Judged(axis, names, gains, error.message, error.hint)
+        return Judged(axis, names, gains, error.message, error.hint, checks=checks, law=law)
     except ValueError as error:
         return Judged(axis, names, gains, f"the stated gains cannot be read: {error}", "log them again")

@@ -1,4 +1,4 @@
-"""Parts of a rate controller that move in flight: what makes D, I and the filters more or less."""
+"""Parts of a rate controller that move in flight, and how well its terms are those that a log recorded."""
 
 from __future__ import annotations
 
@@ -8,6 +8,9 @@ import numpy as np
 
 from flysid.dataset import FloatArray
 from flysid.loops.stages import Filters
+
+LARGEST_MISS = 0.15
+"""Of a term, root mean square: the share up to which the law counts as the one that flew."""
 
 
 @dataclass(frozen=True)
@@ -78,3 +81,37 @@ class AntiGravity:
     threshold: float = np.inf
     cutoff_hz: float = 0.0
     p: float = 0.0
+
+
+@dataclass(frozen=True)
+class TermCheck:
+    """One term of the law against the recorded one.
+
+    Attributes
+    ----------
+    term : P, I, D or F.
+    miss : root mean square of the difference, over that of the recorded term.
+    slope : recorded over rebuilt, by least squares.
+    cause : the part of the law without which the term fits, and how well; "" where there is none.
+    scaled : the miss under another gain.
+    """
+
+    term: str
+    miss: float
+    slope: float
+    cause: str = ""
+    scaled: float = 1.0
+
+    @property
+    def fits(self) -> bool:
+        """Whether the term is the one that flew."""
+        return self.miss <= LARGEST_MISS
+
+    def said(self) -> str:
+        """ "P 2 %"."""
+        return f"{self.term} {100.0 * self.miss:.0f} %"
+
+    def complaint(self) -> str:
+        """What is off, for people."""
+        by = f"recorded over rebuilt is {self.slope:.2f}"
+        return f"the {self.term} term is {100.0 * self.miss:.0f} % off ({self.cause or by})"

@@ -118,7 +118,7 @@ class Loop:
         Of the plant alone it would not do: where the sticks say nothing, output and rate still agree, since
         the controller makes the one of the other, and their ratio is -1 / C with hardly any scatter.
         """
-        every = (plant, closed_loop, _output)
+        every = (plant, closed_loop, output)
         return np.asarray(np.max([_relative(of(self.draws), of(self.mean)) for of in every], axis=0))
 
 
@@ -137,7 +137,7 @@ def closed_loop(s: ComplexArray) -> ComplexArray:
     return np.asarray(s[..., 0, 2, :] / s[..., 0, 0, :])
 
 
-def _output(s: ComplexArray) -> ComplexArray:
+def output(s: ComplexArray) -> ComplexArray:
     """From the setpoint to the controller's output."""
     return np.asarray(s[..., 0, 1, :] / s[..., 0, 0, :])
 

