@@ -133,7 +133,7 @@ def test_it_goes_on_from_measured_samples_as_the_model_does(name: str, called: d
 
 
 def tolerance(name: str, free: FloatArray) -> float:
-    """1e-9 of the outputs; more where a start is searched for, until no step is worth 1e-10 of the squares."""
+    """1e-9 of the outputs; more where a start is searched for, until a step is worth 1e-10 of the squares."""
     searched = any(isinstance(m.program.past, LikelyPast) for m in members_of(models()[name]))
     return (1e-5 if searched else 1e-9) * (1.0 + float(np.abs(free).max()))
 
