@@ -9,7 +9,8 @@ is written in z - 1 instead of z, with exact rational numbers: what the lags can
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from typing import Any
 
@@ -17,13 +18,13 @@ import numpy as np
 
 from flysid.dataset import FloatArray
 from flysid.export.from_rules import hidden_names
-from flysid.export.program import BOUND, Program
+from flysid.export.program import BOUND, AffinePast, Program
 from flysid.model.freerun import Difference
 from flysid.model.linear.difference_equation import FittedLinear
 from flysid.model.rules.kernel import Lags
 from flysid.model.structures import row_of
 from flysid.model.subspace.fitted_model import FittedStateSpace
-from flysid.model.subspace.kalman import resting_state
+from flysid.model.subspace.kalman import filtered_states, resting_state
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,9 +48,17 @@ class _States:
 
 def linear_program(model: FittedLinear) -> Program:
     """A difference equation: balanced, or as it is where outputs do not depend on past ones."""
-    if not model.system.a[1:].any():
-        return _finite_response(model)
-    return _program(model, _balance(_of_difference(model)))
+    if not model.system.a[1:].any() or not model.system.b.any():
+        return _in_lags(model)
+    states, coordinates = _of_difference(model)
+    balanced, into = _balance(states)
+    effect = _late_effect(model.system, balanced.late, model.n_init)
+
+    def state_after(du: FloatArray, dy: FloatArray) -> FloatArray:
+        entered = _difference_state(model, du, dy) - np.einsum("iorj,rj->io", effect, du)
+        return np.asarray(into @ coordinates(entered))
+
+    return _program(model, balanced, lambda: _affine_past(model, balanced.late, state_after))
 
 
 def state_space_program(model: FittedStateSpace) -> Program:
@@ -57,11 +66,73 @@ def state_space_program(model: FittedStateSpace) -> Program:
     s = model.realisation
     rest = resting_state(s, -model.u_origin, -model.y_origin)
     late = model.delays or (0,) * len(model.inputs)
-    return _program(model, _balance(_States(s.a, s.b, s.c, s.d, s.drift, s.level, rest, late)))
+    balanced, into = _balance(_States(s.a, s.b, s.c, s.d, s.drift, s.level, rest, late))
+
+    def state_after(du: FloatArray, dy: FloatArray) -> FloatArray:
+        return np.asarray(into @ filtered_states(s, model.late(du), dy, model.gains)[-1])
+
+    return _program(model, balanced, lambda: _affine_past(model, late, state_after))
 
 
-def _of_difference(model: FittedLinear) -> _States:
+def _affine_past(
+    model: FittedLinear | FittedStateSpace,
+    late: tuple[int, ...],
+    state_after: Callable[[FloatArray, FloatArray], FloatArray],
+) -> AffinePast:
+    """Memory after the samples that start a simulation.
+
+    Parameters
+    ----------
+    state_after : the state after deviations (n_init, n_u), (n_init, n_y), an affine function of them.
+    """
+    rows = model.n_init
+    n_u = len(model.inputs)
+    n_y = len(model.outputs)
+
+    def memory_after(window: FloatArray) -> FloatArray:
+        du = window[: rows * n_u].reshape(rows, n_u)
+        dy = window[rows * n_u :].reshape(rows, n_y)
+        before = [
+            du[rows - lag, j] if lag <= rows else 0.0 for j in range(n_u) for lag in range(1, late[j] + 1)
+        ]
+        return np.concatenate([before, state_after(du, dy)])
+
+    unit = np.eye(rows * (n_u + n_y))
+    level = memory_after(np.zeros(len(unit)))
+    return AffinePast(rows, np.column_stack([*(memory_after(window) - level for window in unit), level]))
+
+
+def _difference_state(model: FittedLinear, du: FloatArray, dy: FloatArray) -> FloatArray:
+    """(depth, n_y) state after the samples that start a simulation."""
+    first, start = model.begin(du, dy)
+    if first == len(du):
+        return start
+    state = model.system.state(du, model.system.run(du, start))
+    state[: max(len(state) - len(du), 0)] += start[len(du) :]
+    return state
+
+
+def _late_effect(system: Difference, late: tuple[int, ...], rows: int) -> FloatArray:
+    """(depth, n_y, rows, n_u) what the last inputs, not yet entered, add to the state.
+
+    In the program they stand in cells of their own.
+    """
+    effect = np.zeros((system.depth, system.b.shape[1], rows, len(late)))
+    for j, samples in enumerate(late):
+        for i in range(system.depth):
+            for ahead in range(
+                max(samples - rows, 0), min(samples, i + 1)
+            ):  # it enters so many samples later
+                lag = i - ahead + samples
+                if lag < len(system.b):
+                    effect[i, :, rows + ahead - samples, j] = system.b[lag, :, j]
+    return effect
+
+
+def _of_difference(model: FittedLinear) -> tuple[_States, Callable[[FloatArray], FloatArray]]:
     """The observer form in z - 1, without the samples by which inputs are late.
+
+    And what makes its state of that of the equation without them.
 
     The constant is one more input, and the state at rest one more column: its polynomial moves as theirs do.
     """
@@ -90,7 +161,11 @@ def _of_difference(model: FittedLinear) -> _States:
     step, scaling = _scale(step)
     inner /= scaling[:, None]
     show = np.eye(n_y, depth * n_y) * scaling
-    return _States(
+
+    def coordinates(state: FloatArray) -> FloatArray:
+        return np.asarray(_about_one(_rational(state[:depth], depth)).ravel() / scaling)
+
+    states = _States(
         np.eye(len(step)) + step,
         inner[:, :n_u],
         show,
@@ -100,6 +175,7 @@ def _of_difference(model: FittedLinear) -> _States:
         inner[:, n_u + 1],
         late[:n_u],
     )
+    return states, coordinates
 
 
 def _rational(values: FloatArray, count: int) -> Any:
@@ -131,8 +207,10 @@ def _first(taps: FloatArray) -> int:
     return int(np.argmax(taps.any(axis=1)))
 
 
-def _balance(s: _States, *, negligible: float = 1e-11, margin: float = 0.001) -> _States:
+def _balance(s: _States, *, negligible: float = 1e-11, margin: float = 0.001) -> tuple[_States, FloatArray]:
     """The same system in balanced coordinates, without states that nothing reaches or shows.
+
+    And the matrix that takes its states into them.
 
     `negligible`: of the largest Hankel singular value: what rounding leaves of a state that is not there.
 
@@ -150,7 +228,8 @@ def _balance(s: _States, *, negligible: float = 1e-11, margin: float = 0.001) ->
     weight = 1.0 / np.sqrt(values[kept])
     into = weight[:, None] * (left[:, kept].T @ seen.T)
     back = reached @ right[kept].T * weight
-    return _States(into @ s.a @ back, into @ s.b, s.c @ back, s.d, into @ s.f, s.g, into @ s.rest, s.late)
+    balanced = replace(s, a=into @ s.a @ back, b=into @ s.b, c=s.c @ back, f=into @ s.f, rest=into @ s.rest)
+    return balanced, into
 
 
 def _size(values: FloatArray, axis: int) -> FloatArray:
@@ -174,7 +253,9 @@ def _gramian_root(a: FloatArray, b: FloatArray, *, gone: float = 1e-30) -> Float
     return np.asarray(root)
 
 
-def _program(model: FittedLinear | FittedStateSpace, s: _States) -> Program:
+def _program(
+    model: FittedLinear | FittedStateSpace, s: _States, find_past: Callable[[], AffinePast]
+) -> Program:
     n = len(s.a)
     n_y = len(model.outputs)
     n_u = len(model.inputs)
@@ -183,21 +264,22 @@ def _program(model: FittedLinear | FittedStateSpace, s: _States) -> Program:
     theta = np.block([[s.c, s.d, s.g[:, None]], [s.a, s.b, s.f[:, None]]])
     rest = np.zeros((n_y + n + n_u, max([1, *s.late])))
     rest[n_y : n_y + n, 0] = s.rest
-    return _linear(model, columns, delays, theta, rest)
+    return _linear(model, columns, delays, theta, rest, find_past)
 
 
-def _finite_response(model: FittedLinear) -> Program:
-    """Outputs that depend on inputs alone: taps over lags."""
+def _in_lags(model: FittedLinear) -> Program:
+    """Outputs that depend on inputs alone, or on outputs alone: taps over lags."""
     system = model.system
     n_y = len(model.outputs)
     n_u = len(model.inputs)
+    past = [(lag, i) for i in range(n_y) for lag in 1 + np.flatnonzero(system.a[1:, :, i].any(axis=1))]
     taps = [(lag, j) for j in range(n_u) for lag in np.flatnonzero(system.b[:, :, j].any(axis=1))]
-    columns = [n_y + j for _, j in taps]
-    delays = [int(lag) for lag, _ in taps]
-    theta = np.stack([*(system.b[lag, :, j] for lag, j in taps), system.c], axis=1)
-    rest = np.zeros((n_y + n_u, len(system.b)))
-    rest[n_y:] = -model.u_origin[:, None]
-    return _linear(model, [*columns, -1], [*delays, 0], theta, rest)
+    columns = [*(i for _, i in past), *(n_y + j for _, j in taps)]
+    delays = [int(lag) for lag, _ in (*past, *taps)]
+    weights = [*(-system.a[lag, :, i] for lag, i in past), *(system.b[lag, :, j] for lag, j in taps)]
+    rest = np.zeros((n_y + n_u, max(len(system.a), len(system.b))))
+    rest[:n_y] = -model.y_origin[:, None]
+    return _linear(model, [*columns, -1], [*delays, 0], np.stack([*weights, system.c], axis=1), rest)
 
 
 def _linear(
@@ -206,6 +288,7 @@ def _linear(
     delays: list[int],
     theta: FloatArray,
     rest: FloatArray,
+    find_past: Callable[[], AffinePast] | None = None,
 ) -> Program:
     none = np.zeros(0, dtype=np.int64)
     n = len(theta)
@@ -227,4 +310,5 @@ def _linear(
         scale=np.ones(n + n_u),
         output_limits=model.output_limits,
         rest=rest,
+        find_past=find_past,
     )

@@ -14,7 +14,7 @@ import numpy as np
 
 from flysid.dataset import FloatArray, Signal
 from flysid.errors import UsageError
-from flysid.export.program import BOUND, Program, Worked
+from flysid.export.program import BOUND, AffinePast, Program, Worked
 from flysid.model.multirotor import FittedMultirotor
 from flysid.model.rotorcraft.axis_fit import FittedAxis
 from flysid.model.rotorcraft.rotor_axis import CURVE, DELAY, FIRST, LAG, TRIM, what_a_row_keeps
@@ -93,7 +93,23 @@ def multirotor_program(model: FittedMultirotor) -> Program:
         output_limits=model.output_limits,
         rest=rest,
         worked=tuple(Worked("product", a, b) for a, b in double),
+        find_past=lambda: _first_sample(multirotor_program(model)),
     )
+
+
+def _first_sample(program: Program) -> AffinePast:
+    """Outputs as measured in one sample; motors turn, and have always turned, as its commands want."""
+    n_y = len(program.outputs)
+    n_u = len(program.inputs)
+    matrix = np.zeros((len(program.memory), n_u + n_y + 1))
+    for row, (column, _) in zip(matrix, program.memory, strict=True):
+        if column < n_y:
+            row[n_u + column] = 1.0
+        elif column < program.n:
+            row[(column - n_y) % n_u] = 1.0
+        else:
+            row[column - program.n] = 1.0
+    return AffinePast(1, matrix)
 
 
 def _whole(axis: FittedAxis, dt: float) -> int:

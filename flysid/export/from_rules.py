@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from flysid.dataset import Signal
-from flysid.export.program import Memberships, Program
+from flysid.export.program import AffinePast, LikelyPast, Memberships, Past, Program
 from flysid.model.rules.fitted import FittedTS
 from flysid.model.rules.kernel import Lags
+from flysid.model.rules.likely_start import LikelyStart, MeasuredStart
 from flysid.model.static_ts import FittedStaticTS
 from flysid.showing import counted
 
@@ -41,7 +42,37 @@ def program_of_rules(model: FittedTS) -> Program:
         scale=layout.scale,
         output_limits=model.output_limits,
         rest=start[::-1].T,
+        find_past=lambda: _past_of_rules(model),
     )
+
+
+def _past_of_rules(model: FittedTS) -> Past:
+    """What a run starts from, as the model finds it."""
+    layout = model.layout
+    if isinstance(model.start, LikelyStart):
+        prior = model.start.prior
+        rows = max(model.start.samples, layout.depth)
+        return LikelyPast(rows, layout.depth, layout.moving, prior.mean, prior.root, prior.weight)
+    return _corrected_lags(model, model.start)
+
+
+def _corrected_lags(model: FittedTS, start: MeasuredStart) -> AffinePast:
+    """The last rows as measured, and their correction: both are linear in them."""
+    n_y = model.layout.n_y
+    n_u = len(model.inputs)
+    rows = start.samples
+    unit = np.eye(rows * (n_u + n_y) + 1)
+    windows = np.concatenate(
+        [
+            unit[rows * n_u : -1].reshape(rows, n_y, -1),
+            unit[: rows * n_u].reshape(rows, n_u, -1),
+        ],
+        axis=1,
+    )
+    joined = np.concatenate([windows.reshape(rows * (n_u + n_y), -1), unit[-1:]])
+    windows[:, :n_y] += (start.gain @ joined).reshape(rows, n_y, -1)
+    memory = program_of_rules(model).memory
+    return AffinePast(rows, np.stack([windows[rows - lag, column] for column, lag in memory]))
 
 
 def static_program(model: FittedStaticTS) -> Program:

@@ -14,7 +14,7 @@ This is the only module that looks inside fitted models; C, FMU and MATLAB text 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal, NamedTuple
@@ -66,6 +66,43 @@ class Worked(NamedTuple):
     b: Place = (-1, 0)
 
 
+class AffinePast(NamedTuple):
+    """The memory as an affine function of the last samples; all normalised.
+
+    Attributes
+    ----------
+    rows : number of samples.
+    matrix : (m, rows (n_u + n_y) + 1) over inputs, row by row, the oldest first, then outputs, then 1.
+    """
+
+    rows: int
+    matrix: FloatArray
+
+
+class LikelyPast(NamedTuple):
+    """The memory from the start that suits the last samples best (`flysid.model.rules.likely_start`).
+
+    What is searched for is z. mean + root z are `moving` rows of all simulated quantities, the oldest first.
+    They end where `depth` samples have passed, and the run goes on from there to the last sample:
+
+        weight * sum |y(k) - yhat(k; z)|^2 + |z|^2,     all normalised
+
+    Attributes
+    ----------
+    rows : number of samples.
+    """
+
+    rows: int
+    depth: int
+    moving: int
+    mean: FloatArray
+    root: FloatArray
+    weight: float
+
+
+Past = AffinePast | LikelyPast
+
+
 @dataclass(frozen=True, eq=False)
 class Program:
     """One step of a model, and the cells it starts from at rest.
@@ -83,6 +120,7 @@ class Program:
     rest : (n + n_u, deepest lag) normalised values before the first sample, column [:, lag - 1]: where all
         inputs and outputs were zero.
     worked : in the order in which they are worked out; their lag is 0.
+    find_past : makes `past`, which costs time and is not wanted by all; None where lags are simply measured.
     """
 
     title: str
@@ -99,6 +137,17 @@ class Program:
     output_limits: FloatArray
     rest: FloatArray
     worked: tuple[Worked, ...] = ()
+    find_past: Callable[[], Past] | None = None
+
+    @cached_property
+    def past(self) -> Past | None:
+        """How the memory follows from the last samples; None where it holds nothing but samples."""
+        return None if self.find_past is None else self.find_past()
+
+    @property
+    def past_rows(self) -> int:
+        """Samples from which the memory follows."""
+        return max(self.depths, default=0) if self.past is None else self.past.rows
 
     @property
     def n(self) -> int:

@@ -13,9 +13,11 @@ from typing import Any, Literal
 import numpy as np
 
 from flysid.export.csource import rendered
-from flysid.export.program import Operation, Program
+from flysid.export.program import AffinePast, LikelyPast, Operation, Program
 from flysid.export.programs import Member, limits_of, rest_of
 from flysid.export.wording import name_with_unit, plain, states_of, title_of, value_name
+from flysid.model.polynomials import VANISHING
+from flysid.model.rules.likely_start import HALVINGS, STEPS
 
 Dialect = Literal["casadi", "jax"]
 
@@ -57,6 +59,11 @@ def python_file(members: Sequence[Member], name: str, dialect: Dialect) -> str:
         "multiplies": any(m.shape != "gaussian" and m.conjunction == "product" for m in rules),
         "reduces": any(m.shape != "gaussian" or m.conjunction == "minimum" for m in rules),
         "looks_for_nearest": any(m.shape != "gaussian" for m in rules),
+        "past_rows": max(m.program.past_rows for m in members),
+        "searches": any(isinstance(m.program.past, LikelyPast) for m in members),
+        "steps": STEPS,
+        "halvings": HALVINGS,
+        "vanishing": VANISHING,
     }
     return rendered(f"{dialect}.py.j2", first, name, words)
 
@@ -92,8 +99,44 @@ def _words(program: Program) -> dict[str, Any]:
         "known": _known(program),
         "workings": _workings(program),
         "kept": _kept(program),
+        **_past_words(program),
         **({"right": program.memberships.right} if program.memberships is not None else {}),
     }
+
+
+def _past_words(program: Program) -> dict[str, Any]:
+    """How the memory follows from the last samples."""
+    past = program.past
+    rows = program.past_rows
+    words: dict[str, Any] = {"past": "samples", "past_rows": rows}
+    if isinstance(past, AffinePast):
+        return words | {"past": "affine", "start_matrix": past.matrix}
+    if past is None:
+        return words | {"start_at": _places_of_memory(program, rows, rows, len(program.outputs), rows)}
+    n_y = len(program.outputs)
+    seen = np.flatnonzero(np.tile(np.arange(program.n) < n_y, past.moving))
+    return words | {
+        "past": "likely",
+        "depth": past.depth,
+        "moving": past.moving,
+        "start_mean": past.mean,
+        "start_root": past.root,
+        "start_weight": past.weight,
+        "start_seen": seen.tolist(),
+        "start_at": _places_of_memory(program, rows, past.depth, program.n, past.moving),
+    }
+
+
+def _places_of_memory(program: Program, rows: int, end: int, width: int, states: int) -> list[int]:
+    """Where the memory at sample `end` stands among inputs (rows, n_u) and quantities (states, width)."""
+    n_u = len(program.inputs)
+    places = []
+    for column, lag in program.memory:
+        if column >= program.n:
+            places.append((end - lag) * n_u + column - program.n)
+        else:
+            places.append(rows * n_u + (states - lag) * width + column)
+    return places
 
 
 def _antecedent_name(program: Program, column: int, lag: int, minus: int) -> str:

@@ -25,8 +25,10 @@ from flysid.model.rules.kernel import Parameters
 from flysid.model.rules.regressor_layout import Layout
 from flysid.model.start import full_window
 
-_STEPS = 12
-_HALVINGS = 4
+STEPS = 12
+"""Of a search, at most."""
+HALVINGS = 4
+"""Of a step that does not help, at most."""
 _CLOSED = 60  # rows that suffice to start a run while fitting, and that put hidden states to rest
 _TWICE = 2.0  # spreads of training: a run may start outside of what training went through
 _PLACES = 8  # of the training data, along which starts are tried
@@ -90,7 +92,7 @@ class _StartSearch:
         """(q,) where the search ends that begins at the likelier of two guesses: the mean, as measured."""
         tried = [(self.misses(z), z) for z in (np.zeros(len(self.prior.mean)), self.as_measured())]
         misses, z = min(tried, key=lambda t: _cost(*t))
-        for _ in range(_STEPS):
+        for _ in range(STEPS):
             A = np.vstack([self.slopes(z), np.eye(len(z))])
             if not np.isfinite(A).all():
                 break
@@ -98,7 +100,7 @@ class _StartSearch:
             cost = _cost(misses, z)
             if not np.square(A @ step).sum() > VANISHING * cost:
                 break
-            for _ in range(_HALVINGS):
+            for _ in range(HALVINGS):
                 trial = self.misses(z + step)
                 if _cost(trial, z + step) < cost:
                     break

@@ -65,6 +65,24 @@ def program(name: str) -> Prepare:
     return prepare
 
 
+def package(name: str) -> Prepare:
+    """A Python package that no extra of flysid brings."""
+
+    def prepare(reader: Reader) -> None:
+        if reader.run(f"python -c 'import {name}'").returncode:
+            raise MissingError(f"{name} is not installed")
+
+    return prepare
+
+
+def controller(reader: Reader) -> None:
+    """The sample logs, and the page's controller as a file."""
+    shutil.copytree(SAMPLES, reader.folder / "sample_logs")
+    page = (ROOT / "docs" / "mpc.md").read_text("utf-8")
+    script = page.partition("```python\n")[2].partition("```")[0]
+    (reader.folder / "mpc.py").write_text(script, "utf-8")
+
+
 def _there(path: Path) -> Path:
     if not path.exists():
         raise MissingError(f"no {path}")

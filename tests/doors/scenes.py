@@ -134,6 +134,7 @@ SCENES: dict[str, Scene] = {
             )
         }
     ),
+    "docs/mpc.md": Scene({"": inputs.controller, "python mpc.py": inputs.package("casadi")}),
     "docs/own-models.md": Scene(
         before={
             "": inputs.models_of_others,
@@ -226,6 +227,7 @@ NOT_TYPED: dict[str, dict[str, str]] = {
     },
     "docs/fleet.md": {'pip install "flysid[fleet]"': REGISTRY},
     "docs/index.md": {"flysid demo": "README's `make demo` is this command"},
+    "docs/mpc.md": {"pip install casadi": REGISTRY},
     "docs/own-models.md": {
         "flysid validate run --with lateral/sim=plant.fmu --start sim=v0": (
             "the FMU is a program of the reader's; flysid's own are run in tests/flysid/outside/test_fmus.py"

@@ -4,7 +4,8 @@
 
 NAME.npz holds `u` (2, N, n_u) and `weights` (H, n_y). NAME.KIND.npz becomes what the model answered: `y`
 (2, N, n_y), from rest, then from the `memory` that the first run left; and from that memory on the gradients
-of sum(weights * y) over H rows by inputs and memory, `by_u` and `by_x`. It knows nothing of flysid.
+of sum(weights * y) over H rows by inputs and memory, `by_u` and `by_x`. `go_on` (N - W, n_y) is a run from
+the memory after `measured` (W, n_y) outputs, along the inputs behind these. It knows nothing of flysid.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from typing import Any
 import numpy as np
 
 
-def of_casadi(name: str, u: Any, weights: Any) -> dict[str, Any]:
+def of_casadi(name: str, u: Any, weights: Any, measured: Any) -> dict[str, Any]:
     import casadi as ca
 
     model = importlib.import_module(f"{name}_casadi")
@@ -32,16 +33,19 @@ def of_casadi(name: str, u: Any, weights: Any) -> dict[str, Any]:
     cost = ca.dot(model.simulate(window, start)[0], weights.T)
     slopes = [ca.gradient(cost, start), ca.gradient(cost, window)]
     gradients = ca.Function("gradients", [start, window], slopes)
+    seen = len(measured)
+    go_on, _ = model.simulate(u[0, seen:].T, model.start(u[0, :seen].T, measured.T))
     by_x, by_u = gradients(memory, u[1, : len(weights)].T)
     return {
         "y": np.stack([np.array(first).T, np.array(second).T]),
+        "go_on": np.array(go_on).T,
         "memory": np.array(memory).ravel(),
         "by_x": np.array(by_x).ravel(),
         "by_u": np.array(by_u).T,
     }
 
 
-def of_jax(name: str, u: Any, weights: Any) -> dict[str, Any]:
+def of_jax(name: str, u: Any, weights: Any, measured: Any) -> dict[str, Any]:
     import jax
 
     model = importlib.import_module(f"{name}_jax")
@@ -52,10 +56,12 @@ def of_jax(name: str, u: Any, weights: Any) -> dict[str, Any]:
     window = u[1, : len(weights)]
     cost = jax.jit(jax.grad(lambda x, inputs: (model.simulate(inputs, x)[0] * weights).sum(), (0, 1)))
     by_x, by_u = cost(memory, window)
-    return {"y": np.stack([first, second]), "memory": memory, "by_x": by_x, "by_u": by_u}
+    seen = len(measured)
+    go_on, _ = model.simulate(u[0, seen:], model.start(u[0, :seen], measured))
+    return {"y": np.stack([first, second]), "go_on": go_on, "memory": memory, "by_x": by_x, "by_u": by_u}
 
 
-def of_onnx(name: str, u: Any, _weights: Any) -> dict[str, Any]:
+def of_onnx(name: str, u: Any, _weights: Any, _measured: Any) -> dict[str, Any]:
     """Step by step, both runs as one batch: from rest, and from rest with the inputs of the second."""
     import onnxruntime
 
@@ -85,7 +91,7 @@ def main(kind: str, folder: Path) -> None:
     os.chdir(folder)
     for path in sorted(folder.glob("*.npz")):
         with np.load(path) as given:
-            found = KINDS[kind](path.stem, given["u"], given["weights"])
+            found = KINDS[kind](path.stem, given["u"], given["weights"], given["measured"])
         np.savez(folder / f"{path.stem}.{kind}", **found)
 
 

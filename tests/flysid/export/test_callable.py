@@ -11,10 +11,14 @@ import numpy as np
 import pytest
 
 from flysid.dataset import FloatArray, Signal
+from flysid.export.program import LikelyPast
 from flysid.export.programs import members_of, rest_of
 from flysid.export.pysource import Dialect, python_file
 from flysid.export.reference import run
+from flysid.model.arx import ARX
 from flysid.model.base import Fitted
+from flysid.model.rules.fitted import FittedTS
+from flysid.model.rules.likely_start import MeasuredStart
 from flysid.model.static_ts import StaticTS
 from tests.command import call
 from tests.flysid.export.callers import SCRIPT, python_with, require, run_python
@@ -33,6 +37,10 @@ def models() -> dict[str, Fitted]:
     found = {name: fitted(name) for name in EXAMPLES}
     found["multirotor, thrust curve"] = curved("rate")
     found["polynarx, every kind of term"] = bent()
+    found["arx, late inputs"] = ARX(na=2, nb=2, nk=3, refine=True).fit(EXAMPLES["arx"][1])
+    both = EXAMPLES["arx, coupled outputs"][1]
+    found["arx, late inputs, coupled outputs"] = ARX(na=2, nb=2, nk=(4, 1), refine=False).fit(both)
+    found["ts, corrected lags"] = corrected()
     data = EXAMPLES["static ts, two inputs and outputs"][1]
     for shape in SHAPES:
         for conjunction in ("product", "minimum"):
@@ -41,12 +49,30 @@ def models() -> dict[str, Fitted]:
     return found
 
 
+def corrected() -> Fitted:
+    """Rules whose start is measured and corrected, as version 0.1.0 wrote them."""
+    model = fitted("ts")
+    assert isinstance(model, FittedTS)
+    rows = model.layout.depth
+    gain = 0.05 * np.random.default_rng(5).normal(size=(rows, 2 * rows + 1))
+    return replace(model, start=MeasuredStart(gain, rows))
+
+
 @cache
 def given(name: str) -> tuple[FloatArray, FloatArray]:
     """Inputs, and weights of outputs in a cost."""
     model = models()[name]
     weights = np.random.default_rng(1).normal(size=(HORIZON, len(model.outputs)))
     return inputs(model, 2 * ROWS, seed=7), weights
+
+
+@cache
+def measured(name: str) -> FloatArray:
+    """Outputs of the samples that start a run, with noise."""
+    model = models()[name]
+    rows = max(model.n_init, 1)
+    noise = np.random.default_rng(4).normal(size=(rows, len(model.outputs)))
+    return model.simulate(given(name)[0])[:rows] + 0.02 * noise
 
 
 def file_names() -> dict[str, str]:
@@ -64,7 +90,8 @@ def called(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFact
         models()[name].save(folder / f"{file}.json")
         done = call("export", f"{file}.json", f"--{dialect}", f"{file}_{dialect}.py", cwd=folder)
         assert done.returncode == 0, done.stderr
-        np.savez(folder / file, u=u.reshape(2, ROWS, -1), weights=weights)
+        samples = {"u": u.reshape(2, ROWS, -1), "weights": weights, "measured": measured(name)}
+        np.savez(folder / file, **samples)
     run_python(python, SCRIPT, dialect, folder, cwd=folder)
     return {name: dict(np.load(folder / f"{file}.{dialect}.npz")) for name, file in file_names().items()}
 
@@ -95,6 +122,20 @@ def test_it_equals_the_free_run_from_rest_and_goes_on_from_a_memory(
     np.testing.assert_allclose(found["y"].reshape(free.shape), free, rtol=0.0, atol=bound)
     memory = run_all(model, u[:ROWS], rest_of(members_of(model)))[1]
     np.testing.assert_allclose(found["memory"], memory, rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", models())
+def test_it_goes_on_from_measured_samples_as_the_model_does(name: str, called: dict[str, Found]) -> None:
+    model = models()[name]
+    known = measured(name)
+    free = model.simulate(given(name)[0][:ROWS], known)[len(known) :]
+    np.testing.assert_allclose(called[name]["go_on"], free, rtol=0.0, atol=tolerance(name, free))
+
+
+def tolerance(name: str, free: FloatArray) -> float:
+    """1e-9 of the outputs; more where a start is searched for, until a step is worth 1e-10 of the squares."""
+    searched = any(isinstance(m.program.past, LikelyPast) for m in members_of(models()[name]))
+    return (1e-5 if searched else 1e-9) * (1.0 + float(np.abs(free).max()))
 
 
 @pytest.mark.parametrize("name", models())

@@ -15,7 +15,7 @@ from flysid.export.programs import members_of, rest_of
 from flysid.export.reference import run
 from tests.command import call
 from tests.flysid.export.callers import SCRIPT, python_with, require, run_python
-from tests.flysid.export.test_callable import ROWS, file_names, given, models
+from tests.flysid.export.test_callable import ROWS, file_names, given, measured, models
 from tests.model_examples import fitted
 
 Found = Mapping[str, FloatArray]
@@ -31,7 +31,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for name, file in file_names().items():
         models()[name].save(place / "models" / f"{file}.json")
         u, weights = given(name)
-        np.savez(place / file, u=u.reshape(2, ROWS, -1), weights=weights)
+        np.savez(place / file, u=u.reshape(2, ROWS, -1), weights=weights, measured=measured(name))
     run_python(python, EXPORT, place, cwd=place, knows_flysid=True)
     run_python(python, SCRIPT, "onnx", place, cwd=place)
     return place
