@@ -34,6 +34,8 @@ GRID_S = 0.02
 """Samples are not taken closer together."""
 MOST_ROWS = 50_000
 """Rows of the regression; more take memory and tell nothing new."""
+EVEN = 2.0 / 3.0
+"""Share of the pauses between changes of an input that are of one length where the log holds its samples."""
 _ROUNDING = 1e-18
 """Share of the variance below which what is left over is rounding."""
 
@@ -145,10 +147,18 @@ def _scale(data: Dataset, output: int, every: int, fewest: int) -> list[tuple[Fl
 
 
 def _held(inputs: list[FloatArray]) -> int:
-    """How many samples the input that changes least often stands still between changes, at least 1."""
-    changes = sum((np.diff(u, axis=0) != 0.0).sum(axis=0) for u in inputs)
-    moving = np.atleast_1d(changes)[np.atleast_1d(changes) > 0]
-    return int(sum(len(u) - 1 for u in inputs) / moving.min() + 0.5) if len(moving) else 1
+    """For how many samples the log holds the input that changes least often, at least 1.
+
+    1 where changes come at uneven times: a command that waits is no sample that is held.
+    """
+    pauses = [
+        np.concatenate([np.diff(np.flatnonzero(np.diff(u[:, i]) != 0.0)) for u in inputs])
+        for i in range(inputs[0].shape[1])
+    ]
+    held = [(float(np.median(p)), p) for p in pauses if len(p)]
+    longest, lengths = max(held, key=lambda one: one[0], default=(1.0, np.ones(1)))
+    even = np.abs(lengths - longest) <= 1.0
+    return max(int(longest + 0.5), 1) if np.mean(even) > EVEN else 1
 
 
 def _first_new(u: FloatArray, every: int) -> int:

@@ -2,20 +2,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
+import numpy.typing as npt
 from scipy.signal import lfilter
 
 from bench.truth.plants import KINDS, Plant, draw_plant
 from flysid.dataset import Dataset, FloatArray, Segment
+from flysid.ingest.align.quick import dataset_from
 from flysid.ingest.synth.manoeuvres import chirp, pilot, random_phase_multisine
 from flysid.model.frequency.sampling import sample
+
+IntArray = npt.NDArray[np.int64]
 
 FINE = 8
 """Steps of the simulation in one of the log."""
 NOISES = ("none", "white", "coloured", "drifting", "gusts", "outliers")
-LOGGINGS = ("plain", "quantised", "jitter", "gap", "slow")
+LOGGINGS = ("plain", "quantised", "jitter", "gap", "slow", "event-logged", "merged")
 EXCITATIONS = ("steps", "pilot", "chirp", "multisine")
 LOOPS = ("open", "added at the input")
 
@@ -50,6 +57,8 @@ def draw_record(seed: int) -> Record:
     plant = draw_plant(rng, kinds["plant"])
     if kinds["loop"] != "open":
         kinds["logging"] = "plain"
+    if kinds["logging"] == "event-logged":
+        kinds["excitation"] = "uneven steps"
     rate = plant.corner / (2.0 * np.pi) * rng.uniform(*((12, 25) if kinds["logging"] == "slow" else (25, 90)))
     dt_s = 1.0 / rate
     count = round(float(rng.uniform(60.0, 200.0)) * 2.0 * np.pi / plant.corner / 2.0 / dt_s)
@@ -69,6 +78,10 @@ def _excite(rng: np.random.Generator, kind: str, plant: Plant, time_s: FloatArra
         return random_phase_multisine(time_s, (low, 4.0 * corner_hz), 1.0, rng)
     if kind == "pilot":
         return pilot(time_s * corner_hz, 1.0, rng)
+    if kind == "uneven steps":
+        lengths = rng.uniform(0.1, 1.0, len(time_s)) / corner_hz / time_s[1]
+        held = np.repeat(rng.standard_normal(len(time_s)), np.maximum(np.round(lengths).astype(int), 2))
+        return np.asarray(held[: len(time_s)])
     hold = max(round(float(rng.uniform(0.2, 0.6)) / corner_hz / time_s[1]), 1)
     return np.repeat(rng.standard_normal(len(time_s) // hold + 1), hold)[: len(time_s)]
 
@@ -91,7 +104,9 @@ def _log_open(
     rng: np.random.Generator, plant: Plant, u: FloatArray, dt_s: float, kinds: dict[str, str]
 ) -> Dataset:
     a, (b,) = sample(plant.transfer, dt_s / FINE, "zero")
-    fine = np.asarray(lfilter(b, a, np.repeat(u, FINE)))
+    changes, values = _changes(rng, u, kinds["logging"])
+    held = values[np.searchsorted(changes, np.arange(FINE * len(u)), side="right") - 1]
+    fine = np.asarray(lfilter(b, a, held))
     at = FINE * np.arange(len(u), dtype=np.float64)
     if kinds["logging"] == "jitter":
         at += FINE * min(0.005 / dt_s, 0.5) * rng.uniform(-0.5, 0.5, len(u))
@@ -102,6 +117,9 @@ def _log_open(
     if kinds["logging"] == "quantised":
         grain = float(rng.uniform(0.01, 0.1)) * clean.std()
         y = np.round(y / grain) * grain
+    if kinds["logging"] in ("event-logged", "merged"):
+        fine_s = dt_s / FINE
+        return _read_table({"u": (fine_s * changes, values), "y": (fine_s * at, y)})
     data = Dataset.from_arrays(u, y, dt_s, inputs=["u"], outputs=["y"])
     if kinds["logging"] == "gap":
         middle = len(u) // 2
@@ -110,6 +128,34 @@ def _log_open(
         parts = tuple(_cut(whole, part, dt_s) for part in (slice(middle), slice(middle + skipped, None)))
         data = Dataset(dt_s, data.inputs, data.outputs, parts, data.name)
     return data
+
+
+def _changes(rng: np.random.Generator, u: FloatArray, logging: str) -> tuple[IntArray, FloatArray]:
+    """When a command takes which value, in steps of the simulation: with the log, on change, at a rate."""
+    count = len(u)
+    if logging == "event-logged":
+        new = np.flatnonzero(np.append(True, np.diff(u) != 0.0))
+        late = rng.integers(0, FINE, len(new))
+        late[0] = 0
+        return FINE * new + late, u[new]
+    if logging == "merged":
+        at = np.arange(0, FINE * count, int(rng.choice([5, 6, 7, 10, 11])), dtype=np.int64)
+        return at, u[at // FINE]
+    return FINE * np.arange(count, dtype=np.int64), u
+
+
+def _read_table(columns: Mapping[str, tuple[FloatArray, FloatArray]]) -> Dataset:
+    """u to y of a table in which every row has the one value that was logged then."""
+    rows = sorted(
+        (float(t), ",".join(f"{x:.9g}" if own == name else "" for own in columns))
+        for name, (times, values) in columns.items()
+        for t, x in zip(times, values, strict=True)
+    )
+    text = "\n".join([f"time_s,{','.join(columns)}", *(f"{t:.6f},{cells}" for t, cells in rows), ""])
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "merged.csv"
+        path.write_text(text, "utf-8")
+        return dataset_from(path, "u", "y")
 
 
 def _cut(whole: Segment, part: slice, dt_s: float) -> Segment:

@@ -283,6 +283,8 @@ class RunningGrid:
                 tolerance = segment.tolerances[name]
                 counts = int(min(segment.afters[name], resample.FOREVER)) - 1
                 last = max(last + tolerance, min(newest - 1 - tolerance, last + counts))
+                # a mean over a step is known where the step has ended
+                last -= 0 if tolerance else round(self._dt_ns / segment.ratio)
             found = min(found, last)
         return found
 
@@ -332,4 +334,6 @@ class RunningGrid:
         series = signal.tail.series
         if signal.spec.hold == "linear":
             return resample.decimate(resample.linear(series, grid), segment.ratio)
-        return resample.decimate(resample.hold(series, grid, segment.tolerances[name]), segment.ratio)
+        step_ns = self._dt_ns / segment.ratio
+        held = resample.on_grid(series, grid, step_ns, segment.tolerances[name])
+        return resample.decimate(held, segment.ratio)

@@ -29,6 +29,7 @@ from flysid.ingest.align.clocks import align_clocks
 from flysid.ingest.align.conditions import condition_spans
 from flysid.ingest.align.doubts import doubts
 from flysid.ingest.align.labels import Labels, labels_of
+from flysid.ingest.align.on_change import held_specs
 from flysid.ingest.align.recipe import Recipe, SignalSpec, load_recipe
 from flysid.ingest.align.report import AlignReport, FlightReport, SignalReport
 from flysid.ingest.align.resample import RecordedSignal, Span
@@ -119,8 +120,9 @@ def segments_of(
     ------
     RecipeError : no such channel; a unit is missing.
     """
-    job = _Job(recipe, channel, {name: recipe.signals[name] for name in recipe.signals_of(channel)})
-    report, segments, _ = job.align_log(FlightLog(log) if isinstance(log, Flight) else log, round(dt_s * 1e9))
+    flown = FlightLog(log) if isinstance(log, Flight) else log
+    job = _Job(recipe, channel, held_specs(recipe, channel, [flown]))
+    report, segments, _ = job.align_log(flown, round(dt_s * 1e9))
     return report, segments
 
 
@@ -129,8 +131,8 @@ def _prepare(
 ) -> tuple[_Job, list[Log], int]:
     """The job, the logs and the sample time in ns."""
     recipe = recipe if isinstance(recipe, Recipe) else load_recipe(recipe)
-    job = _Job(recipe, channel, {name: recipe.signals[name] for name in recipe.signals_of(channel)})
     logs = [FlightLog(f) if isinstance(f, Flight) else f for f in flights]
+    job = _Job(recipe, channel, held_specs(recipe, channel, logs))
     usable = [log for log in logs if job.absent(log) is None]
     if not usable:
         raise job.nothing_found(logs)
@@ -380,7 +382,8 @@ class _Boot:
         series = self.series[name]
         if self.job.specs[name].hold == "linear":
             return resample.linear(series, grid)
-        return resample.hold(series, grid, resample.hold_tolerance_ns(series, grid))
+        step_ns = self.dt_ns / self._ratio()
+        return resample.on_grid(series, grid, step_ns, resample.hold_tolerance_ns(series, grid))
 
 
 def pauses(spec: SignalSpec, period_ns: float, dt_ns: int) -> tuple[float, float]:
@@ -413,9 +416,11 @@ def fine_grid(begin_ns: int, first: int, stop: int, dt_ns: int, ratio: int) -> r
 
 
 def _period(found: Loaded) -> float:
-    """Shortest of the boots' sample times, ns: a boot of two samples must not decide."""
-    longest = max(found.boots.values(), key=lambda b: len(b.t_ns), default=None)
-    return float("inf") if longest is None else resample.period_ns(longest.t_ns)
+    """Shortest of the boots' sample times, ns: a boot of two samples must not decide; nor rows without a
+    number, as merged tables have."""
+    times = [boot.t_ns[np.isfinite(boot.x)] for boot in found.boots.values()]
+    longest = max(times, key=len, default=None)
+    return float("inf") if longest is None else resample.period_ns(longest)
 
 
 def _too_short(report: AlignReport, min_samples: int) -> DataError:

@@ -180,6 +180,35 @@ def hold(series: RecordedSignal, grid_ns: IntArray, tolerance_ns: int = 0) -> Fl
     return np.where(index >= 0, values, np.nan)
 
 
+def hold_mean(series: RecordedSignal, grid_ns: IntArray, step_ns: float) -> FloatArray:
+    """(N,) the mean of the held value over the step that begins at each grid time; NaN before the first.
+
+    A command that changes between two grid points acts from there on. Held from the next point on it would
+    come late by half a step on average, and a lag and a dead time fitted to it short by as much.
+    """
+    if not len(series.x):
+        return np.full(len(grid_ns), np.nan)
+    first = hold(series, grid_ns)
+    ends = grid_ns + round(step_ns)
+    begun, ended = (np.searchsorted(series.t_ns, at, side="right") - 1 for at in (grid_ns, ends - 1))
+    mixed = (begun >= 0) & (ended > begun)
+    t, x = series.t_ns, series.x
+    whole = np.append(x[:-1] * np.diff(t), 0.0)  # of samples whose time lies inside a step
+    one, last = begun[mixed], ended[mixed]
+    inside = np.add.reduceat(whole, np.column_stack([one + 1, last]).ravel())[::2] if len(one) else whole[:0]
+    area = x[one] * (t[one + 1] - grid_ns[mixed]) + x[last] * (ends[mixed] - t[last])
+    first[mixed] = (area + np.where(last > one + 1, inside, 0.0)) / round(step_ns)
+    return first
+
+
+def on_grid(series: RecordedSignal, grid_ns: IntArray, step_ns: float, tolerance_ns: int) -> FloatArray:
+    """(N,) a command on a grid of a step: the value of each point's own stamp, where they come together
+    (`hold_tolerance_ns`), else the mean over the step that follows."""
+    if tolerance_ns:
+        return hold(series, grid_ns, tolerance_ns)
+    return hold_mean(series, grid_ns, step_ns)
+
+
 def hold_tolerance_ns(series: RecordedSignal, grid_ns: IntArray) -> int:
     """How much later than its grid point a command may be stamped and still belong to it.
 
