@@ -20,7 +20,7 @@ class Record:
     commands : (N, motors) shares of full scale.
     voltage : (N,) V, averaged over a second; None where it is not measured.
     gyro, force, velocity, position : (N, 3); attitude : (N, 4); None where not measured.
-    lost : (N,) samples in straight lines, over which the link was lost.
+    lost : (N,) samples whose telemetry is damaged.
     flying : (N,) samples in the air whose telemetry is whole.
     """
 

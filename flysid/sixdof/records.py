@@ -236,5 +236,6 @@ def _aloft(records: Sequence[Record]) -> list[Record]:
         flying = record.flying & (record.commands > TURNING).all(axis=1)
         if record.position is not None and record.flight in ground:
             flying &= record.position[:, 2] - ground[record.flight] > ALOFT_M
-        found.append(replace(record, commands=np.clip(record.commands, 0.0, 1.0), flying=flying))
+        clipped = np.clip(record.commands, 0.0, 1.0)
+        found.append(replace(record, commands=clipped, lost=~record.flying, flying=flying))
     return found

@@ -119,7 +119,7 @@ class Shooter:
         self.sizes = np.repeat([0.01, 0.02, 0.01, 0.05], 3)
 
     def blocks_at(self, theta: FloatArray) -> list[Block]:
-        """One block a window; its start is found and projected out."""
+        """One block a window; its start is found and projected out. A run that diverges leaves infinity."""
         return [self._block(i, theta) for i in range(len(self._windows))]
 
     def left_at(self, theta: FloatArray) -> FloatArray:
@@ -133,6 +133,9 @@ class Shooter:
     def _block(self, i: int, theta: FloatArray) -> Block:
         for _ in range(2):
             residuals, by_theta, by_start = self._linear(i, theta)
+            if not (np.isfinite(residuals).all() and np.isfinite(by_start).all()):
+                self._starts[i] = self._windows[i].measured[0].copy()
+                return np.full(residuals.size, np.inf), np.zeros((residuals.size, len(theta)))
             scaled = (by_start / self.sizes[:, None]).reshape(-1, SIGNALS)
             left = (residuals / self.sizes).ravel()
             step = np.linalg.lstsq(scaled, left, rcond=None)[0]

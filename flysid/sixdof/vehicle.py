@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from flysid.dataset import Dataset
-from flysid.errors import UsageError
+from flysid.errors import FitError, UsageError
 from flysid.model.threads import on_one_thread
 from flysid.sixdof import layout, rotations, shooting
 from flysid.sixdof.actuators import interval_means
@@ -205,6 +205,12 @@ class _Work:
 
     def shoot(self) -> None:
         """Free runs, if their effects agree with those of regression."""
+        try:
+            self._shoot()
+        except FitError:
+            self.notes.append("free runs diverge, so the numbers are those of regression")
+
+    def _shoot(self) -> None:
         windows = shooting.windows_of(self.stretches, LONG_S)
         if not self.has_air or len(windows) < 2:
             return

@@ -1,0 +1,243 @@
+"""From many starts of a flight to some steps ahead: what is predicted, and how far it is from what came.
+
+A start is whole if telemetry is undamaged from `BEFORE_S` before it to its horizon, and the vehicle flies.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from flysid.sixdof import layout, rotations
+from flysid.sixdof.actuators import interval_means, shares
+from flysid.sixdof.fitted import FittedVehicle
+from flysid.sixdof.layout import BODY_DRAG, DAMPING, INERTIA, LEAN, ROTOR_DRAG, THRUST, TRIM
+from flysid.sixdof.record import Record
+from flysid.sixdof.rigid_body import GRAVITY
+from flysid.sixdof.torque_fit import log_voltage_of
+from flysid.stretch import FloatArray
+
+BEFORE_S = 0.2
+KINDS = ("position", "velocity", "attitude", "rate")
+"""Of errors: m, m/s, rad, rad/s."""
+TORQUE_S = 0.1
+FORCE_S = 0.15
+"""Over which a disturbance of torque, and of force, is averaged before a start."""
+
+
+@dataclass(frozen=True, eq=False)
+class Ahead:
+    """Predictions from S starts, H steps ahead.
+
+    Attributes
+    ----------
+    position, velocity, rate : (H, S, 3); attitude : (H, S, 4).
+    """
+
+    position: FloatArray
+    velocity: FloatArray
+    attitude: FloatArray
+    rate: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Starts:
+    """A flight with velocities and attitudes, seen from its starts.
+
+    Attributes
+    ----------
+    at : (S,) samples.
+    """
+
+    record: Record
+    at: FloatArray
+    steps: int
+
+    @property
+    def dt_s(self) -> float:
+        return self.record.dt_s
+
+    @property
+    def position(self) -> FloatArray:
+        assert self.record.position is not None
+        return self.record.position
+
+    @property
+    def velocity(self) -> FloatArray:
+        assert self.record.velocity is not None
+        return self.record.velocity
+
+    @property
+    def attitude(self) -> FloatArray:
+        assert self.record.attitude is not None
+        return self.record.attitude
+
+
+def whole_starts(record: Record, steps: int, every: int) -> Starts:
+    """Every so many samples of a record, where it flies and telemetry is whole.
+
+    Parameters
+    ----------
+    steps : how far ahead predictions go, in samples.
+    """
+    before = round(BEFORE_S / record.dt_s)
+    damaged = np.concatenate([[0], np.cumsum(record.lost)])
+    at = np.arange(0, len(record) - steps, every)
+    at = at[at >= before]
+    whole = damaged[at + steps + 1] == damaged[at - before]
+    return Starts(record, at[whole & record.flying[at]], steps)
+
+
+def hold(starts: Starts) -> Ahead:
+    """Constant velocity and constant body rate."""
+    steps = np.arange(1, starts.steps + 1) * starts.dt_s
+    at = starts.at
+    rate = starts.record.gyro[at]
+    turn = rotations.from_vector(steps[:, None, None] * rate)
+    shape = (len(steps), len(at), 3)
+    return Ahead(
+        starts.position[at] + steps[:, None, None] * starts.velocity[at],
+        np.broadcast_to(starts.velocity[at], shape),
+        rotations.product(starts.attitude[at][None], turn),
+        np.broadcast_to(rate, shape),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Driven:
+    """What a vehicle's numbers say of a whole record.
+
+    Attributes
+    ----------
+    torque : (N - 1, 3) angular acceleration by motors, from sample to sample.
+    turning : (N - 1, 3) that by all else: trim, damping, speed.
+    lift : (N - 1,) specific force along z by motors; spin : (N - 1,) sum of rotor speeds.
+    """
+
+    torque: FloatArray
+    turning: FloatArray
+    lift: FloatArray
+    spin: FloatArray
+
+
+def drive(record: Record, vehicle: FittedVehicle) -> Driven:
+    """Torques and forces over a record at measured velocities and attitudes."""
+    theta = vehicle.theta
+    log_voltage = np.zeros(len(record))
+    if np.isfinite(vehicle.reference_v):
+        log_voltage = log_voltage_of(record, vehicle.reference_v)
+    mean = interval_means(shares(record.commands, log_voltage, record.dt_s, theta)[0])
+    spin = np.sqrt(np.maximum(mean, 0.0)).sum(axis=1)
+    assert record.velocity is not None
+    assert record.attitude is not None
+    air = rotations.to_body(record.attitude, record.velocity)[:-1]
+    rate = record.gyro[:-1]
+    turning = theta[TRIM:DAMPING] - theta[DAMPING : DAMPING + 3] * rate
+    turning[:, 0] += theta[LEAN] * spin * air[:, 1]
+    turning[:, 1] += theta[LEAN + 1] * spin * air[:, 0]
+    pitch, yaw = theta[INERTIA : INERTIA + 2]
+    couple = np.array([pitch - yaw, (yaw - 1.0) / pitch, (1.0 - pitch) / yaw])
+    turning += couple * np.roll(rate, -1, axis=1) * np.roll(rate, -2, axis=1)
+    return Driven(mean @ layout.effects(theta).T, turning, theta[THRUST] * mean.sum(axis=1), spin)
+
+
+def averaged(values: FloatArray, time_s: float, dt_s: float) -> FloatArray:
+    """(N + 1, ...) exponential averages of what was before every sample."""
+    from scipy.signal import lfilter
+
+    fade = np.exp(-dt_s / time_s)
+    found = lfilter([1.0 - fade], [1.0, -fade], values, axis=0)
+    return np.concatenate([np.zeros((1, *values.shape[1:])), found])
+
+
+def torque_left(starts: Starts, driven: Driven, time_s: float = TORQUE_S) -> FloatArray:
+    """(N, 3) disturbance of angular acceleration, as the samples before show it."""
+    seen = np.diff(starts.record.gyro, axis=0) / starts.dt_s
+    return averaged(seen - driven.torque - driven.turning, time_s, starts.dt_s)
+
+
+def force_left(starts: Starts, driven: Driven, vehicle: FittedVehicle, time_s: float = FORCE_S) -> FloatArray:
+    """(N, 3) disturbance of specific force in body axes, as the samples before show it."""
+    seen = np.diff(starts.velocity, axis=0) / starts.dt_s + np.array([0.0, 0.0, GRAVITY])
+    body = rotations.to_body(starts.attitude[:-1], seen)
+    air = rotations.to_body(starts.attitude, starts.velocity)[:-1]
+    return averaged(body - _force(vehicle, driven.lift, driven.spin, air), time_s, starts.dt_s)
+
+
+def _force(vehicle: FittedVehicle, lift: FloatArray, spin: FloatArray, air: FloatArray) -> FloatArray:
+    """(n, 3) specific force in body axes at an air speed in body axes."""
+    theta = vehicle.theta
+    speed = np.linalg.norm(air, axis=1, keepdims=True)
+    rotor = theta[ROTOR_DRAG : ROTOR_DRAG + 3] * spin[:, None]
+    force = -(rotor + theta[BODY_DRAG : BODY_DRAG + 3] * speed) * air
+    force[:, 2] += lift
+    return np.asarray(force)
+
+
+def turn_ahead(starts: Starts, vehicle: FittedVehicle, driven: Driven) -> tuple[FloatArray, FloatArray]:
+    """(H, S, 4) attitudes and (H, S, 3) rates by physics, disturbances of torque held."""
+    at = starts.at
+    dt = starts.dt_s
+    rate = starts.record.gyro[at].copy()
+    attitude = starts.attitude[at].copy()
+    held = torque_left(starts, driven)[at]
+    attitudes = []
+    rates = []
+    damping = vehicle.theta[DAMPING : DAMPING + 3]
+    start = rate.copy()
+    for step in range(starts.steps):
+        other = driven.turning[at] - damping * (rate - start)
+        after = rate + dt * (driven.torque[at + step] + other + held)
+        attitude = rotations.product(attitude, rotations.from_vector(0.5 * dt * (rate + after)))
+        rate = after
+        attitudes.append(attitude)
+        rates.append(rate)
+    return np.array(attitudes), np.array(rates)
+
+
+def move_ahead(
+    starts: Starts, vehicle: FittedVehicle, driven: Driven, attitudes: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """(H, S, 3) positions and velocities by physics along these attitudes, disturbances of force held."""
+    at = starts.at
+    dt = starts.dt_s
+    held = force_left(starts, driven, vehicle)[at]
+    position = starts.position[at].copy()
+    velocity = starts.velocity[at].copy()
+    before = starts.attitude[at]
+    positions = []
+    velocities = []
+    for step in range(starts.steps):
+        half_way = rotations.unit(before + attitudes[step])
+        air = rotations.to_body(half_way, velocity)
+        force = _force(vehicle, driven.lift[at + step], driven.spin[at + step], air) + held
+        moved = rotations.to_world(half_way, force) - np.array([0.0, 0.0, GRAVITY])
+        position = position + dt * velocity + 0.5 * dt * dt * moved
+        velocity = velocity + dt * moved
+        before = attitudes[step]
+        positions.append(position)
+        velocities.append(velocity)
+    return np.array(positions), np.array(velocities)
+
+
+def fly_ahead(starts: Starts, vehicle: FittedVehicle) -> Ahead:
+    """The vehicle alone: physics, with the disturbances that the samples before a start show held."""
+    driven = drive(starts.record, vehicle)
+    attitudes, rates = turn_ahead(starts, vehicle, driven)
+    return Ahead(*move_ahead(starts, vehicle, driven, attitudes), attitudes, rates)
+
+
+def errors(starts: Starts, ahead: Ahead) -> FloatArray:
+    """(H, 4) mean errors over the starts: position, velocity, attitude, rate; NaN without starts."""
+    rows = starts.at + np.arange(1, starts.steps + 1)[:, None]
+    if not len(starts.at):
+        return np.full((starts.steps, len(KINDS)), np.nan)
+    turn = rotations.product(rotations.inverse(ahead.attitude), starts.attitude[rows])
+    apart = (
+        starts.position[rows] - ahead.position,
+        starts.velocity[rows] - ahead.velocity,
+        rotations.to_vector(turn),
+        starts.record.gyro[rows] - ahead.rate,
+    )
+    return np.stack([np.linalg.norm(each, axis=2).mean(axis=1) for each in apart], axis=1)
