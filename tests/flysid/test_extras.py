@@ -139,6 +139,18 @@ def suggestions(place: Path) -> Shown:
     return Shown(code, isinstance(document["suggestions"], list), said, told)
 
 
+def review(place: Path) -> Shown:
+    """Every section breaks here: the page names the log, and 3 says that nothing was judged."""
+    code, said, out = flysid(place, "review", "data", "-o", "review.html", "--force", "--json", whole=True)
+    documents = json.loads(out[: out.rindex("]") + 1])
+    page = html.unescape((place / "review.html").read_text("utf-8"))
+    broken = [sentence for document in documents for sentence in document["broken"]]
+    told = {"page": spaced(page)}
+    if broken:
+        told["JSON"] = spaced(" ".join(broken))
+    return Shown(0 if code == 3 else code, [document["log"] for document in documents], said, told)
+
+
 def runs(place: Path) -> Shown:
     (place / "run" / INDEX).unlink(missing_ok=True)
     code, said, out = flysid(place, "runs", "run", "--json", whole=True)
@@ -182,7 +194,20 @@ def studio(place: Path) -> Shown:
 
 SCENES: dict[str, Callable[[Path], Shown]] = {
     scene.__name__: scene
-    for scene in (validate, gains, runs, suggestions, fleet, studio, fit, transfer, bode, figures, reproduce)
+    for scene in (
+        validate,
+        gains,
+        runs,
+        review,
+        suggestions,
+        fleet,
+        studio,
+        fit,
+        transfer,
+        bode,
+        figures,
+        reproduce,
+    )
 }
 """Cheap ones first."""
 

@@ -10,7 +10,7 @@ import pytest
 from flysid.reviews.fact import Fact, Grade, Picture, Section, Table, order
 from flysid.reviews.logged import LoggedFlight
 from flysid.reviews.tracking import review
-from tests.reviews.copter_log import ARMED, DISARMED, FLYING, LANDED, Floats, copter_log, even, wander
+from tests.flysid.reviews.copter_log import ARMED, DISARMED, FLYING, LANDED, Floats, copter_log, even, wander
 
 LOGS = Path("../shared/logs")
 needs_logs = pytest.mark.skipif(not LOGS.is_dir(), reason="needs ../shared/logs")

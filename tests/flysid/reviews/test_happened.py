@@ -16,7 +16,7 @@ from flysid.reviews.crash import acceleration
 from flysid.reviews.fact import Fact, Grade, Section, Table
 from flysid.reviews.happened import review
 from flysid.reviews.power import review as review_power
-from tests.reviews.shared_logs import dataflash_values, logged, needs_shared, open_logged, ulog_values
+from tests.flysid.reviews.shared_logs import dataflash_values, logged, needs_shared, open_logged, ulog_values
 
 AGGRESSIVE = "ulog/quad_manual_aggressive_80s.ulg"
 COPTER = "dataflash/copter_437s.bin"
