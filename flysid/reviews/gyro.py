@@ -182,11 +182,12 @@ def _batches(flight: LoggedFlight) -> dict[str, Column]:
     values: dict[str, list[FloatArray]] = {name: [] for name in "xyz"}
     for row in heads:
         parts = found.get((row["boot"], row["N"]), [])
-        if row["type"] != BATCH_GYRO or row["instance"] != 0 or not parts or not row["smp_rate"]:
+        whole = [part["seqno"] for part in parts] == list(range(len(parts)))
+        if row["type"] != BATCH_GYRO or row["instance"] != 0 or not parts or not whole or not row["smp_rate"]:
             continue
         for name in "xyz":
             values[name].append(np.concatenate([part[name] for part in parts]) / row["mul"] * 180.0 / np.pi)
-        begin = flight.clock.seconds(row["boot"], row["time_ns"])
+        begin = flight.clock.seconds(row["boot"], int(row["SampleUS"] * 1000) or row["time_ns"])
         times.append(begin + np.arange(len(values["x"][-1])) / row["smp_rate"])
     if not times:
         return {}
