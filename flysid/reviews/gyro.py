@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -175,18 +176,19 @@ def _batches(flight: LoggedFlight) -> dict[str, Column]:
         head, ["time_ns", "boot", "N", "type", "instance", "mul", "SampleUS", "smp_rate"]
     ).to_pylist()
     rows = flight.log.table(body, ["boot", "N", "seqno", "x", "y", "z"]).to_pylist()
-    found: dict[tuple[int, int], list[dict[str, list[float]]]] = {}
+    found: dict[tuple[int, int], list[dict[str, Any]]] = {}
     for row in sorted(rows, key=lambda row: (row["boot"], row["N"], row["seqno"])):
         found.setdefault((row["boot"], row["N"]), []).append(row)
     times: list[FloatArray] = []
     values: dict[str, list[FloatArray]] = {name: [] for name in "xyz"}
     for row in heads:
         parts = found.get((row["boot"], row["N"]), [])
-        if row["type"] != BATCH_GYRO or row["instance"] != 0 or not parts or not row["smp_rate"]:
+        whole = all(part["seqno"] == k for k, part in enumerate(parts))
+        if row["type"] != BATCH_GYRO or row["instance"] != 0 or not parts or not whole or not row["smp_rate"]:
             continue
         for name in "xyz":
             values[name].append(np.concatenate([part[name] for part in parts]) / row["mul"] * 180.0 / np.pi)
-        begin = flight.clock.seconds(row["boot"], row["time_ns"])
+        begin = flight.clock.seconds(row["boot"], int(row["SampleUS"] * 1000) or row["time_ns"])
         times.append(begin + np.arange(len(values["x"][-1])) / row["smp_rate"])
     if not times:
         return {}

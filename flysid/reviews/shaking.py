@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from flysid.reviews.fact import Fact
+from flysid.reviews.fact import Fact, Grade
 from flysid.reviews.limits import limit
 from flysid.reviews.logged import Column, LoggedFlight
 
@@ -16,6 +16,8 @@ REMEDIES = {
     "betaflight": "acc_lpf_hz 0 and blackbox with the accelerometer",
 }
 LIMITS = {"ardupilot": "vibration.ardupilot_vibe", "px4": "vibration.px4_accel"}
+OF_PEAKS = ("ardupilot",)
+"""Firmwares whose limit holds for peaks, too: VIBE is a mean over seconds already."""
 CLIPS = {"ardupilot": "vibration.ardupilot_clips", "px4": "vibration.px4_clips"}
 
 
@@ -50,7 +52,7 @@ def accelerometer_level(flight: LoggedFlight) -> Iterator[Fact]:
         "its peak",
         float(highest.values[top]),
         "m/s2",
-        grade=bound.grade(float(highest.values[top])),
+        grade=bound.grade(float(highest.values[top])) if flight.family in OF_PEAKS else Grade.PLAIN,
         fields=(highest.address,),
         at_s=float(highest.time_s[top]),
     )

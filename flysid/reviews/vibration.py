@@ -249,7 +249,7 @@ def _findings(shaking: Shaking, facts: tuple[Fact, ...]) -> Iterator[Finding]:
     if level is not None and isinstance(level.value, float) and level.grade is not Grade.PLAIN:
         peak = of["vibration.accel_peak"]
         grade = level.grade
-        if grade is Grade.GOOD and peak.grade is not Grade.GOOD:
+        if grade is Grade.GOOD and peak.grade.rank >= Grade.WATCH.rank:
             grade = Grade.WATCH
         size = {Grade.GOOD: "low", Grade.WATCH: "at the limit", Grade.BAD: "too high"}[grade]
         top = significant(float(peak.value or 0.0))

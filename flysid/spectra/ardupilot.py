@@ -80,6 +80,7 @@ def ardupilot_chain(stated: Mapping[str, float], rate_hz: float, sources: Source
             found, why = _harmonic_notches(stated, stem, rate_hz, sources)
             steps += found
             unknown += why
+    steps += _plain_notch(stated, rate_hz)
     cut = stated[CUTOFF]
     if 0.0 < cut < rate_hz / 2.0:
         steps.append(Step(Stage(Kind.BIQUAD, cut), rate_hz, f"{CUTOFF} {cut:g}"))
@@ -109,6 +110,17 @@ class HarmonicNotch:
         each = width_hz / len(spreads)
         edges = (centre / (centre - each / 2.0)) ** 2
         return cls(np.sqrt(edges) / (edges - 1.0), 10.0 ** (-attenuation_db / 20.0), spreads)
+
+
+def _plain_notch(stated: Mapping[str, float], rate_hz: float) -> list[Step]:
+    """INS_NOTCH, of 4.0 and 4.1: one that stays."""
+    hz, width = stated.get("INS_NOTCH_FREQ", 0.0), stated.get("INS_NOTCH_BW", 0.0)
+    if stated.get("INS_NOTCH_ENABLE", 0.0) <= 0.0 or not width / 2.0 < hz < rate_hz / 2.0:
+        return []
+    notch = HarmonicNotch.of(hz, width, stated.get("INS_NOTCH_ATT", 15.0), Option(0), rate_hz)
+    return [
+        Step(Stage(Kind.NOTCH, hz, notch.q, notch.left), rate_hz, f"INS_NOTCH {hz:g} Hz, {width:g} Hz wide")
+    ]
 
 
 def _harmonic_notches(

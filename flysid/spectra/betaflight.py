@@ -20,7 +20,7 @@ from flysid.spectra.stages import Kind, Stage
 KINDS = (Kind.PT1, Kind.BIQUAD, Kind.PT2, Kind.PT3)
 """By the number of `gyro_lpf1_type`."""
 DYNAMIC_NOTCH = 1 << 29
-"""Bit of `features`: until 4.2 it switches dynamic notches on; since 4.3 `dyn_notch_count` counts them."""
+"""Bit of `features`: from 3.2 on it switches dynamic notches on; since 4.3 `dyn_notch_count` counts them."""
 THROTTLE_STEPS = 100
 WAIT_S = 0.005
 """The throttle moves the dynamic low-pass filter in so many steps, and not again before this time."""
@@ -216,7 +216,7 @@ def _rpm_notch(
 def _dynamic_notches(settings: Mapping[str, str], version: tuple[int, int]) -> list[str]:
     """They follow a spectrum that the firmware computes itself and does not log."""
     on = int(_number(settings, "features", otherwise=0.0)) & DYNAMIC_NOTCH
-    count = _number(settings, "dyn_notch_count", otherwise=1.0 if (3, 5) <= version < (4, 3) else 0.0)
+    count = _number(settings, "dyn_notch_count", otherwise=1.0 if (3, 2) <= version < (4, 3) else 0.0)
     if not on or not count:
         return []
     return ["dynamic notches follow the firmware's own spectrum: the log does not hold their frequencies"]

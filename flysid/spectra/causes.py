@@ -48,14 +48,14 @@ class Match:
     near: float
     follows: float
 
-    @property
-    def words(self) -> str:
-        """ "motor 2, 2nd harmonic, folded from above 110 Hz"."""
+    def words_with(self, names: Sequence[str]) -> str:
+        """ "motor 2, 2nd harmonic, folded"; "one of motor 1, motor 4": where several explain it as well."""
         harmonic = {1: "", 2: ", 2nd harmonic", 3: ", 3rd harmonic"}.get(
             self.harmonic, f", {self.harmonic}th harmonic"
         )
         sure = "" if self.follows > 0.0 else " (by its frequency alone)"
-        return f"{self.source.name}{harmonic}{', folded' if self.folded else ''}{sure}"
+        name = self.source.name if len(names) == 1 else f"one of {', '.join(names)}"
+        return f"{name}{harmonic}{', folded' if self.folded else ''}{sure}"
 
 
 def name_causes(
@@ -68,7 +68,10 @@ def name_causes(
 def _cause(windows: Windows, peak: Peak, sources: Sequence[Source], throttle: Moving | None) -> str:
     found = [match for source in sources for match in _matches(windows, peak, source)]
     if found:
-        return max(found, key=lambda match: (match.follows, match.near, -match.harmonic)).words
+        best = max(found, key=lambda match: (match.follows, match.near, -match.harmonic))
+        least = _ALIKE * best.follows
+        alike = [m.source.name for m in found if m.harmonic == best.harmonic and m.follows >= least]
+        return best.words_with(alike)
     if throttle is None:
         return ""
     moves = power_of(windows, peak, throttle.held(windows.at_s))
@@ -80,6 +83,8 @@ def _cause(windows: Windows, peak: Peak, sources: Sequence[Source], throttle: Mo
     return STAYS if -_LEAST_POWER < low <= 0.0 <= high < _LEAST_POWER else ""
 
 
+_ALIKE = 0.7
+"""Of the decibels by which the best source explains a peak: others with as many may be the cause, too."""
 MOVES = "moves with the throttle: motors or propellers"
 STAYS = "stays while the throttle moves: the frame, or what turns steadily"
 _LEAST_POWER = 0.25

@@ -132,6 +132,10 @@ def peaks_of(
     return sorted(found, key=lambda peak: -peak.rms)
 
 
+PARABOLA = 0.016
+"""Of a step: by how much a parabola through the logarithms of a Hann window's top is off at most."""
+
+
 def _by_chance_db(freedom: float, probability: float) -> float:
     """By how much a mean of so many degrees of freedom lies above its median with this probability."""
     from scipy.special import chdtri
@@ -152,7 +156,7 @@ def _foot(density: FloatArray, floor: FloatArray, k: int) -> tuple[int, int]:
 def _place(windows: Windows, k: int, draws: int = 50) -> tuple[float, tuple[float, float]]:
     """Frequency of a peak between the steps, and its interval: how much it moves from draw to draw.
 
-    The rounding to a step is part of it.
+    What the parabola is off is part of it.
     """
     reach = slice(max(0, k - 5), k + 6)
     near = windows.density[:, reach]
@@ -160,7 +164,7 @@ def _place(windows: Windows, k: int, draws: int = 50) -> tuple[float, tuple[floa
     weights = rng.multinomial(len(near), np.full(len(near), 1.0 / len(near)), size=draws) / len(near)
     places = reach.start + _tops(weights @ near)
     at = windows.hz[0] * (1.0 + reach.start + _tops(windows.mean[None, reach])[0])
-    error = windows.step_hz * np.hypot(np.std(places), 1.0 / np.sqrt(12.0))
+    error = windows.step_hz * np.hypot(np.std(places), PARABOLA)
     return float(at), (float(at - 1.96 * error), float(at + 1.96 * error))
 
 

@@ -115,14 +115,14 @@ SCENES: dict[str, Scene] = {
     "docs/vibration.md": Scene(
         before={
             "": each(
-                real("blackbox/greenreaper_flight14.bfl", "flight.bfl"),
+                real("blackbox/hiro_highP_highD.bfl", "flight.bfl"),
                 real("ulog/quad_position_76s.ulg", "flight.ulg"),
                 real("blackbox/btfl_002.bbl", "hidden.bbl"),
                 lines(f"cp {inputs.SAMPLES}/01-steps-seed2.tlog flight.tlog"),
             )
         },
         codes={"flysid filters hidden.bbl": 3},
-        shown={"flysid spectrum flight.ulg": 0, "flysid filters flight.bfl --without gyro_lpf2": 1},
+        shown={"flysid spectrum flight.ulg": 0, "flysid filters flight.bfl --without 'gyro_notch 400'": 1},
     ),
     "docs/kinematics.md": Scene({"": inputs.motion_capture}),
     "docs/models.md": Scene(

@@ -134,8 +134,8 @@ def test_a_chain_with_hidden_notches_states_no_noise(tmp_path: Path) -> None:
 
 @needs_logs
 def test_the_crossover_is_that_of_the_gains_in_the_log(tmp_path: Path) -> None:
-    shutil.copy(LOGS / "blackbox/greenreaper_flight14.bfl", tmp_path)
-    done = call("filters", "greenreaper_flight14.bfl", cwd=tmp_path)
+    shutil.copy(LOGS / "blackbox/hiro_highP_highD.bfl", tmp_path)
+    done = call("filters", "hiro_highP_highD.bfl", cwd=tmp_path)
     assert done.returncode == 0
     assert "of the roll loop, from the gains in the log" in " ".join(done.stdout.split())
     assert "its filters, their effect taken back" in " ".join(done.stdout.split())

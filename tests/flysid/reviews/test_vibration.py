@@ -135,6 +135,7 @@ def test_gyro_noise_of_a_racer_is_welchs() -> None:
     assert number(found["gyro_mid"]) == pytest.approx(expected, rel=0.1)
     assert number(found["gyro_rate"]) == pytest.approx(969.7, rel=2e-3)
     assert number(found["filter_delay"]) == pytest.approx(2.18, rel=0.01)
+    assert found["filter_delay"].note.startswith("without: dynamic notches")
     assert "low-passed at 10 Hz" in found["accel_level"].missing
 
 

@@ -149,3 +149,14 @@ def test_a_spectrum_over_the_throttle_puts_every_window_where_it_was_flown() -> 
     middles = spread.middles[spread.counts > 0]
     np.testing.assert_allclose(tops, 160.0 * np.sqrt(middles), rtol=0.06)
     assert spread.counts.sum() == len(windows.at_s)
+
+
+def test_motors_that_turn_alike_are_named_together() -> None:
+    t, _, turns = flown(11)
+    rng = np.random.default_rng(12)
+    x = 3.0 * np.sin(2.0 * np.pi * np.cumsum(turns) / 1000.0) + rng.normal(0.0, 1.0, len(t))
+    alike = [Source(f"motor {k}", moving(turns * (1.0 + 0.001 * k), t)) for k in (1, 2)]
+    other = Source("motor 3", moving(turns[::-1].copy(), t))
+    windows = windows_of(t, x)
+    (peak, *_) = name_causes(windows, peaks_of(windows, lowest_hz=20.0), [*alike, other])
+    assert peak.cause == "one of motor 1, motor 2"
