@@ -9,6 +9,7 @@ import numpy as np
 
 from flysid.loops.betaflight import AXES
 from flysid.loops.judged import Judged, judge, states_gains
+from flysid.model.threads import on_one_thread
 from flysid.reviews.follow import TURN_DEG, Counting, Lag, Together, at_rows, lag_of, on_grid
 from flysid.reviews.logged import Column, LoggedFlight
 from flysid.reviews.oscillation import Oscillation, fastest_gyro, oscillation
@@ -65,6 +66,7 @@ class Tracked:
         return next((found for found in self.followed if found.name == wanted), None)
 
 
+@on_one_thread
 def track(flight: LoggedFlight) -> Tracked:
     """Measure it."""
     counts = in_control(flight)
