@@ -12,8 +12,9 @@ import numpy as np
 
 from flysid.facts.vehicle import label_of, vehicle_of
 from flysid.loops.betaflight import AXES
-from flysid.loops.judged import Judged, judge, states_gains
+from flysid.loops.judged import Judged
 from flysid.model.threads import on_one_thread
+from flysid.progress import tell
 from flysid.reviews.fact import Action, Fact, Table
 from flysid.reviews.logged import LoggedFlight
 from flysid.reviews.rate_gains import stated_gains
@@ -116,16 +117,11 @@ class VehicleSeries:
             for effect in effects(self.figure(name, axis), [flown.gains[axis] for flown in self.flights])
         )
 
-    @cached_property
-    @on_one_thread
+    @property
     def judged(self) -> tuple[tuple[Flown, Judged], ...]:
         """The loops of every flight, where its log is one whose gains are read."""
-        found = []
-        for flown in self.flights:
-            log = flown.flight.log
-            if getattr(log, "facts", None) is not None and states_gains(log):
-                found += [(flown, judged) for judged in judge([log]) if judged.loop is not None]
-        return tuple(found)
+        every = ((flown, judged) for flown in self.flights for judged in flown.flight.judged)
+        return tuple((flown, judged) for flown, judged in every if judged.loop is not None)
 
     @cached_property
     @on_one_thread
@@ -153,6 +149,10 @@ class VehicleSeries:
             action = try_next(same.axis, loops, self.flights[-1].flight, last.controller)
             found += [action] if action is not None else []
         return tuple(found)
+
+    def settle(self) -> None:
+        """Compute all that needs the logs."""
+        _ = self.changed, self.effects, self.sameness, self.actions
 
     # -------------------------------------------------------------------------------- shown
 
@@ -267,11 +267,18 @@ class Series:
 
 
 def series(reviewed: Sequence[tuple[Review, LoggedFlight]]) -> Series:
-    """Reviews and their flights, by vehicle and in order; vehicles of a single flight are left out."""
+    """Reviews and their flights, by vehicle and in order; vehicles of a single flight are left out.
+
+    All that needs the logs is computed here: they may be closed afterwards.
+    """
     by_vehicle: dict[str, list[Flown]] = {}
     for review, flight in reviewed:
         by_vehicle.setdefault(vehicle_of(flight.info), []).append(Flown(review, flight))
-    return Series(tuple(_ordered(flights) for flights in by_vehicle.values() if len(flights) > 1))
+    found = tuple(_ordered(flights) for flights in by_vehicle.values() if len(flights) > 1)
+    for own in found:
+        tell(f"comparing the flights of {own.vehicle}")
+        own.settle()
+    return Series(found)
 
 
 def _ordered(flights: Sequence[Flown]) -> VehicleSeries:

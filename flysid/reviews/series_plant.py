@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 from scipy.special import chdtrc
 
+from flysid.dataset import FloatArray
 from flysid.errors import DataError
 from flysid.loops.margins import trusted_band
-from flysid.loops.stick_response import ComplexArray, Loop, plant
+from flysid.loops.stick_response import Loop, plant
 
 PERCENT = 100.0
 
@@ -67,38 +68,43 @@ def compare_plants(
     matters : difference of the gain from which on it may be another vehicle: batteries and air make less.
     unlikely : probability below which chance does not explain the differences.
     """
-    known = [(name, loop, band) for name, loop in loops if (band := _band(loop)) is not None]
+    known = [found for name, loop in loops if (found := _measure(name, loop)) is not None]
     if len(known) < 2:
         return None
-    low, high = max(band[0] for *_, band in known), min(band[1] for *_, band in known)
-    f = known[0][1].f
+    low, high = max(one.band_hz[0] for one in known), min(one.band_hz[1] for one in known)
+    f = known[0].f
     at = (f >= low) & (f <= high)
-    if at.sum() < 2 or any(len(loop.f) != len(f) for _, loop, _ in known):
+    if at.sum() < 2 or any(len(one.f) != len(f) for one in known):
         return None
-    means = np.array([_level(plant(loop.mean)[at]) for _, loop, _ in known])
-    spreads = np.array([_spread(loop, at) for _, loop, _ in known])
+    means = np.array([one.level[at].mean() for one in known])
+    spreads = np.array([max(float(one.drawn[:, at].mean(axis=1).std()), 1e-6) for one in known])
     weights = 1.0 / spreads**2
-    together = float((weights * means).sum() / weights.sum())
-    away = means - together
+    away = means - (weights * means).sum() / weights.sum()
     chance = float(chdtrc(len(known) - 1, float(((away / spreads) ** 2).sum())))
     worst = int(np.argmax(np.abs(away)))
     largest = float(np.expm1(away[worst]))
     same = chance >= unlikely or abs(largest) < matters
-    return Sameness(axis, same, PERCENT * largest, known[worst][0], (float(low), float(high)))
+    return Sameness(axis, same, PERCENT * largest, known[worst].name, (float(low), float(high)))
 
 
-def _band(loop: Loop) -> tuple[float, float] | None:
+@dataclass(frozen=True, eq=False)
+class _Measured:
+    """Of one flight: ln |G| (F,) and of its resampled ones (D, F), and the band in which it is known."""
+
+    name: str
+    f: FloatArray
+    level: FloatArray
+    drawn: npt.NDArray[np.float32]
+    band_hz: tuple[float, float]
+
+
+def _measure(name: str, loop: Loop) -> _Measured | None:
+    """None where the sticks moved the vehicle too little. Spectra are made in a copy: they are large."""
+    own = replace(loop)
     try:
-        return trusted_band(loop)
+        band = trusted_band(own)
     except DataError:
         return None
-
-
-def _level(response: ComplexArray) -> float:
-    return float(np.mean(np.log(np.abs(response))))
-
-
-def _spread(loop: Loop, at: npt.NDArray[np.bool_]) -> float:
-    """Standard deviation of the level over the resampled flight."""
-    drawn = np.log(np.abs(plant(loop.draws)[:, at])).mean(axis=1)
-    return max(float(drawn.std()), 1e-6)
+    tiny = np.finfo(np.float32).tiny
+    level, drawn = (np.log(np.maximum(np.abs(plant(s)), tiny)) for s in (own.mean, own.draws))
+    return _Measured(name, own.f, level, drawn.astype(np.float32), band)
