@@ -66,12 +66,16 @@ class Shown:
         return as_html(self._table())
 
 
+def align(rows: Sequence[Sequence[str]]) -> list[str]:
+    """Rows of cells as lines, every column as wide as its widest cell."""
+    widths = [max(len(cell) for cell in column) for column in zip(*rows, strict=True)]
+    return ["  ".join(c.ljust(w) for c, w in zip(row, widths, strict=True)).rstrip() for row in rows]
+
+
 def as_text(table: Table) -> str:
     """At most twenty lines; rows that do not fit are counted."""
     rows, left_out = _fitting(table)
-    cells = [list(table.headings), *([_cut(cell) for cell in row] for row in rows)]
-    widths = [max(len(row[i]) for row in cells) for i in range(len(table.headings))]
-    lines = ["  ".join(c.ljust(w) for c, w in zip(row, widths, strict=True)).rstrip() for row in cells]
+    lines = align([table.headings, *([_cut(cell) for cell in row] for row in rows)])
     return "\n".join([_line(table.title), *(lines if rows else []), *left_out])
 
 

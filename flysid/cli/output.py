@@ -12,7 +12,7 @@ import click
 
 from flysid.errors import UsageError
 from flysid.extras import Extra, extra
-from flysid.showing import counted, first_of, fold
+from flysid.showing import align, counted, first_of, fold
 
 if TYPE_CHECKING:
     from flysid.ingest.lake.finding import PassedOver
@@ -40,9 +40,7 @@ def printable(text: str) -> str:
 
 def align_columns(rows: Sequence[Sequence[str]]) -> list[str]:
     """Rows of cells as lines with aligned columns, control characters removed."""
-    clean = [[printable(cell) for cell in cells] for cells in rows]
-    widths = [max(len(cell) for cell in column) for column in zip(*clean, strict=True)]
-    return ["  ".join(c.ljust(w) for c, w in zip(cells, widths, strict=True)).rstrip() for cells in clean]
+    return align([[printable(cell) for cell in cells] for cells in rows])
 
 
 def shorten(name: str, longest: int = 18) -> str:

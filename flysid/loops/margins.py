@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
@@ -107,12 +108,11 @@ def margins(loop: Loop, controller: Controller) -> Margins:
     ------
     DataError : the plant is not known anywhere, or not where the loop's gain is one.
     """
-    low, high = trusted_band(loop)
-    at = (loop.f >= low) & (loop.f <= high)
+    low, high, at = _known_band(loop)
     f = loop.f[at]
     back = controller.feedback(f)
     forward = controller.reference(f)
-    centre, draws, other = _least_off(loop, at)
+    centre, draws, other = _least_off(loop)
     one, more = (np.array(_figures(f, g, back, forward)) for g in (centre, other))
     if np.isnan(one[0]):
         under = bool(np.abs(centre * back)[0] <= 1.0)
@@ -137,12 +137,22 @@ def margins(loop: Loop, controller: Controller) -> Margins:
     return Margins((low, high), *named)
 
 
-def _least_off(loop: Loop, at: npt.NDArray[np.bool_]) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+def _known_band(loop: Loop) -> tuple[float, float, npt.NDArray[np.bool_]]:
+    """The trusted band and its lines (F,)."""
+    low, high = trusted_band(loop)
+    return low, high, (loop.f >= low) & (loop.f <= high)
+
+
+@lru_cache(maxsize=2)
+def _least_off(loop: Loop) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
     """The plant, its draws, and the plant with one more power, of the stretches that are off least.
+
+    Kept for the next controller of the same loop: a tuner asks what several would do.
 
     Off, on average over the lines and beside their own scatter, by the curve's scatter and by what one more
     power changes. In gusts the first counts, and stretches are long; in still air the second.
     """
+    *_, at = _known_band(loop)
     plain = plant(loop.mean)[at]
     own = np.mean(np.abs(np.log(plant(loop.draws)[:, at] / plain)) ** 2, axis=0)
     best = np.inf

@@ -6,9 +6,10 @@ Every section reads through here, so that all of them mean the same second, the 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -26,6 +27,9 @@ from flysid.ingest.align.transforms import TRANSFORMS
 from flysid.ingest.lake.events import settings
 from flysid.ingest.lake.flown import Flown, flown_of
 from flysid.ingest.lake.mishaps import Mishap, mishaps
+
+if TYPE_CHECKING:
+    from flysid.loops.judged import Judged
 
 BoolArray = npt.NDArray[np.bool_]
 
@@ -203,6 +207,21 @@ class LoggedFlight:
             return {}
         table = self.log.table(stream, ["name", "text"]).to_pydict()
         return dict(zip(table["name"], table["text"], strict=True))
+
+    @cached_property
+    def judged(self) -> tuple[Judged, ...]:
+        """The rate loops of roll and pitch and their margins; () of a log whose gains are not read.
+
+        What is resampled of them is not kept: it is large, and soon made again.
+        """
+        from flysid.loops.judged import judge, states_gains
+
+        if getattr(self.log, "facts", None) is None or not states_gains(self.log):
+            return ()
+        return tuple(
+            replace(found, loop=replace(found.loop)) if found.loop is not None else found
+            for found in judge([self.log])
+        )
 
     def has(self, message: str) -> bool:
         """Whether the log holds rows of a message, of one thing or several."""

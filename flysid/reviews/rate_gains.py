@@ -54,25 +54,38 @@ def _of_blackbox(flight: LoggedFlight, axis: str) -> Iterator[tuple[str, float]]
             yield f"{name}_{axis}", float(values[place])
 
 
-def scaled_gains(flight: LoggedFlight, axis: str, factor: float, *, integral: bool = True) -> list[Change]:
+def scaled_gains(
+    flight: LoggedFlight,
+    axis: str,
+    factor: float,
+    *,
+    proportional: bool = True,
+    integral: bool = True,
+    slope: bool = True,
+) -> list[Change]:
     """The gains of an axis that are not zero, multiplied, rounded towards what they are.
 
     Parameters
     ----------
-    integral : whether I is one of them.
+    proportional, integral, slope : whether P, I and D are among them.
     """
+    wanted = {"p": proportional, "i": integral, "d": slope}
     whole = flight.has("main")
     found = []
     for name, old in stated_gains(flight, axis).items():
-        is_integral = name.split("_")[-1] == "I" or "i" in name.split("_")
-        if not old or (is_integral and not integral):
+        if not old or not wanted[term_of(name)]:
             continue
-        new = _rounded(
-            factor * old, old, 1.0 if whole else 10.0 ** (np.floor(np.log10(factor * old)) - DIGITS)
-        )
+        step = 1.0 if whole else 10.0 ** (np.floor(np.log10(factor * old)) - DIGITS)
+        new = _rounded(factor * old, old, step)
         if new != old:
             found.append(Change(name, old, new))
     return found
+
+
+def term_of(name: str) -> str:
+    """ "p", "i" or "d" of "p_roll", "ATC_RAT_RLL_P", "d_min_roll"."""
+    parts = name.lower().split("_")
+    return next(part for part in (parts[-1], *parts) if part in ("p", "i", "d"))
 
 
 def _rounded(value: float, old: float, step: float) -> float:

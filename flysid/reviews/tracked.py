@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from flysid.loops.betaflight import AXES
-from flysid.loops.judged import Judged, judge, states_gains
+from flysid.loops.judged import Judged
+from flysid.model.threads import on_one_thread
 from flysid.reviews.follow import TURN_DEG, Counting, Lag, Together, at_rows, lag_of, on_grid
 from flysid.reviews.logged import Column, LoggedFlight
 from flysid.reviews.oscillation import Oscillation, fastest_gyro, oscillation
@@ -65,6 +66,7 @@ class Tracked:
         return next((found for found in self.followed if found.name == wanted), None)
 
 
+@on_one_thread
 def track(flight: LoggedFlight) -> Tracked:
     """Measure it."""
     counts = in_control(flight)
@@ -77,7 +79,7 @@ def track(flight: LoggedFlight) -> Tracked:
         shaken,
         tuple(resting_motors(flight, counts)) if any(found.rms for found in shaken.values()) else (),
         tuple(controller_limits(flight, counts)),
-        tuple(_judged(flight)),
+        flight.judged,
     )
 
 
@@ -105,12 +107,6 @@ def _slope(pair: Pair | None) -> Column | None:
     asked = pair.setpoint
     turned = np.gradient(np.unwrap(asked.values, period=TURN_DEG), asked.time_s)
     return Column(asked.address, "deg/s", asked.time_s, np.nan_to_num(turned, posinf=0.0, neginf=0.0))
-
-
-def _judged(flight: LoggedFlight) -> list[Judged]:
-    """Margins of roll and pitch, where the log is one whose gains are read."""
-    facts = getattr(flight.log, "facts", None)
-    return judge([flight.log]) if facts is not None and states_gains(flight.log) else []
 
 
 def _follow(pair: Pair, counts: Counting) -> Followed | None:
