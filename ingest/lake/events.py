@@ -88,7 +88,7 @@ def messages(log: Log) -> list[Event]:
 
 
 def settings(log: Log) -> list[Setting]:
-    """Every statement of a parameter, in the order of the log's streams. Defaults that a ULog lists were not in force."""
+    """Every statement of a parameter, in the order of the log's streams; no defaults that a ULog lists."""
     return [
         Setting(boot, time_ns, str(name), value)
         for message, column, content in PARAMETERS
