@@ -30,6 +30,7 @@ POWER_W_N = 17.0
 """Electrical power of a rotor over its thrust, both at full throttle."""
 WANDER_M, WANDER_S = 0.25, 20.0
 """How far the GPS wanders, and over what time."""
+FULL_CELL_V = 4.15
 BROWNING_S = 1.5
 """How long the supply of the board falls before the log ends."""
 DELAY = 1
@@ -99,8 +100,11 @@ class Quadrotor:
 
     @property
     def stated_hover(self) -> float:
-        """What the parameter says that hovering takes."""
-        return self.hover
+        """What the parameter says that hovering takes: as learnt in earlier flights, under load."""
+        hover_w = self.mass_kg * GRAVITY * POWER_W_N * np.sqrt(self.hover)
+        resting_v = FULL_CELL_V * self.cells
+        sag_v = self.resistance_ohm * hover_w / resting_v
+        return float(self.hover * (resting_v / (resting_v - sag_v)) ** 2)
 
 
 @dataclass(frozen=True, eq=False)
@@ -200,7 +204,7 @@ class _Bodies:
         self.used = np.zeros(n)
         self.blow = np.zeros(n)
         self.lying = np.zeros(n, dtype=bool)
-        self.voltage = 4.15 * self.of["cells"]
+        self.voltage = FULL_CELL_V * self.of["cells"]
         self.route = np.stack([_route(rng) for rng in self.rng])
         self.headings = np.stack([_headings(rng) for rng in self.rng])
         self.turning = RATE_HZ * np.diff(self.headings, axis=1, prepend=0.0)
@@ -300,7 +304,7 @@ class _Bodies:
     def _move(self, throttles: FloatArray, noise: FloatArray, flying: bool) -> None:
         worn = np.where(self.of["propeller"][:, None], 1.0, np.sqrt(self.effect))
         held = np.where(self.of["propeller"][:, None], self.effect, 1.0)
-        strength = (self.voltage / (4.15 * self.of["cells"]))[:, None]
+        strength = (self.voltage / (FULL_CELL_V * self.of["cells"]))[:, None]
         share = np.sqrt((1.0 - EXPO) * throttles + EXPO * throttles**2) * strength * worn
         self.spin += self.dt / self.of["lag_s"][:, None] * (share - self.spin)
         force = self.full[:, None] * self.spin**2 * held

@@ -22,7 +22,7 @@ import numpy as np
 
 import flysid
 from bench.faulty_dataflash import dataflash_bytes
-from bench.faulty_quadrotor import Flight, Quadrotor, critical_gain, draw_quadrotor, fly
+from bench.faulty_quadrotor import GROUND_S, Flight, Quadrotor, critical_gain, draw_quadrotor, fly
 from bench.faulty_ulog import ulog_bytes
 from flysid.ingest.align.signals import FlightLog
 from flysid.reviews.fact import Grade
@@ -35,6 +35,9 @@ GOALS = {"right": 0.90, "false": 0.02, "quiet": 0.95}
 Rng = np.random.Generator
 
 
+Names = Callable[[str, Flight], bool]
+
+
 @dataclass(frozen=True)
 class Fault:
     """A kind of fault.
@@ -42,11 +45,28 @@ class Fault:
     Attributes
     ----------
     spoil : a sound vehicle with this fault, of a strength that is drawn.
-    names : expression that a first sentence which names it holds, filled in with the vehicle's fields.
+    names : whether a first sentence names it, of the flight that was flown.
     """
 
     spoil: Callable[[Quadrotor, Rng], Quadrotor]
-    names: str
+    names: Names
+
+
+def _holds(pattern: str) -> Names:
+    """Whether a sentence holds an expression."""
+    return lambda text, _: bool(re.search(pattern, text))
+
+
+def _names_motor(text: str, flight: Flight) -> bool:
+    return bool(re.search(rf"[Mm]otor {flight.vehicle.weak + 1}\b", text))
+
+
+def _names_tone(text: str, flight: Flight, *, within: float = 0.06) -> bool:
+    """Whether a sentence is about vibration, or states a frequency at which the bent motor turned."""
+    flying = (flight.time_s > 2.0 * GROUND_S) & (flight.time_s < flight.time_s[-1] - 2.0 * GROUND_S)
+    turned_hz = flight["rpm"][flying, flight.vehicle.bent].mean() / 60.0
+    stated = [float(number) for number in re.findall(r"(\d+(?:\.\d+)?) Hz", text)]
+    return "ibrat" in text or any(abs(hz / turned_hz - 1.0) < within for hz in stated)
 
 
 def _weak_motor(vehicle: Quadrotor, rng: Rng) -> Quadrotor:
@@ -85,14 +105,14 @@ def _hot(vehicle: Quadrotor, rng: Rng) -> Quadrotor:
 
 
 FAULTS = {
-    "weak motor": Fault(_weak_motor, r"[Mm]otor {motor}\b"),
-    "bent shaft": Fault(_bent_shaft, r"[Vv]ibrat"),
-    "mass +20 %": Fault(_heavy, r"[Hh]over"),
-    "sagging battery": Fault(_sagging, r"[Bb]attery|\b[Cc]ell"),
-    "GPS glitch": Fault(_glitching, r"GPS"),
-    "loose accelerometer": Fault(_loose, r"[Aa]ccelerometer|[Vv]ibrat|[Cc]lip"),
-    "late yaw": Fault(_late_yaw, r"[Yy]aw"),
-    "gains too high": Fault(_hot, r"[Oo]scillat|[Vv]ibrat.*gains|gains? .*too high"),
+    "weak motor": Fault(_weak_motor, _names_motor),
+    "bent shaft": Fault(_bent_shaft, _names_tone),
+    "mass +20 %": Fault(_heavy, _holds(r"[Hh]over")),
+    "sagging battery": Fault(_sagging, _holds(r"[Bb]attery|\b[Cc]ell")),
+    "GPS glitch": Fault(_glitching, _holds("GPS")),
+    "loose accelerometer": Fault(_loose, _holds(r"[Aa]ccelerometer|[Vv]ibrat|[Cc]lip")),
+    "late yaw": Fault(_late_yaw, _holds(r"[Yy]aw")),
+    "gains too high": Fault(_hot, _holds(r"[Oo]scillat|gains? .*too high")),
 }
 SOUND = "sound"
 
@@ -105,10 +125,6 @@ class Trial:
     vehicle: Quadrotor
     px4: bool
     rpm: bool
-
-    def right(self, text: str) -> bool:
-        """Whether a sentence names the fault."""
-        return bool(re.search(FAULTS[self.kind].names.format(motor=self.vehicle.weak + 1), text))
 
 
 def draw(seed: int, trials: int) -> list[Trial]:
@@ -130,11 +146,11 @@ def write(trial: Trial, flight: Flight, folder: Path, name: str) -> Path:
     return path
 
 
-def judge(trial: Trial, found: Review) -> str:
+def judge(trial: Trial, flight: Flight, found: Review) -> str:
     """ "right", "false" or "silent"; of a sound flight "false" where something is complained of."""
     first = found.findings[0]
     complains = first is not NOTHING_FOUND and first.grade.rank >= Grade.WATCH.rank
-    if trial.kind != SOUND and trial.right(first.text) and complains:
+    if trial.kind != SOUND and complains and FAULTS[trial.kind].names(first.text, flight):
         return "right"
     if complains:
         return "false"
@@ -158,7 +174,7 @@ def compare(trials: Sequence[Trial], folder: Path, *, tells: bool = True) -> dic
             began_s = time.process_time()
             found = review_flight(LoggedFlight(FlightLog(flysid.read(path))))
             spent_s = time.process_time() - began_s
-            verdict = judge(trial, found)
+            verdict = judge(trial, flight, found)
             count = score.setdefault(trial.kind, Counter())
             count[verdict] += 1
             count["action"] += bool(found.actions)

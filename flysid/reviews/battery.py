@@ -132,7 +132,7 @@ def _without_slow(values: FloatArray, width: int) -> FloatArray:
 
 def lowest(voltage: Column, *, over_s: float = 0.5) -> tuple[float, float]:
     """The lowest voltage that lasted, and when: of medians over `over_s`, so that no single sample counts."""
-    width = max(1, round(over_s / voltage.period_s)) if voltage.rate_hz else 1
+    width = max(1, round(over_s * voltage.rate_hz))
     if width < 3 or len(voltage) < 2 * width:
         at = int(np.argmin(voltage.values))
         return float(voltage.values[at]), float(voltage.time_s[at])

@@ -17,6 +17,8 @@ SENTINEL_M = 1e4
 """Accuracies beyond it are a receiver's word for none: 4.29e6 m of PX4, 65535 cm of MAVLink times ten."""
 LEAST = 5
 """Samples."""
+NOWHERE_M = 1e5
+"""From one sample to the next: it is no place at all, such as 0 degrees, 0 degrees."""
 SAME = 0.8
 """Of the largest jump: the first of that size is where it began, and the largest may be the way back."""
 
@@ -119,7 +121,7 @@ def find_jump(receiver: Receiver) -> tuple[float, float]:
         np.zeros(len(north)) if speed is None or not len(speed) else np.nan_to_num(speed.held(north.time_s))
     )
     allowed = np.maximum(flown[1:], flown[:-1]) * step_s
-    beyond = np.where(step_s < 10.0 * north.period_s, moved - allowed, 0.0)
+    beyond = np.where((step_s < 10.0 * north.period_s) & (moved < NOWHERE_M), moved - allowed, 0.0)
     largest = float(beyond.max())
     first = int(np.argmax(beyond >= SAME * largest))
     return max(0.0, largest), float(north.time_s[first + 1])

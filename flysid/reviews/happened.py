@@ -93,7 +93,7 @@ def _departure(flight: LoggedFlight) -> Iterator[Fact]:
     flown = error.where(inside)
     if len(flown) < 10:
         return
-    need = max(1, round(LASTING_S / flown.period_s))
+    need = max(1, round(LASTING_S * flown.rate_hz))
     away = np.convolve(flown.values > APART_DEG, np.ones(need), "valid") >= need
     fields = (flown.address,)
     label = f"first {APART_DEG:.0f} deg away from the commanded tilt"

@@ -103,7 +103,7 @@ def measure_hover(flight: LoggedFlight, *, least_s: float = 3.0) -> Hover:
     if thrust is None:
         return nothing
     calm = thrust.where(find_calm(flight, thrust.time_s) & (thrust.values > 0.0))
-    if len(calm) * thrust.period_s < least_s:
+    if calm.covered_s < least_s:
         return nothing
     share = float(np.median(calm.values))
     return Hover(share, _interval(calm, share), thrust.address, stated, learns)

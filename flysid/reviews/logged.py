@@ -34,6 +34,25 @@ if TYPE_CHECKING:
 BoolArray = npt.NDArray[np.bool_]
 
 
+MOST = {
+    "": 1e9,
+    "1": 1e6,
+    "m/s/s": 5e3,
+    "deg/s": 3e4,
+    "rad/s": 5e2,
+    "deg": 1e6,
+    "rad": 1e4,
+    "m": 1e6,
+    "m/s": 1e3,
+    "V": 1e3,
+    "A": 5e3,
+    "Ah": 1e3,
+    "rpm": 5e5,
+    "Gauss": 1e2,
+}
+"""Unit -> more than a vehicle can reach: a value beyond it is a firmware's word for none, as 4294967 m."""
+
+
 @dataclass(frozen=True, eq=False)
 class Column:
     """One field of a log over time, finite values only.
@@ -58,6 +77,11 @@ class Column:
     def period_s(self) -> float:
         """From sample to sample, as most are; NaN of fewer than two."""
         return float(np.median(np.diff(self.time_s))) if len(self) > 1 else float("nan")
+
+    @property
+    def covered_s(self) -> float:
+        """Time that the samples stand for; 0 of fewer than two."""
+        return len(self) * self.period_s if len(self) > 1 else 0.0
 
     @property
     def rate_hz(self) -> float:
@@ -283,7 +307,7 @@ class LoggedFlight:
         times: list[FloatArray] = [np.zeros(0)]
         values: list[FloatArray] = [np.zeros(0)]
         for boot, samples in sorted(loaded.boots.items()):
-            finite = np.isfinite(samples.x)
+            finite = np.abs(samples.x) <= MOST.get(unit, MOST[""])  # which no NaN is
             start = self.clock.starts_s.get(boot, 0.0)
             begin = self.clock.begins_ns.get(boot, 0)
             times.append(np.asarray(start + (samples.t_ns[finite] - begin) * 1e-9, dtype=np.float64))

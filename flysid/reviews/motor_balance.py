@@ -82,7 +82,7 @@ def weigh(flight: LoggedFlight, motors: tuple[Motor, ...]) -> Balance | None:
     calm = find_calm(flight, time_s)
     enough = calm.sum() * period_s >= LEAST_S
     chosen = calm if enough else flight.flying(time_s)
-    if chosen.sum() * period_s < LEAST_S:
+    if not chosen.sum() * period_s >= LEAST_S:  # nor where a lone sample has no period
         return None
     shares = np.array([np.nanmean(m.command.at(time_s[chosen])) for m in motors])
     if not shares.mean() > 0.0:
@@ -152,7 +152,11 @@ def facts(balance: Balance | None, motors: tuple[Motor, ...], remedy: str) -> It
         yield Fact(key, f"motor {motor.number}", 100.0 * float(share), "%", fields=(motor.command.address,))
         if motor.speed is not None and np.isfinite(speed):
             yield Fact(
-                f"{key}_rpm", f"motor {motor.number} speed", speed, "rpm", fields=(motor.speed.address,)
+                f"{key}_rpm",
+                f"motor {motor.number} speed",
+                float(speed),
+                "rpm",
+                fields=(motor.speed.address,),
             )
 
 

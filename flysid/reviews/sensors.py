@@ -13,6 +13,8 @@ from flysid.reviews.limits import limit
 from flysid.reviews.logged import Column, LoggedFlight
 
 LEAST_S = 5.0
+NORMAL_80 = 1.2816
+"""Deviations within which four fifths of normal values lie."""
 FOLLOWS = 0.3
 """Share of the field's variance from which on the current is its cause."""
 AXES = "XYZ"
@@ -50,7 +52,7 @@ def _field(flight: LoggedFlight) -> Column | None:
 
 def _field_change(flight: LoggedFlight) -> Iterator[Fact]:
     field = _field(flight)
-    if field is None or len(field) * field.period_s < LEAST_S:
+    if field is None or field.covered_s < LEAST_S:
         return
     low, middle, high = np.percentile(field.values, [5.0, 50.0, 95.0])
     change = float((high - low) / middle)
@@ -83,7 +85,7 @@ def _effort(flight: LoggedFlight) -> Column | None:
 def _compass(flight: LoggedFlight) -> Iterator[Fact]:
     field, effort = _field(flight), _effort(flight)
     key, label = "estimator.compass_change", "change of the magnetic field with the current"
-    if field is None or effort is None or len(field) * field.period_s < LEAST_S:
+    if field is None or effort is None or field.covered_s < LEAST_S:
         yield Fact(key, label, missing="compass, or current and throttle, are not logged in the air")
         return
     drawn = effort.at(field.time_s)
@@ -157,7 +159,7 @@ def _instances(flight: LoggedFlight, field: str) -> list[list[Column]]:
         stated = "m/s/s" if field == "Acc" else "rad/s"
         axes = [flight.quantity(f"{thing}.{field}{axis}", unit=unit, stated=stated) for axis in AXES]
         known = [axis.where(flight.flying(axis.time_s)) for axis in axes if axis is not None]
-        if len(known) == 3 and len(known[0]) * known[0].period_s >= LEAST_S:
+        if len(known) == 3 and known[0].covered_s >= LEAST_S:
             found.append(known)
     return found
 
@@ -170,7 +172,7 @@ def _inertial(flight: LoggedFlight) -> Iterator[Fact]:
         sensors = _instances(flight, field)
         if len(sensors) < 2:
             continue
-        means = np.array([[axis.values.mean() for axis in sensor] for sensor in sensors])
+        means = np.array([[np.median(axis.values) for axis in sensor] for sensor in sensors])
         apart = max(float(np.linalg.norm(mean - means[0])) for mean in means[1:])
         known = limit(f"estimator.{key}")
         yield Fact(
@@ -179,7 +181,7 @@ def _inertial(flight: LoggedFlight) -> Iterator[Fact]:
             apart,
             unit,
             grade=known.grade(apart),
-            note=f"of their means; {known.source}",
+            note=f"of their medians; {known.source}",
             fields=tuple(sensor[0].address for sensor in sensors),
         )
     shakes = shake_of_each(flight)
@@ -215,8 +217,8 @@ def shake_of_each(flight: LoggedFlight) -> dict[str, float]:
 
 
 def _fast(values: FloatArray) -> float:
-    """Half the mean square of differences between samples: the power of what is too fast to be flight."""
-    return 0.5 * float(np.mean(np.diff(values) ** 2))
+    """Power of what is too fast to be flight, from differences between samples; a tenth may be wrong."""
+    return 0.5 * float(np.percentile(np.abs(np.diff(values)), 80.0) / NORMAL_80) ** 2
 
 
 # ------------------------------------------------------------------------------------------- processor

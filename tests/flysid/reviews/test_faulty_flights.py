@@ -32,7 +32,7 @@ def test_a_sound_vehicle_follows_and_hovers_as_its_parameter_says(flights: list[
     error = np.degrees(sound["wanted_rates"] - sound["rates"])[flying]
     assert (error.std(axis=0) < 5.0).all()
     hover = sound["thrusts"][flying].mean()
-    assert hover == pytest.approx(sound.vehicle.hover, rel=0.08)
+    assert hover == pytest.approx(sound.vehicle.stated_hover, rel=0.08)
 
 
 def test_a_weak_motor_is_commanded_more(flights: list[Flight]) -> None:
@@ -55,7 +55,7 @@ def test_logs_hold_what_was_flown(flights: list[Flight], suffix: str, tmp_path: 
     logged = LoggedFlight(FlightLog(flysid.read(path)))
     assert logged.flown.seconds == pytest.approx(54.0, abs=0.5)
     hover = logged.parameters["MOT_THST_HOVER" if suffix == ".bin" else "MPC_THR_HOVER"]
-    assert hover == pytest.approx(flights[2].vehicle.hover)
+    assert hover == pytest.approx(flights[2].vehicle.stated_hover)
     rate = logged.quantity("RATE.R", "vehicle_angular_velocity.xyz[0]", unit="deg/s", stated="rad/s")
     assert rate is not None
     truth = np.interp(rate.time_s, flights[2].time_s, np.degrees(flights[2]["rates"][:, 0]))
