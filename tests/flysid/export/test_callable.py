@@ -90,8 +90,7 @@ def called(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFact
         models()[name].save(folder / f"{file}.json")
         done = call("export", f"{file}.json", f"--{dialect}", f"{file}_{dialect}.py", cwd=folder)
         assert done.returncode == 0, done.stderr
-        samples = {"u": u.reshape(2, ROWS, -1), "weights": weights, "measured": measured(name)}
-        np.savez(folder / file, **samples)
+        np.savez(folder / file, u=u.reshape(2, ROWS, -1), weights=weights, measured=measured(name))
     run_python(python, SCRIPT, dialect, folder, cwd=folder)
     return {name: dict(np.load(folder / f"{file}.{dialect}.npz")) for name, file in file_names().items()}
 
