@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from flysid.dataset import FloatArray, Signal
-from flysid.export.program import LikelyPast
 from flysid.export.programs import members_of, rest_of
 from flysid.export.pysource import Dialect, python_file
 from flysid.export.reference import run
@@ -128,13 +127,7 @@ def test_it_goes_on_from_measured_samples_as_the_model_does(name: str, called: d
     model = models()[name]
     known = measured(name)
     free = model.simulate(given(name)[0][:ROWS], known)[len(known) :]
-    np.testing.assert_allclose(called[name]["go_on"], free, rtol=0.0, atol=tolerance(name, free))
-
-
-def tolerance(name: str, free: FloatArray) -> float:
-    """1e-9 of the outputs; more where a start is searched for, until a step is worth 1e-10 of the squares."""
-    searched = any(isinstance(m.program.past, LikelyPast) for m in members_of(models()[name]))
-    return (1e-5 if searched else 1e-9) * (1.0 + float(np.abs(free).max()))
+    np.testing.assert_allclose(called[name]["go_on"], free, rtol=0.0, atol=1e-9 * (1.0 + np.abs(free).max()))
 
 
 @pytest.mark.parametrize("name", models())
