@@ -285,10 +285,11 @@ VERBS: Mapping[str, Verb] = {
         ),
         Verb(
             "export",
-            "Export a flight or a model (C99, FMU, MATLAB) to other programs.",
+            "Export a flight or a model (C99, FMU, MATLAB, CasADi, JAX, ONNX) to other programs.",
             (
                 "flysid export flight.bin ATT RATE --to mat",
                 "flysid export run --channel longitudinal --c longitudinal-c --float32",
+                "flysid export run --channel longitudinal --casadi longitudinal_casadi.py",
             ),
             step="Share",
         ),

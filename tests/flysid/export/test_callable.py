@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from flysid.dataset import FloatArray, Signal
-from flysid.export.program import LikelyPast
 from flysid.export.programs import members_of, rest_of
 from flysid.export.pysource import Dialect, python_file
 from flysid.export.reference import run
@@ -90,8 +89,7 @@ def called(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFact
         models()[name].save(folder / f"{file}.json")
         done = call("export", f"{file}.json", f"--{dialect}", f"{file}_{dialect}.py", cwd=folder)
         assert done.returncode == 0, done.stderr
-        samples = {"u": u.reshape(2, ROWS, -1), "weights": weights, "measured": measured(name)}
-        np.savez(folder / file, **samples)
+        np.savez(folder / file, u=u.reshape(2, ROWS, -1), weights=weights, measured=measured(name))
     run_python(python, SCRIPT, dialect, folder, cwd=folder)
     return {name: dict(np.load(folder / f"{file}.{dialect}.npz")) for name, file in file_names().items()}
 
@@ -129,13 +127,7 @@ def test_it_goes_on_from_measured_samples_as_the_model_does(name: str, called: d
     model = models()[name]
     known = measured(name)
     free = model.simulate(given(name)[0][:ROWS], known)[len(known) :]
-    np.testing.assert_allclose(called[name]["go_on"], free, rtol=0.0, atol=tolerance(name, free))
-
-
-def tolerance(name: str, free: FloatArray) -> float:
-    """1e-9 of the outputs; more where a start is searched for, until a step is worth 1e-10 of the squares."""
-    searched = any(isinstance(m.program.past, LikelyPast) for m in members_of(models()[name]))
-    return (1e-5 if searched else 1e-9) * (1.0 + float(np.abs(free).max()))
+    np.testing.assert_allclose(called[name]["go_on"], free, rtol=0.0, atol=1e-9 * (1.0 + np.abs(free).max()))
 
 
 @pytest.mark.parametrize("name", models())

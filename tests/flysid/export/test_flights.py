@@ -53,8 +53,7 @@ def test_free_runs_of_held_out_flights_equal_the_models_to_1e_9(dialect: str, pl
         (place / dialect).mkdir(exist_ok=True)
         assert call(*words, cwd=place).returncode == 0
         weights = np.ones((HORIZON, len(model.outputs)))
-        samples = {"u": u.reshape(2, ROWS, -1), "weights": weights, "measured": known}
-        np.savez(place / dialect / label, **samples)
+        np.savez(place / dialect / label, u=u.reshape(2, ROWS, -1), weights=weights, measured=known)
         expected[label] = model.simulate(u[:ROWS], known)[len(known) :]
     run_python(python, SCRIPT, dialect, place / dialect, cwd=place)
     assert {"arx", "oe", "ts"} <= set(expected)
