@@ -44,6 +44,8 @@ class Signal:
 
 BEGAN = "began_utc_s"
 """Mark of a segment: when its flight began, seconds of UTC; only where the log knows."""
+JITTER = "jitter_s"
+"""Mark of a segment: how far the stamps of its inputs scatter around an even rate, standard deviation."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,6 +21,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from flysid.dataset import BEGAN, FloatArray, Segment
+from flysid.ingest.align.resample import NORMAL
 from flysid.validate.verdict import ALPHA
 
 RARE = 1.0 / 6.0
@@ -30,8 +31,6 @@ DAY_S = 12 * 3600.0
 """Flights that begin within half a day are of one day, in any time zone."""
 FENCE = 3.5
 """Standard deviations (by the median) from which on a flight is odd (Iglewicz and Hoaglin, 1993)."""
-NORMAL = 1.4826
-"""Standard deviation over the median absolute deviation, of normal numbers."""
 
 
 def flights_began(segments: Sequence[Segment]) -> dict[str, float]:

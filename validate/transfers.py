@@ -6,7 +6,8 @@ This is identification, not judgement: all flights given are used, nothing is he
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import itertools
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
@@ -41,7 +42,7 @@ from flysid.model.frequency.response import (
 from flysid.model.polynomials import DB, Z95, ComplexArray
 from flysid.model.transfer_function import TF, FittedTF
 from flysid.progress import tell
-from flysid.validate.agreement import agree, parting, transfer_figures
+from flysid.validate.agreement import agree, cautions_beside, parting, transfer_figures
 from flysid.validate.fitone import nothing_done
 from flysid.validate.metrics import scores
 from flysid.validate.trials import FREE_RUN, run_trials
@@ -62,6 +63,7 @@ class ChannelTransfers:
     views : per output, whose the measured response is; None where that cannot be told.
     figures : of the closed loop from its command ("command"), of the one cut open ("loop"); see
         `model.frequency.loop_figures`.
+    cautions : what the intervals do not hold, and figures of other verbs that exclude these.
     """
 
     name: str
@@ -74,6 +76,7 @@ class ChannelTransfers:
     reference: tuple[str, ...] = ()
     views: tuple[LoopView | None, ...] = ()
     figures: Mapping[str, Sequence[LoopFigure]] = field(default_factory=dict)
+    cautions: tuple[str, ...] = ()
 
     @property
     def title(self) -> str:
@@ -100,6 +103,7 @@ class ChannelTransfers:
             told = [str(f) for f in figures if f.value is not None or group == "loop"]
             said += [f"{group.replace('_', ' ')}: {'; '.join(told)}"] if told else []
         said += [f"caution: {loop.words}" for loop in self.loops if loop.closed]
+        said += [f"caution: {words}" for words in self.cautions]
         return [*said, *(f"- {note}" for note in self.model.notes)]
 
     def _band(self, output: int, source: int) -> str:
@@ -233,6 +237,7 @@ class ChannelTransfers:
                 {"output": f.output, "closed": f.closed, "p": f.p_value, "share": f.share} for f in self.loops
             ],
             "figures": {g: {f.name: f.to_dict() for f in found} for g, found in self.figures.items()},
+            "cautions": list(self.cautions),
             "notes": list(self.model.notes),
         }
 
@@ -351,7 +356,16 @@ def identify_channel(name: str, data: Dataset, estimator: TF, reference_at: str 
         for i, seen in enumerate(measured)
     )
     whole = ChannelTransfers(name, plant, model, measured, why, fits, loops, names, views)
-    return replace(whole, figures=_all_figures(whole, data, estimator, reference_at))
+    cautions = tuple(dict.fromkeys(_cautions(whole)))
+    return replace(whole, figures=_all_figures(whole, data, estimator, reference_at), cautions=cautions)
+
+
+def _cautions(channel: ChannelTransfers) -> Iterator[str]:
+    """About every output and input, where a band can be trusted."""
+    for i, j in itertools.product(range(len(channel.data.outputs)), range(len(channel.data.inputs))):
+        if band := channel.band(i, j):
+            is_open = not channel.reference and not channel.is_looped(i)
+            yield from cautions_beside(channel.data, channel.model.transfer(i, j), (i, j), band, is_open)
 
 
 def _fit_pct(model: FittedTF, data: Dataset) -> tuple[float | None, ...]:

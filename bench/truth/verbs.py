@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 
 import numpy as np
@@ -26,6 +26,9 @@ NEAR_DB, NEAR_DEG = 1.5, 10.0
 """How near a model has to come inside a band that is called trusted."""
 POINTS = 3
 """Points of a response that are scored per record: a few, as neighbours miss together."""
+
+SAME = (("tf steady gain", "step final value"),)
+"""Figures of two verbs that are of the same thing."""
 
 
 @dataclass(frozen=True)
@@ -62,7 +65,19 @@ def scores(record: Record) -> list[Score]:
         found.append(Score("tf", 0.0, None, None))
     if not record.controller:
         found += [*_step(record), *_excitation(record)]
+        found += _agreement(found)
     return found
+
+
+def _agreement(found: Sequence[Score]) -> Iterator[Score]:
+    """Where two verbs state the same: whether their intervals meet."""
+    by_name = {s.figure: s for s in found}
+    for one, other in SAME:
+        a, b = by_name.get(one), by_name.get(other)
+        if a is None or b is None or a.low is None or a.high is None or b.low is None or b.high is None:
+            continue
+        meet = float(a.low <= b.high and b.low <= a.high)
+        yield Score(f"{one} meets {other}", 1.0, meet, meet)
 
 
 def _excitation(record: Record) -> Iterator[Score]:

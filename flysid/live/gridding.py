@@ -17,8 +17,8 @@ import numpy.typing as npt
 from flysid.dataset import FloatArray
 from flysid.errors import DataError, RecipeError
 from flysid.ingest.align import resample
-from flysid.ingest.align.align import fine_grid, pauses, ratio_of
 from flysid.ingest.align.conditions import ALWAYS, condition_truths, spans_true
+from flysid.ingest.align.grids import command_on_grid, fine_grid, pauses, ratio_of
 from flysid.ingest.align.recipe import Condition, Recipe
 from flysid.ingest.align.signals import find_source
 from flysid.ingest.align.values import names_of
@@ -284,7 +284,8 @@ class RunningGrid:
                 counts = int(min(segment.afters[name], resample.FOREVER)) - 1
                 last = max(last + tolerance, min(newest - 1 - tolerance, last + counts))
                 # a mean over a step is known where the step has ended
-                last -= 0 if tolerance else round(self._dt_ns / segment.ratio)
+                is_stamped = tolerance and segment.ratio == 1
+                last -= 0 if is_stamped else self._dt_ns
             found = min(found, last)
         return found
 
@@ -334,6 +335,4 @@ class RunningGrid:
         series = signal.tail.series
         if signal.spec.hold == "linear":
             return resample.decimate(resample.linear(series, grid), segment.ratio)
-        step_ns = self._dt_ns / segment.ratio
-        held = resample.on_grid(series, grid, step_ns, segment.tolerances[name])
-        return resample.decimate(held, segment.ratio)
+        return command_on_grid(series, grid, self._dt_ns, segment.ratio, segment.tolerances[name])

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from flysid.dataset import BEGAN, Dataset, Segment, Signal
+from flysid.dataset import BEGAN, JITTER, Dataset, Segment, Signal
 from flysid.datasetfile import write_dataset
 from flysid.errors import DataError, RecipeError
 from flysid.extras import Extra, extra
@@ -28,6 +28,7 @@ from flysid.ingest.align.allowed import CHOOSE_AGAIN
 from flysid.ingest.align.clocks import align_clocks
 from flysid.ingest.align.conditions import condition_spans
 from flysid.ingest.align.doubts import doubts
+from flysid.ingest.align.grids import command_on_grid, fine_grid, pauses, ratio_of
 from flysid.ingest.align.labels import Labels, labels_of
 from flysid.ingest.align.on_change import held_specs
 from flysid.ingest.align.recipe import Recipe, SignalSpec, load_recipe
@@ -352,7 +353,7 @@ class _Boot:
         if len(coarse) < 2:
             return None
         grid = coarse if ratio == 1 else fine_grid(int(coarse[0]), 0, len(coarse), self.dt_ns, ratio)
-        columns = {n: resample.decimate(self._on(n, grid), ratio) for n in self.series}
+        columns = {n: self._on(n, grid, ratio) for n in self.series}
         u = np.stack([columns[n] for n in self.job.inputs], axis=1)
         y = np.stack([columns[n] for n in self.job.outputs], axis=1)
         trimmed = (len(coarse) - len(u)) // 2
@@ -365,7 +366,9 @@ class _Boot:
 
     def _marks(self, u: FloatArray) -> dict[str, str | float]:
         """Duration, excitation, and the share of samples in which an input stands at a limit."""
+        stamps = [self.series[n].t_ns for n in self.job.inputs]
         marks: dict[str, str | float] = {
+            JITTER: max(map(resample.jitter_ns, stamps), default=0.0) * 1e-9,
             "begin_s": self.begin_ns * 1e-9,
             "duration_s": len(u) * self.dt_ns * 1e-9,
             "excitation": float(u.std(axis=0).max()),
@@ -378,41 +381,11 @@ class _Boot:
             marks["saturated"] = float(np.any(at_limit, axis=0).mean())
         return marks
 
-    def _on(self, name: str, grid: resample.IntArray) -> FloatArray:
+    def _on(self, name: str, grid: resample.IntArray, ratio: int) -> FloatArray:
         series = self.series[name]
         if self.job.specs[name].hold == "linear":
-            return resample.linear(series, grid)
-        step_ns = self.dt_ns / self._ratio()
-        return resample.on_grid(series, grid, step_ns, resample.hold_tolerance_ns(series, grid))
-
-
-def pauses(spec: SignalSpec, period_ns: float, dt_ns: int) -> tuple[float, float]:
-    """The longest pause in a signal's source that is bridged, and for how long its last sample counts; ns."""
-    if spec.max_gap_s is not None:
-        gap = min(spec.max_gap_s * 1e9, float(resample.FOREVER))
-    else:
-        gap = max(resample.GAP_PERIODS * period_ns, 1.5 * dt_ns)
-    if spec.max_gap_s == float("inf"):
-        return gap, gap
-    return gap, 1.0 if spec.hold == "linear" else min(period_ns, gap)
-
-
-def ratio_of(recipe: Recipe, series: Mapping[str, RecordedSignal], dt_ns: int, *, most: int = 64) -> int:
-    """How many times faster than the grid the fastest state is sampled; 1: no filter is needed.
-
-    `most`: of the fastest source's rate to the grid's.
-    """
-    if not recipe.antialias:
-        return 1
-    states = [s for name, s in series.items() if recipe.signals[name].hold == "linear"]
-    fastest = min((s.period_ns for s in states), default=float(dt_ns))
-    return int(np.clip(dt_ns / fastest + 0.2, 1, most))
-
-
-def fine_grid(begin_ns: int, first: int, stop: int, dt_ns: int, ratio: int) -> resample.IntArray:
-    """Times from point `first` of a grid that begins at `begin_ns` to the last before `stop`, and between."""
-    steps = np.arange(first * ratio, (stop - 1) * ratio + 1)
-    return np.asarray(begin_ns + np.round(steps * (dt_ns / ratio)).astype(np.int64))
+            return resample.decimate(resample.linear(series, grid), ratio)
+        return command_on_grid(series, grid, self.dt_ns, ratio, resample.hold_tolerance_ns(series, grid))
 
 
 def _period(found: Loaded) -> float:

@@ -25,6 +25,7 @@ FOREVER = 1 << 62
 GAP_PERIODS = 2.5  # a pause of more than this many periods is a gap: one lost sample is bridged, two are not
 TAPS_PER_SIDE = 5  # half length of the low-pass, in grid samples
 SPIKE_SAMPLES = 9
+NORMAL = 1.4826  # standard deviation over the median absolute deviation, of normal numbers
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,6 +90,19 @@ def period_ns(t_ns: IntArray) -> float:
     if 3 * len(near) > 2 * len(steps):
         return float(near.mean())
     return float(steps[steps <= 5 * steps.mean()].mean()) or float(steps.mean()) or float("inf")
+
+
+def jitter_ns(t_ns: IntArray) -> float:
+    """How far stamps scatter around an even rate: the standard deviation, by the median; 0 where unknown.
+
+    Of the distances of samples, each of which has the scatter of two stamps; lost samples are left out.
+    """
+    steps = np.diff(t_ns).astype(np.float64)
+    if not len(steps):
+        return 0.0
+    apart = np.abs(steps - np.median(steps))
+    kept = apart[apart < 0.5 * float(np.median(steps))]
+    return NORMAL * float(np.median(kept)) / float(np.sqrt(2.0)) if len(kept) else 0.0
 
 
 def nice_period_ns(period: float) -> int:
@@ -201,12 +215,26 @@ def hold_mean(series: RecordedSignal, grid_ns: IntArray, step_ns: float) -> Floa
     return first
 
 
-def on_grid(series: RecordedSignal, grid_ns: IntArray, step_ns: float, tolerance_ns: int) -> FloatArray:
-    """(N,) a command on a grid of a step: the value of each point's own stamp, where they come together
-    (`hold_tolerance_ns`), else the mean over the step that follows."""
-    if tolerance_ns:
-        return hold(series, grid_ns, tolerance_ns)
-    return hold_mean(series, grid_ns, step_ns)
+def on_grid(
+    series: RecordedSignal, grid_ns: IntArray, step_ns: float, tolerance_ns: int, ratio: int
+) -> FloatArray:
+    """A command on every `ratio`-th point of a grid, as `decimate` has states there.
+
+    The value of each point's own stamp where stamps and points come together (`hold_tolerance_ns`), else the
+    mean over the step that follows. What passed the low-pass is no stair any more: of it, too, the mean over
+    the step counts, which a model that holds its inputs takes for the stair it was.
+
+    Parameters
+    ----------
+    grid_ns : (N,) with `ratio` points to a step, to the end of the last one's.
+    """
+    held = hold(series, grid_ns, tolerance_ns) if tolerance_ns else hold_mean(series, grid_ns, step_ns)
+    if ratio == 1:
+        return held
+    if len(held) < 2 * TAPS_PER_SIDE * ratio + ratio:
+        return np.empty(0)
+    smoothed = np.convolve(held, lowpass(ratio), mode="valid")
+    return np.asarray(np.convolve(smoothed, np.full(ratio, 1.0 / ratio), mode="valid")[::ratio])
 
 
 def hold_tolerance_ns(series: RecordedSignal, grid_ns: IntArray) -> int:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import secrets
 from pathlib import Path
 
@@ -15,7 +16,7 @@ from flysid.cli import root
 from flysid.dataset import FloatArray
 from flysid.ingest.align.on_change import is_logged_on_change
 from flysid.ingest.align.quick import dataset_from
-from flysid.ingest.align.resample import RecordedSignal, hold, hold_mean
+from flysid.ingest.align.resample import RecordedSignal, hold, hold_mean, jitter_ns
 
 LAG_S = 0.3
 GAIN = 2.0
@@ -122,3 +123,54 @@ def test_what_is_logged_on_change_is_told_from_rates_bursts_and_jitter() -> None
     bursts = np.sort(np.repeat(200.0 * np.arange(75), 4) + np.tile([0.0, 1.0, 2.0, 3.0], 75))
     assert not is_logged_on_change(logged(bursts, new))
     assert not is_logged_on_change(logged(uneven[:5], new[:5]))
+
+
+def stamped_table(path: Path, jitter_s: float, seed: int, lag_s: float = 0.03) -> Path:
+    """A lag of 30 ms whose output is logged at 100 Hz; commands at 50 Hz are stamped late by chance."""
+    rng = np.random.default_rng(seed)
+    times = np.arange(0.0, 60.0, 0.02)
+    values = np.repeat(rng.normal(size=len(times) // 15 + 1), 15)[: len(times)]
+    stamps = np.sort(times + rng.uniform(0.0, jitter_s, len(times)))
+    fine = STEP_S * np.arange(60_000)
+    pole = np.exp(-STEP_S / lag_s)
+    u = values[np.searchsorted(times, fine + 1e-9, side="right") - 1]
+    y = lfilter([0.0, 1.0 - pole], [1.0, -pole], u)[::10]
+    y = y + 0.01 * rng.normal(size=len(y))
+    rows = sorted(
+        [(t, f"{v:.9g},") for t, v in zip(stamps, values, strict=True)]
+        + [(t, f",{v:.9g}") for t, v in zip(fine[::10], y, strict=True)]
+    )
+    path.write_text("\n".join(["time_s,u,y", *(f"{t:.6f},{cells}" for t, cells in rows), ""]), "utf-8")
+    return path
+
+
+def test_a_lag_behind_a_low_pass_is_not_shortened_by_half_a_step(tmp_path: Path) -> None:
+    """It read 24.3 ms, and a loop: what passes the low-pass is no stair, and was taken for one."""
+    seed = secrets.randbelow(2**40)
+    table = stamped_table(tmp_path / "fast.csv", 0.0, seed)
+    asked = ["tf", str(table), "--from", "u", "--to", "y", "--poles", "1", "--zeros", "0", "--json", "-q"]
+    (channel,) = json.loads(CliRunner().invoke(root, asked, catch_exceptions=False).stdout)["channels"]
+    lag = channel["transfers"][0]["modes"][0]["time_constant_s"]["value"]
+    assert lag == pytest.approx(0.03, abs=0.0015), seed
+    assert not channel["feedback"][0]["closed"], seed
+    assert channel["cautions"] == []
+
+
+def test_the_scatter_of_stamps_is_said_with_its_size(tmp_path: Path) -> None:
+    seed = secrets.randbelow(2**40)
+    table = stamped_table(tmp_path / "late.csv", 0.005, seed)
+    asked = ["tf", str(table), "--from", "u", "--to", "y", "--poles", "1", "--zeros", "0", "-q"]
+    said = " ".join(CliRunner().invoke(root, asked, catch_exceptions=False).stdout.split())
+    found = re.search(r"stamps of the inputs scatter by \+-([\d.]+) ms \(95 %\)", said)
+    assert found, (seed, said)
+    assert float(found[1]) == pytest.approx(1.96 * 5.0 / np.sqrt(12.0), rel=0.2)
+
+
+def test_jitter_is_that_of_single_stamps() -> None:
+    rng = np.random.default_rng(7)
+    at = 20.0 * np.arange(4000) + 1.5 * rng.normal(size=4000)
+    assert jitter_ns(logged(at, at).t_ns) == pytest.approx(1.5 * MS, rel=0.1)
+    lossy = at[rng.random(4000) > 0.2]
+    assert jitter_ns(logged(lossy, lossy).t_ns) == pytest.approx(1.5 * MS, rel=0.2)
+    assert jitter_ns(logged(20.0 * np.arange(9), at[:9]).t_ns) == 0.0
+    assert jitter_ns(logged(at[:1], at[:1]).t_ns) == 0.0
