@@ -112,8 +112,8 @@ def margins(loop: Loop, controller: Controller) -> Margins:
     f = loop.f[at]
     back = controller.feedback(f)
     forward = controller.reference(f)
-    centre, draws, other = _least_off(loop, at)
-    one, more = (np.array(_figures(f, g, back, forward)) for g in (centre, other))
+    centre, draws, other = least_off(loop, at)
+    one, more = (np.array(list_figures(f, g, back, forward)) for g in (centre, other))
     if np.isnan(one[0]):
         under = bool(np.abs(centre * back)[0] <= 1.0)
         raise DataError(
@@ -124,7 +124,7 @@ def margins(loop: Loop, controller: Controller) -> Margins:
             if under
             else "fly quicker stick movements: steps and flicks, on this axis",
         )
-    every = np.array([_figures(f, g, back, forward) for g in draws])
+    every = np.array([list_figures(f, g, back, forward) for g in draws])
     blocks = sum(len(b) for b in loop.blocks)
     lost = _reasons(f, np.vstack([centre, draws]), (back, forward))
     turned = np.append(every[:, -1], one[-1])
@@ -137,7 +137,7 @@ def margins(loop: Loop, controller: Controller) -> Margins:
     return Margins((low, high), *named)
 
 
-def _least_off(loop: Loop, at: npt.NDArray[np.bool_]) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+def least_off(loop: Loop, at: npt.NDArray[np.bool_]) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
     """The plant, its draws, and the plant with one more power, of the stretches that are off least.
 
     Off, on average over the lines and beside their own scatter, by the curve's scatter and by what one more
@@ -252,7 +252,7 @@ def _stretch(f: FloatArray, weight: FloatArray, powers: int) -> FloatArray:
     return np.array([shapes @ (np.linalg.pinv(heavy) * weight) for shapes, heavy in parts])
 
 
-def _figures(f: FloatArray, g: ComplexArray, back: ComplexArray, forward: ComplexArray) -> list[float]:
+def list_figures(f: FloatArray, g: ComplexArray, back: ComplexArray, forward: ComplexArray) -> list[float]:
     """In the order of `Margins`, and where the loop is at -180 deg; NaN for what is not reached.
 
     The gain margin of a loop that turns above f, where it has fallen further, is that of the end of f; it is
