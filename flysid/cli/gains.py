@@ -53,7 +53,7 @@ def command(
 ) -> int:
     """Estimate crossover, margins, bandwidth and noise of the present gains, each with a 95 % interval.
 
-    Reads the gains from the log (Betaflight 3.1 to 3.5, PX4 1.12 on, ArduCopter 4.0 on), measures the plant
+    Reads the gains from the log (Betaflight 3.1 on, INAV, PX4 1.12 on, ArduCopter 4.0 on), measures the plant
     from the response to the sticks, and computes the loop. If the flights do not determine a figure, or the
     stated gains do not reproduce the recorded output, it says so, and what to fly (exit code 3: nothing is
     known of any axis). It proposes no gains. Given the folder of a run, it reads the flights of that run,

@@ -247,6 +247,15 @@ VERBS: Mapping[str, Verb] = {
             step="Judge",
         ),
         Verb(
+            "predict",
+            "A rate loop under other gains or filters, beside what it is.",
+            (
+                "flysid predict flight.bfl --set 'p_roll=58,d_roll=38'",
+                "flysid predict data --file new.params --axis roll --json",
+            ),
+            step="Judge",
+        ),
+        Verb(
             "design",
             "Robust controller gains over all good models of a run, beside the present ones.",
             (

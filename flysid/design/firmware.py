@@ -13,7 +13,6 @@ configuration of tum_ardrone.
 from __future__ import annotations
 
 import math
-import re
 import textwrap
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -25,7 +24,7 @@ from scipy.constants import g
 from flysid.dataset import FloatArray
 from flysid.design.law import Gains
 from flysid.errors import DataError, UsageError
-from flysid.files import remedy_unread, why_unread
+from flysid.loops.new_settings import read_settings
 
 SAFETY = (
     "Calculated from a model of past flights; not tested on your vehicle. Margins hold for the models "
@@ -245,27 +244,14 @@ def read_parameters(path: Path) -> dict[str, float]:
     ------
     UsageError : no such file. DataError : a line is not a parameter, or a name stands twice with two values.
     """
-    try:
-        text = path.read_text("utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise UsageError(
-            f"the parameter file cannot be read: {why_unread(error)}", path=path, hint=remedy_unread(error)
-        ) from error
-    found: dict[str, float] = {}
-    for number, line in enumerate(text.splitlines(), 1):
-        words = re.split(r"[\s,=:]+", line.split("#")[0].strip())
-        if words == [""]:
-            continue
-        if len(words) == 5 and words[0].isdigit() and words[1].isdigit():  # QGroundControl: two ids, a type
-            words = words[2:4]
+    found = {}
+    for name, text in read_settings(path).items():
         try:
-            name, value = words[0], float(words[1])
-        except (IndexError, ValueError):
+            found[name] = float(text)
+        except ValueError:
             raise DataError(
-                f"line {number} is not a parameter: {line[:60]!r}", path=path, hint="one NAME VALUE a line"
+                f"{name} is not a number: {text[:60]!r}", path=path, hint="one NAME VALUE a line"
             ) from None
-        if found.setdefault(name, value) != value:
-            raise DataError(f"{name} stands twice, with two values", path=path)
     return found
 
 

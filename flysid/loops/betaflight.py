@@ -64,6 +64,8 @@ class Conditions:
     means : of what moves in laws since 4.0; None: of TPA alone, by the throttle.
     forward : f (Hz), and the recorded F term's response to the setpoint there; None where there is no F term.
     checks : how well the law's terms are those that the log recorded.
+    forward_gain : of the law's F term.
+    output_limit : of the controller, thousandths.
     """
 
     throttle: FloatArray
@@ -73,6 +75,8 @@ class Conditions:
     means: Means | None = None
     forward: tuple[FloatArray, ComplexArray] | None = None
     checks: tuple[TermCheck, ...] = ()
+    forward_gain: float = 0.0
+    output_limit: float = UNLIMITED
 
 
 NO_CONDITIONS = Conditions(np.zeros(0), np.zeros(0), np.zeros(0))

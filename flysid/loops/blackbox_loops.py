@@ -70,6 +70,8 @@ def record_of(
         means if law.changes_in_flight else None,
         forward,
         checks,
+        law.f,
+        limit,
     )
     return record, flown
 

@@ -239,10 +239,10 @@ def states_gains(log: Any) -> bool:
 
 def rate_recipe(log: Any) -> str:
     """The shipped recipe of the loops whose gains a log states."""
-    return _kind(log).recipe
+    return kind_of(log).recipe
 
 
-def _kind(log: Any) -> Kind:
+def kind_of(log: Any) -> Kind:
     """The family of a log; the last, which names what is missing, where none fits."""
     return next((kind for kind in KINDS if kind.mark in log.facts.streams), KINDS[-1])
 
@@ -287,14 +287,14 @@ def _flown_alike(logs: Iterable[Any], axes: Iterable[str]) -> list[tuple[str, li
 def _settings(log: Any) -> Settings:
     """What a log states, or why it states nothing that is known."""
     try:
-        return _kind(log).settings(log)
+        return kind_of(log).settings(log)
     except (DataError, UsageError) as error:
         return error
 
 
 def _gains_key(log: Any, settings: Settings, axis: str) -> tuple[Any, ...]:
     """Equal for flights of the same gains."""
-    kind = _kind(log)
+    kind = kind_of(log)
     if isinstance(settings, Exception):
         return (log.name,)
     try:
@@ -310,7 +310,7 @@ def _judge(group: list[Stating], axis: str) -> Judged:
     law = ""
     checks: tuple[TermCheck, ...] = ()
     try:
-        kind = _kind(logs[0])
+        kind = kind_of(logs[0])
         settings = [_state(own) for _, own in group]
         stated = kind.controller(settings[0], axis, NO_CONDITIONS)
         gains, law = stated.gains, stated.law

@@ -113,7 +113,7 @@ def margins(loop: Loop, controller: Controller) -> Margins:
     back = controller.feedback(f)
     forward = controller.reference(f)
     centre, draws, other = _least_off(loop)
-    one, more = (np.array(_figures(f, g, back, forward)) for g in (centre, other))
+    one, more = (np.array(list_figures(f, g, back, forward)) for g in (centre, other))
     if np.isnan(one[0]):
         under = bool(np.abs(centre * back)[0] <= 1.0)
         raise DataError(
@@ -124,7 +124,7 @@ def margins(loop: Loop, controller: Controller) -> Margins:
             if under
             else "fly quicker stick movements: steps and flicks, on this axis",
         )
-    every = np.array([_figures(f, g, back, forward) for g in draws])
+    every = np.array([list_figures(f, g, back, forward) for g in draws])
     blocks = sum(len(b) for b in loop.blocks)
     lost = _reasons(f, np.vstack([centre, draws]), (back, forward))
     turned = np.append(every[:, -1], one[-1])
@@ -145,14 +145,17 @@ def _known_band(loop: Loop) -> tuple[float, float, npt.NDArray[np.bool_]]:
 
 @lru_cache(maxsize=2)
 def _least_off(loop: Loop) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
-    """The plant, its draws, and the plant with one more power, of the stretches that are off least.
+    """As `least_off`, where the loop is known; kept for the next controller: a tuner asks what several do."""
+    *_, at = _known_band(loop)
+    return least_off(loop, at)
 
-    Kept for the next controller of the same loop: a tuner asks what several would do.
+
+def least_off(loop: Loop, at: npt.NDArray[np.bool_]) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+    """The plant, its draws, and the plant with one more power, of the stretches that are off least.
 
     Off, on average over the lines and beside their own scatter, by the curve's scatter and by what one more
     power changes. In gusts the first counts, and stretches are long; in still air the second.
     """
-    *_, at = _known_band(loop)
     plain = plant(loop.mean)[at]
     own = np.mean(np.abs(np.log(plant(loop.draws)[:, at] / plain)) ** 2, axis=0)
     best = np.inf
@@ -262,7 +265,7 @@ def _stretch(f: FloatArray, weight: FloatArray, powers: int) -> FloatArray:
     return np.array([shapes @ (np.linalg.pinv(heavy) * weight) for shapes, heavy in parts])
 
 
-def _figures(f: FloatArray, g: ComplexArray, back: ComplexArray, forward: ComplexArray) -> list[float]:
+def list_figures(f: FloatArray, g: ComplexArray, back: ComplexArray, forward: ComplexArray) -> list[float]:
     """In the order of `Margins`, and where the loop is at -180 deg; NaN for what is not reached.
 
     The gain margin of a loop that turns above f, where it has fallen further, is that of the end of f; it is

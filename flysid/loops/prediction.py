@@ -62,11 +62,11 @@ def predict(flights: Sequence[Loop], controller: Controller) -> Prediction:
     together = Loop(f, tuple(blocks for x in flights for blocks in x.blocks))
     pooled = plant(together.mean)
     apart = np.log(np.array([plant(x.mean) / pooled for x in flights]))
-    weights = _weights(len(flights))
+    weighed = weights(len(flights))
     low, high = trusted_band(together)
     at = (f >= low) & (f <= high)
     pooled[at], _ = smooth(together, at, FEW_POWERS)
-    draws = pooled * np.exp(weights @ apart)
+    draws = pooled * np.exp(weighed @ apart)
     return Prediction(f, _close(pooled, f, controller), _close(draws, f, controller))
 
 
@@ -74,11 +74,11 @@ def _close(g: ComplexArray, f: FloatArray, controller: Controller) -> ComplexArr
     return np.asarray(g * controller.reference(f) / (1.0 + g * controller.feedback(f)))
 
 
-def _weights(n: int) -> FloatArray:
+def weights(n: int) -> FloatArray:
     """(DRAWS, n) of the differences of n flights, for one more flight: Student's t, not a normal spread."""
     rng = np.random.default_rng(0)
-    weights = rng.standard_normal((DRAWS, n)) * np.sqrt((1.0 + 1.0 / n) / (n - 1))
-    return np.asarray(weights * np.sqrt((n - 1) / rng.chisquare(n - 1, DRAWS))[:, None])
+    drawn = rng.standard_normal((DRAWS, n)) * np.sqrt((1.0 + 1.0 / n) / (n - 1))
+    return np.asarray(drawn * np.sqrt((n - 1) / rng.chisquare(n - 1, DRAWS))[:, None])
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,11 +121,11 @@ class Turnings:
         low, high = band_hz or trusted_band(together)
         at = (f >= low) & (f <= high)
         step_s = flights[0].step_s
-        found = [_turning(loop, at, step_s) for loop in (together, *loops)]
+        found = [fit_turning(loop, at, step_s) for loop in (together, *loops)]
         return cls(f, window_s, (low, high), found[0], tuple(found[1:]))
 
 
-def _turning(loop: Loop, at: npt.NDArray[np.bool_], step_s: float) -> Turning:
+def fit_turning(loop: Loop, at: npt.NDArray[np.bool_], step_s: float) -> Turning:
     """Least squares of ln G, weighted with its scatter."""
     g = plant(loop.mean)[at]
     away = np.abs(np.log(plant(loop.draws)[:, at] / g)) ** 2
@@ -166,7 +166,7 @@ def predict_flight(known: Turnings, later: FlownAxis) -> Prediction:
     f = np.maximum(known.f, 1e-6)
     own = known.together.response(f, later.step_s)
     apart = np.log(np.array([turning.response(f, later.step_s) for turning in known.each]) / own)
-    draws = own * np.exp(_weights(n) @ apart)
+    draws = own * np.exp(weights(n) @ apart)
     return Prediction(known.f, response, response * answer(draws) / answer(own))
 
 

@@ -158,6 +158,14 @@ SCENES: dict[str, Scene] = {
             )
         }
     ),
+    "docs/predict.md": Scene(
+        before={
+            "": each(
+                real("blackbox/greenreaper_flight26.bfl", "flight.bfl"),
+                lines("printf 'set p_roll = 58\nset d_roll = 28\n' > new.params"),
+            )
+        },
+    ),
     "docs/recording.md": Scene(
         drives={"flysid record udp:0.0.0.0:14550 -o flight.tlog": recorded("flight.tlog")},
     ),
@@ -257,6 +265,7 @@ LONG: dict[str, int] = {
     "docs/models.md": 17,
     "docs/own-models.md": 13,
     "docs/plan.md": 18,
+    "docs/predict.md": 15,
     "docs/recipes.md": 13,
     "docs/report.md": 20,
     "docs/structured.md": 214,  # at least: the fit of hover.parquet was not waited for
