@@ -133,7 +133,7 @@ def drive(record: Record, vehicle: FittedVehicle) -> Driven:
     assert record.attitude is not None
     air = rotations.to_body(record.attitude, record.velocity)[:-1]
     rate = record.gyro[:-1]
-    turning = theta[TRIM:DAMPING] - theta[DAMPING : DAMPING + 3] * rate
+    turning = theta[TRIM:DAMPING] - theta[DAMPING : DAMPING + 3] * spin[:, None] * rate
     turning[:, 0] += theta[LEAN] * spin * air[:, 1]
     turning[:, 1] += theta[LEAN + 1] * spin * air[:, 0]
     pitch, yaw = theta[INERTIA : INERTIA + 2]
@@ -187,7 +187,7 @@ def turn_ahead(starts: Starts, vehicle: FittedVehicle, driven: Driven) -> tuple[
     damping = vehicle.theta[DAMPING : DAMPING + 3]
     start = rate.copy()
     for step in range(starts.steps):
-        other = driven.turning[at] - damping * (rate - start)
+        other = driven.turning[at] - damping * driven.spin[at, None] * (rate - start)
         after = rate + dt * (driven.torque[at + step] + other + held)
         attitude = rotations.product(attitude, rotations.from_vector(0.5 * dt * (rate + after)))
         rate = after

@@ -67,7 +67,7 @@ def fit_ridge(features: Sequence[FloatArray], targets: Sequence[FloatArray], wei
     scaled = (x - mean) / spread
     gram = scaled.T @ (share[:, None] * scaled)
     slopes = np.linalg.solve(gram + weight * np.eye(len(gram)), scaled.T @ (share[:, None] * (y - middle)))
-    return Ridge(np.asarray(mean, dtype=np.float64), spread, slopes, middle)
+    return Ridge(mean, spread, np.asarray(slopes, dtype=np.float64), middle)
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,7 +5,8 @@ and s_i = (1 - curve) x_i + curve x_i^2 what it lifts as a share of full thrust 
 
     lag dx_i/dt = u_i(t - delay) (V / V_ref)^power - x_i
     specific force = thrust sum(s) z - (rotor drag sum(sqrt(s)) + body drag |w|) w,   w: air speed, body axes
-    dω/dt = effects s + trim - damping ω + sum(sqrt(s)) (lean_roll w_y, lean_pitch w_x, 0) + gyroscopic torque
+    dω/dt = effects s + trim + sum(sqrt(s)) ((lean_roll w_y, lean_pitch w_x, 0) - damping ω)
+            + gyroscopic torque + torque of the rotors' drag, which acts at their hubs
 
 sqrt(s) is a rotor's speed as a share of its speed at full thrust.
 """

@@ -79,13 +79,25 @@ def _derivative(state, share, share_by, theta, wind, wanted):  # type: ignore[no
     ry = theta[INERTIA]
     rz = theta[INERTIA + 1]
     couple = np.array([ry - rz, (rz - 1.0) / ry, (1.0 - ry) / rz])
+    hub = np.zeros(2)  # drag acts at the hubs: where rotors differ in speed, it turns
+    for k in range(2):
+        for i in range(m):
+            hub[k] += theta[EFFECTS + k * m + i] * np.sqrt(max(share[i], _LEAST_SHARE))
+    per = 1.0 / theta[THRUST] if theta[THRUST] > 0.0 else 0.0
+    turn = np.zeros((3, 3))  # of angular acceleration by w
+    turn[0, 1] = theta[LEAN] * spin
+    turn[1, 0] = theta[LEAN + 1] * spin
+    turn[0, 2] = -per * theta[ROTOR_DRAG + 2] * hub[0]
+    turn[1, 2] = -per * theta[ROTOR_DRAG + 2] * hub[1]
+    turn[2, 1] = per * ry / rz * theta[ROTOR_DRAG + 1] * hub[1]
+    turn[2, 0] = per / rz * theta[ROTOR_DRAG] * hub[0]
     for k in range(3):
-        total = theta[TRIM + k] - theta[DAMPING + k] * rate[k]
+        total = theta[TRIM + k] - theta[DAMPING + k] * spin * rate[k]
+        for j in range(3):
+            total += turn[k, j] * w[j]
         for i in range(m):
             total += theta[EFFECTS + k * m + i] * share[i]
         d[10 + k] = total + couple[k] * rate[(k + 1) % 3] * rate[(k + 2) % 3]
-    d[10] += theta[LEAN] * spin * w[1]
-    d[11] += theta[LEAN + 1] * spin * w[0]
     a = np.zeros((STATES, STATES))
     b = np.zeros((STATES, n + 3))
     if not wanted:
@@ -105,18 +117,18 @@ def _derivative(state, share, share_by, theta, wind, wanted):  # type: ignore[no
         for j in range(3):
             a[3 + k, 3 + j] = world[k, j]
             b[3 + k, n + j] = -world[k, j]
-    for j in range(3):
-        a[10, 3 + j] = theta[LEAN] * spin * w_by_v[1, j]
-        a[11, 3 + j] = theta[LEAN + 1] * spin * w_by_v[0, j]
-        b[10, n + j] = -a[10, 3 + j]
-        b[11, n + j] = -a[11, 3 + j]
+    turned = turn @ w_by_v
+    for k in range(3):
+        for j in range(3):
+            a[10 + k, 3 + j] = turned[k, j]
+            b[10 + k, n + j] = -turned[k, j]
     for c in range(4):
         w_by = turn_by[c].T @ air
         moved = turn_by[c] @ force + r @ (shape @ w_by)
+        swung = turn @ w_by
         for k in range(3):
             a[3 + k, 6 + c] = moved[k]
-        a[10, 6 + c] = theta[LEAN] * spin * w_by[1]
-        a[11, 6 + c] = theta[LEAN + 1] * spin * w_by[0]
+            a[10 + k, 6 + c] = swung[k]
     a[6, 7:10] = -0.5 * rate
     a[7:10, 6] = 0.5 * rate
     a[7, 8] = 0.5 * rate[2]
@@ -138,11 +150,11 @@ def _derivative(state, share, share_by, theta, wind, wanted):  # type: ignore[no
     for k in range(3):
         one = (k + 1) % 3
         other = (k + 2) % 3
-        a[10 + k, 10 + k] = -theta[DAMPING + k]
+        a[10 + k, 10 + k] = -theta[DAMPING + k] * spin
         a[10 + k, 10 + one] += couple[k] * rate[other]
         a[10 + k, 10 + other] += couple[k] * rate[one]
         b[10 + k, TRIM + k] = 1.0
-        b[10 + k, DAMPING + k] = -rate[k]
+        b[10 + k, DAMPING + k] = -spin * rate[k]
         for i in range(m):
             b[10 + k, EFFECTS + k * m + i] = share[i]
         for j in range(3):
@@ -152,15 +164,29 @@ def _derivative(state, share, share_by, theta, wind, wanted):  # type: ignore[no
         b[3 + j, THRUST] = r[j, 2] * lift
     b[10, LEAN] = spin * w[1]
     b[11, LEAN + 1] = spin * w[0]
+    yawing = turn[2, 0] * w[0] + turn[2, 1] * w[1]
+    b[10, ROTOR_DRAG + 2] = -per * hub[0] * w[2]
+    b[11, ROTOR_DRAG + 2] = -per * hub[1] * w[2]
+    b[12, ROTOR_DRAG + 1] = per * ry / rz * hub[1] * w[1]
+    b[12, ROTOR_DRAG] = per / rz * hub[0] * w[0]
+    b[10, THRUST] = -per * turn[0, 2] * w[2]
+    b[11, THRUST] = -per * turn[1, 2] * w[2]
+    b[12, THRUST] = -per * yawing
+    for i in range(m):
+        root = np.sqrt(max(share[i], _LEAST_SHARE))
+        b[10, EFFECTS + i] -= per * theta[ROTOR_DRAG + 2] * w[2] * root
+        b[12, EFFECTS + i] += per / rz * theta[ROTOR_DRAG] * w[0] * root
+        b[11, EFFECTS + m + i] -= per * theta[ROTOR_DRAG + 2] * w[2] * root
+        b[12, EFFECTS + m + i] += per * ry / rz * theta[ROTOR_DRAG + 1] * w[1] * root
     roll = rate[1] * rate[2]
     pitch = rate[2] * rate[0]
     yaw = rate[0] * rate[1]
     b[10, INERTIA] = roll
     b[11, INERTIA] = -(rz - 1.0) / (ry * ry) * pitch
-    b[12, INERTIA] = -yaw / rz
+    b[12, INERTIA] = -yaw / rz + turn[2, 1] * w[1] / ry
     b[10, INERTIA + 1] = -roll
     b[11, INERTIA + 1] = pitch / ry
-    b[12, INERTIA + 1] = -(1.0 - ry) / (rz * rz) * yaw
+    b[12, INERTIA + 1] = -(1.0 - ry) / (rz * rz) * yaw - yawing / rz
     by_spin = np.empty(3)
     for k in range(3):
         by_spin[k] = -theta[ROTOR_DRAG + k] * w[k]
@@ -172,9 +198,13 @@ def _derivative(state, share, share_by, theta, wind, wanted):  # type: ignore[no
             for j in range(3):
                 b[3 + j, c] += theta[THRUST] * r[j, 2] * ds + by_spin[j] * root
             for k in range(3):
-                b[10 + k, c] += theta[EFFECTS + k * m + i] * ds
-            b[10, c] += theta[LEAN] * root * w[1]
-            b[11, c] += theta[LEAN + 1] * root * w[0]
+                b[10 + k, c] += theta[EFFECTS + k * m + i] * ds - theta[DAMPING + k] * rate[k] * root
+            rolls = per * theta[EFFECTS + i] * root
+            pitches = per * theta[EFFECTS + m + i] * root
+            b[10, c] += theta[LEAN] * root * w[1] - rolls * theta[ROTOR_DRAG + 2] * w[2]
+            b[11, c] += theta[LEAN + 1] * root * w[0] - pitches * theta[ROTOR_DRAG + 2] * w[2]
+            b[12, c] += pitches * ry / rz * theta[ROTOR_DRAG + 1] * w[1]
+            b[12, c] += rolls / rz * theta[ROTOR_DRAG] * w[0]
     return d, a, b
 
 

@@ -28,6 +28,9 @@ STEPS = 9000
 SIGNALS = 12
 """Position, velocity, attitude and body rate are compared."""
 LEAD_S = 1.0
+MOST_TURNS = 8
+SETTLED = 1e-3
+"""A start is found when another step moves predictions by less than this share of their spreads."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,7 +134,7 @@ class Shooter:
         return np.asarray(np.sqrt(np.mean(np.concatenate(rows) ** 2, axis=0)))
 
     def _block(self, i: int, theta: FloatArray) -> Block:
-        for _ in range(2):
+        for _ in range(MOST_TURNS):
             residuals, by_theta, by_start = self._linear(i, theta)
             if not (np.isfinite(residuals).all() and np.isfinite(by_start).all()):
                 self._starts[i] = self._windows[i].measured[0].copy()
@@ -140,6 +143,8 @@ class Shooter:
             left = (residuals / self.sizes).ravel()
             step = np.linalg.lstsq(scaled, left, rcond=None)[0]
             self._starts[i] = _moved(self._starts[i], step)
+            if float(np.linalg.norm(scaled @ step)) < SETTLED * np.sqrt(len(left)):
+                break
         basis, _ = np.linalg.qr(scaled)
         slopes = (by_theta / self.sizes[:, None]).reshape(len(left), -1)
         return left - basis @ (basis.T @ left), slopes - basis @ (basis.T @ slopes)
@@ -195,10 +200,10 @@ def fit_windows(
     prior = np.zeros(len(start))
     prior[count:] = np.tile([WIND_SD**-2] * 2 + [BIAS_SD**-2] * 3, flights)
     shooter = Shooter(windows, count)
-    found = descend(shooter.blocks_at, start, wanted, limits, prior, steps=12, enough=1e-4)
+    found = descend(shooter.blocks_at, start, wanted, limits, prior, steps=15, enough=1e-4)
     for _ in range(2):
         shooter.sizes = np.maximum(shooter.left_at(found.theta), 1e-9)
-        found = descend(shooter.blocks_at, found.theta, wanted, limits, prior, steps=6, enough=1e-5)
+        found = descend(shooter.blocks_at, found.theta, wanted, limits, prior, steps=15, enough=1e-6)
     return found, shooter.sizes
 
 

@@ -160,7 +160,7 @@ def _basis(piece: Piece, theta: FloatArray) -> FloatArray:
     pitch, yaw = theta[INERTIA : INERTIA + 2]
     couple = np.array([pitch - yaw, (yaw - 1.0) / pitch, (1.0 - pitch) / yaw])
     turning = couple * np.roll(rate, -1, axis=1) * np.roll(rate, -2, axis=1)
-    return np.hstack([share, *interval_means(by), rate, spin * air[:, [1, 0]], turning])
+    return np.hstack([share, *interval_means(by), spin * rate, spin * air[:, [1, 0]], turning])
 
 
 def _told(basis: FloatArray, theta: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -230,6 +230,9 @@ class _Work:
             longer, more = shooting.fit_windows(windows, start, free, flights, self.calm)
             if (more <= GROWN * left).all():
                 found, left, length_s = longer, more, LONG_S
+            else:
+                short = shooting.windows_of(self.stretches, WINDOW_S)
+                found, left = shooting.fit_windows(short, start, free, flights, self.calm)
             apart = self._apart(found)
         if not apart <= AGREE:
             self.notes.append(
@@ -253,10 +256,10 @@ class _Work:
         )
 
     def _weak(self, found: Found, free: Sequence[int]) -> list[int]:
-        """What the air does that free runs do not tell from nothing."""
+        """Drag, trim, damping and lean that free runs do not tell from nothing."""
         errors = np.sqrt(np.diag(found.covariance))
-        air = {*range(ROTOR_DRAG, TRIM), *range(DAMPING, INERTIA)}
-        return [i for i in free if i in air and not abs(found.theta[i]) > SIGNIFICANT * errors[i]]
+        small = range(ROTOR_DRAG, INERTIA)
+        return [i for i in free if i in small and not abs(found.theta[i]) > SIGNIFICANT * errors[i]]
 
     def _apart(self, found: Found) -> float:
         """Share by which the effects of motors differ from those of regression."""

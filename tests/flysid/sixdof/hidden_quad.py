@@ -52,6 +52,8 @@ def fly(quad: HiddenQuad, seconds: float, seed: int) -> tuple[FloatArray, FloatA
     w = np.zeros(3)
     turn = Rotation.identity()
     inertia = np.array(quad.inertia)
+    across, along = MIX[:, 0] * quad.roll * inertia[0], -MIX[:, 1] * quad.pitch * inertia[1]
+    places = np.column_stack([along, across, np.zeros(4)]) / quad.thrust  # thrust there turns it so
     wind = np.array([*quad.wind, 0.0])
     queue = [np.full(4, 0.55)] * (round(quad.delay / STEP_S) + 1)
     u = queue[0]
@@ -66,11 +68,8 @@ def fly(quad: HiddenQuad, seconds: float, seed: int) -> tuple[FloatArray, FloatA
         r = turn.as_matrix()
         lift = (1.0 - quad.curve) * x + quad.curve * x**2
         air = r.T @ (v - wind)
-        force = np.array([0.0, 0.0, quad.thrust * lift.sum()]) - quad.drag * np.sqrt(lift).sum() * air * [
-            1,
-            1,
-            0,
-        ]
+        hubs = -quad.drag * np.sqrt(lift)[:, None] * air * [1.0, 1.0, 0.0]  # drag acts at the hubs
+        force = hubs.sum(axis=0) + np.array([0.0, 0.0, quad.thrust * lift.sum()])
         if i % every == 0:
             noise = quad.noise * rng.standard_normal(16)
             q = turn.as_quat()[[3, 0, 1, 2]]
@@ -87,10 +86,11 @@ def fly(quad: HiddenQuad, seconds: float, seed: int) -> tuple[FloatArray, FloatA
         gust += STEP_S / 0.5 * -gust + np.sqrt(2.0 * STEP_S / 0.5) * quad.gust * rng.standard_normal(3)
         effect = np.array([quad.roll, quad.pitch, quad.yaw]) * (MIX.T @ lift)
         couple = -np.cross(w, inertia * w) / inertia
+        dragged = np.cross(places, hubs).sum(axis=0) / inertia
         p = p + STEP_S * v
         v = v + STEP_S * (r @ force - [0.0, 0.0, GRAVITY])
         turn = turn * Rotation.from_rotvec(w * STEP_S)
-        w = w + STEP_S * (effect + couple + np.array(quad.trim) + gust)
+        w = w + STEP_S * (effect + couple + dragged + np.array(quad.trim) + gust)
     return np.array(commands), np.array(rows)
 
 

@@ -1,0 +1,1 @@
+"""A whole vehicle for simulators and controllers."""
