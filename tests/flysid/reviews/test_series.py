@@ -23,7 +23,7 @@ from flysid.reviews.series import Series, series
 from flysid.reviews.series_effects import Figure, effects, scatter_of_equals
 from flysid.reviews.series_plant import compare_plants
 from flysid.reviews.tracking import review as review_tracking
-from tests.reviews.copter_log import copter_log, even, wander
+from tests.flysid.reviews.copter_log import copter_log, even, wander
 
 LOGS = Path("../shared/logs/blackbox")
 needs_logs = pytest.mark.skipif(not LOGS.is_dir(), reason="needs ../shared/logs")
