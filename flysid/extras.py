@@ -92,6 +92,7 @@ class Extra(Enum):
     # of a review
     REVIEWED = "the section"
     REVIEW_PICTURE = "the picture of the section"
+    SERIES = "the comparison of the flights"
     # beside what is printed
     MEASURED = "the measured response in figures"
     FIT_SHARE = "the share that the free run explains"

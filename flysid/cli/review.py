@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import json
 import shlex
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,13 +15,16 @@ import click
 from flysid.cli.addresses import SOURCE
 from flysid.cli.checks import Words
 from flysid.cli.display import Display
-from flysid.cli.output import ExitCode, check_target, say
+from flysid.cli.output import ExitCode, check_target, printable, say
 from flysid.cli.source import flight_options, opened_flights, reading_options
 from flysid.cli.trust import Own, Setting
+from flysid.extras import Extra, extra
+from flysid.showing import fold
 
 if TYPE_CHECKING:
     from flysid.ingest.lake.chosen_flights import Selection
     from flysid.reviews.reviewed import Review
+    from flysid.reviews.series import Series
 
 
 @click.command("review")
@@ -58,6 +62,10 @@ def command(
     log, and every figure that it holds: tracking, vibration, power, estimator, events. What it does not hold
     is named with the parameter that logs it. `flysid LOG` does the same.
 
+    Of several logs, or a folder, the first sentences are printed, and what the flights of one vehicle show
+    together: their gains and figures in order, what a change did beyond the scatter between flights, and what
+    to try next.
+
     Exit code 3: nothing in a log could be judged; 4: --fail-if holds.
     """
     from flysid.errors import UsageError
@@ -69,17 +77,17 @@ def command(
         check_grammar(condition)
     if output is not None:
         check_target(output, force, makes_folders=True)
-    found = list(_reviews(sources, told, selection, with_evidence=output is not None))
+    found, series = _reviewed(sources, told, selection, with_evidence=output is not None)
     if as_json:
-        documents = [review.to_dict() for review in found]
-        click.echo(json.dumps(documents[0] if len(documents) == 1 else documents, indent=1, allow_nan=False))
-    else:
-        from flysid.reviews.lines import markdown, terminal_text
+        click.echo(json.dumps(_document(found, series), indent=1, allow_nan=False))
+    elif as_markdown:
+        from flysid.reviews.lines import markdown
 
-        texts = [markdown(r) if as_markdown else terminal_text(r) for r in found]
-        click.echo("\n\n".join(texts))
+        click.echo("\n\n".join(markdown(review) for review in found))
+    else:
+        click.echo(_text(found, series))
     if output is not None:
-        _write(output, found, sources)
+        _write(output, found, series, sources)
     elif not (as_json or as_markdown):
         names = " ".join(shlex.quote(str(source)) for source in sources)
         say(f"next: the page with pictures and evidence: flysid review {names} -o review.html")
@@ -88,30 +96,54 @@ def command(
     return 0 if all(review.is_judged for review in found) else 3
 
 
-def _reviews(
+def _reviewed(
     sources: Sequence[Path], told: Words, selection: Selection, *, with_evidence: bool
-) -> Iterator[Review]:
-    """The reviews of all flights of all sources, in their order."""
+) -> tuple[list[Review], Series]:
+    """The reviews of all flights of all sources in their order, and what several of one vehicle show."""
     from flysid.ingest.lake.chosen_flights import select
     from flysid.reviews.logged import LoggedFlight
     from flysid.reviews.review import review_flight
+    from flysid.reviews.series import Series, series
 
+    pairs: list[tuple[Review, LoggedFlight]] = []
     with ExitStack() as stack:
         stack.enter_context(Display().shown())
         for source in sources:
             lake = stack.enter_context(opened_flights(source, told, selection=selection))
             for log in select(lake, selection).logs:
                 flight = LoggedFlight(log, log.manifest.damage, log.manifest.source.name)
-                yield review_flight(flight, with_evidence=with_evidence)
+                pairs.append((review_flight(flight, with_evidence=with_evidence), flight))
+        compared = extra(Extra.SERIES, partial(series, pairs), Series(()))
+    return [review for review, _ in pairs], compared
 
 
-def _write(output: Path, found: Sequence[Review], sources: Sequence[Path]) -> None:
+def _document(found: Sequence[Review], series: Series) -> dict[str, Any]:
+    """A log's document; of several logs all of them, and what they show together."""
+    if len(found) == 1:
+        return found[0].to_dict()
+    return {"reviews": [review.to_dict() for review in found], "series": series.to_dict()}
+
+
+def _text(found: Sequence[Review], series: Series) -> str:
+    """For a terminal: one log whole; of several what they show together, and what they complain of."""
+    from flysid.reviews.lines import MOST_LINES, headline, shared_findings, terminal_text
+
+    if len(found) == 1:
+        return terminal_text(found[0])
+    together = {flown.review.name for own in series.vehicles for flown in own.flights}
+    alone = [headline(review) for review in found if review.name not in together]
+    shared = shared_findings([review for review in found if review.name in together])
+    lines = [*alone, *series.lines(MOST_LINES - len(shared)), *shared]
+    return "\n".join(fold(printable(line)) for line in lines)
+
+
+def _write(output: Path, found: Sequence[Review], series: Series, sources: Sequence[Path]) -> None:
     """The page, and the parameters that it proposes in a file beside it."""
     from flysid.reviews.page import write_review
     from flysid.reviews.parameter_file import file_suffix, parameter_text
 
     names = " ".join(shlex.quote(str(source)) for source in sources)
-    write_review(output, found, f"flysid review {names} -o {shlex.quote(str(output))}")
+    write_review(output, found, f"flysid review {names} -o {shlex.quote(str(output))}", series.tables)
     click.echo(str(output))
     for review in found:
         text = parameter_text(review.actions, review.family, review.whole)
@@ -125,7 +157,10 @@ def _holds(condition: str, found: Sequence[Review]) -> bool:
     """Whether it holds of any log; which, and why, is printed."""
     from flysid.validate.condition import matching_channels
 
-    document: dict[str, Any] = {"channels": {review.name: review.values for review in found}}
+    names = [review.name for review in found]
+    called = [f"{name} ({i})" if names.count(name) > 1 else name for i, name in enumerate(names, 1)]
+    values = (review.values for review in found)
+    document: dict[str, Any] = {"channels": dict(zip(called, values, strict=True))}
     failed = matching_channels(condition, document)
     for name, why in failed.items():
         say(f"check failed on {name}: {condition}" + (f" ({why})" if why else ""))

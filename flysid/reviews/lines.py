@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 from flysid.escaping import markdown as escaped
 from flysid.escaping import one_line
-from flysid.reviews.fact import Action, Fact, Grade, Section
+from flysid.reviews.fact import Action, Fact, Finding, Grade, Section, order
 from flysid.reviews.reviewed import Review
 from flysid.showing import counted, fold
 
 MARKS = {Grade.GOOD: "+", Grade.PLAIN: " ", Grade.WATCH: "!", Grade.BAD: "!!"}
 MOST_LINES = 25
+SHARED = 3
+"""Kinds of complaints that several logs share, on the terminal."""
 SHOWN_FACTS = 4
 """Of a section on the terminal, where there is room; all of them stand on the page."""
 
@@ -41,6 +43,26 @@ def _lines(review: Review, most: int) -> Iterator[str]:
     yield ""
     yield from filter(None, (_section_line(section, most) for section in review.sections))
     yield from (f"note: {sentence}" for sentence in review.broken)
+
+
+def shared_findings(reviews: Sequence[Review]) -> list[str]:
+    """What several logs complain of, one line a kind: how many do, and the gravest of them."""
+    kinds: dict[str, list[Finding]] = {}
+    for review in reviews:
+        for finding in review.findings:
+            if finding.grade.rank > Grade.PLAIN.rank:
+                kinds.setdefault(finding.fact, []).append(finding)
+    by_count = sorted(kinds.values(), key=lambda found: -len(found))[:SHARED]
+    return [
+        f"{MARKS[order(found)[0].grade]:2} {len(found)} of {len(reviews)} flights: {order(found)[0].text}"
+        for found in by_count
+    ]
+
+
+def headline(review: Review) -> str:
+    """A log in one line: its name and its first sentence."""
+    first = review.findings[0]
+    return f"{MARKS[first.grade]:2} {review.name}: {first.text}"
 
 
 def head(review: Review) -> str:

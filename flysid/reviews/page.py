@@ -28,14 +28,16 @@ MOST_SAMPLES = 300_000
 """In the lines of the flight over time; where there are more, extremes are kept."""
 
 
-def write_review(path: str | Path, reviews: Sequence[Review], command: str = "") -> Path:
+def write_review(
+    path: str | Path, reviews: Sequence[Review], command: str = "", series: Sequence[Table] = ()
+) -> Path:
     """Write the page whole or not at all; returns its path.
 
     Raises
     ------
     StoreError : the file cannot be written.
     """
-    return write_page(path, render(reviews, command))
+    return write_page(path, render(reviews, command, series))
 
 
 def render(reviews: Sequence[Review], command: str = "", series: Sequence[Table] = ()) -> str:
@@ -53,12 +55,13 @@ def render(reviews: Sequence[Review], command: str = "", series: Sequence[Table]
         )
         scripts = [load_asset("uPlot.iife.min.js"), load_asset("plot.js")]
         timelines = [review.timeline for review in reviews]
+        most = MOST_SAMPLES // len(reviews)
         shown = [_filled(review, i) for i, review in enumerate(reviews)]
         filled = {
             "csp": security_policy(scripts, styles),
             "styles": Markup(styles),
             "scripts": [Markup(script) for script in scripts],
-            "data": Markup(script_json([_timeline(timeline) for timeline in timelines])),
+            "data": Markup(script_json([_timeline(each, most) for each in timelines])),
             "title": one_line(
                 reviews[0].findings[0].text if len(reviews) == 1 else f"{len(reviews)} flights"
             ),
@@ -184,7 +187,7 @@ def _anchor(index: int, key: str) -> str:
     return f"f{index}-{key.replace('.', '-')}"
 
 
-def _timeline(timeline: Timeline) -> Mapping[str, Any]:
+def _timeline(timeline: Timeline, most: int) -> Mapping[str, Any]:
     count = sum(len(trace.values) for panel in timeline.panels for trace in panel)
-    size = max(1, -(-2 * count // MOST_SAMPLES)) if count > MOST_SAMPLES else 1
+    size = max(1, -(-2 * count // most)) if count > most else 1
     return timeline_document(timeline, size)

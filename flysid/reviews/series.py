@@ -23,7 +23,7 @@ from flysid.reviews.series_effects import Effect, Figure, effects, scatter_of_eq
 from flysid.reviews.series_next import try_next
 from flysid.reviews.series_plant import Sameness, compare_plants
 from flysid.reviews.series_settings import Difference, differences
-from flysid.showing import align, counted, significant
+from flysid.showing import WIDTH, align, counted, fold, significant
 
 MOST_LINES = 25
 """Of a terminal, for one vehicle."""
@@ -200,9 +200,20 @@ class VehicleSeries:
         """For a terminal."""
         head = [self.title]
         below = [*(same.words for same in self.sameness), *self._effect_lines(), *self._action_lines()]
+        below = [line for text in below for line in fold(text).splitlines()]
         room = max(most - len(head) - len(below) - 1, LEAST_ROWS)
-        table = align([self.table.headings, *_some(self.table.rows, room)])
-        return [*head, *table, *below][:most]
+        return [*head, *self._rows(room), *below][:most]
+
+    def _rows(self, room: int) -> list[str]:
+        """The table, with the figures that have room beside each other."""
+        names = _without_common_beginning([row[0] for row in self.table.rows])
+        rows = [(name, *row[1:]) for name, row in zip(names, self.table.rows, strict=True)]
+        shown = [self.table.headings, *_some(rows, room)]
+        lines = align(shown)
+        while max(map(len, lines)) > WIDTH:
+            shown = [row[:-1] for row in shown]
+            lines = align(shown)
+        return lines
 
     def _effect_lines(self, most: int = 6) -> Iterator[str]:
         clear = [effect.words for effect in self.effects if effect.is_clear][:most]
@@ -219,7 +230,7 @@ class VehicleSeries:
         for action in self.actions:
             changes = ", ".join(change.words for change in action.changes)
             yield f"next: {changes}: {action.reason}"
-            yield f"  predicted: {action.predicted}. Risk: {action.risk}."
+            yield f"  Predicted: {action.predicted}. Risk: {action.risk}."
 
     def to_dict(self) -> dict[str, Any]:
         """For JSON."""
@@ -295,6 +306,16 @@ def _by_numbers(name: str) -> list[tuple[int, int, str]]:
     """So that flight9 stands before flight10."""
     parts = re.split(r"(\d+)", name)
     return [(0, int(part), "") if part.isdecimal() else (1, 0, part) for part in parts if part]
+
+
+def _without_common_beginning(names: Sequence[str]) -> list[str]:
+    """What tells names apart: "flight14" of "greenreaper_flight14" where all begin alike."""
+    cut = 0
+    for at, letters in enumerate(zip(*names, strict=False), 1):
+        if len(set(letters)) > 1:
+            break
+        cut = at if letters[0] in "_- " else cut
+    return [name[cut:] for name in names]
 
 
 def _known(fact: Fact | None) -> tuple[float, float]:

@@ -142,7 +142,7 @@ def suggestions(place: Path) -> Shown:
 def review(place: Path) -> Shown:
     """Every section breaks here: the page names the log, and 3 says that nothing was judged."""
     code, said, out = flysid(place, "review", "data", "-o", "review.html", "--force", "--json", whole=True)
-    documents = json.loads(out[: out.rindex("]") + 1])
+    documents = json.loads(out[: out.rindex("}") + 1])["reviews"]
     page = html.unescape((place / "review.html").read_text("utf-8"))
     broken = [sentence for document in documents for sentence in document["broken"]]
     told = {"page": spaced(page)}
