@@ -24,7 +24,7 @@ from flysid.version import __version__
 
 FEW = 6
 """Figures of a section that all stand open; of more, those without a limit are folded away."""
-MOST_SAMPLES = 300_000
+MOST_SAMPLES = 120_000
 """In the lines of the flight over time; where there are more, extremes are kept."""
 
 
