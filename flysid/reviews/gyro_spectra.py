@@ -9,13 +9,17 @@ import numpy as np
 
 from flysid.errors import DataError
 from flysid.reviews.filters import gyro_chain
-from flysid.reviews.gyro import LoggedGyro, logged_gyro, motors_hz, sources_of, throttle_of
+from flysid.reviews.gyro import LoggedGyro, command_of, logged_gyro, motors_hz, sources_of, throttle_of
 from flysid.reviews.logged import Column, LoggedFlight
 from flysid.spectra.causes import name_causes, sizes_along
 from flysid.spectra.chain import Chain
 from flysid.spectra.peaks import Peak, peaks_of
 from flysid.spectra.spectrum import Windows, windows_of
 
+HARDEST_SHAKE = 20_000.0
+"""deg/s2, beyond which no tone is looked for: a racer's raw gyro has 14 deg/s at 63 Hz or, folded, 186 Hz."""
+SLOWEST_TONE_HZ = 3.0
+"""Below it, no peak is looked for: what moves is the vehicle."""
 FAR_MORE = 2.0
 """Times the size of any other motor's: none is named before."""
 
@@ -65,7 +69,7 @@ class Shaking:
         return {
             axis: name_causes(
                 windows,
-                peaks_of(windows, lowest_hz=3.0),
+                peaks_of(windows, lowest_hz=SLOWEST_TONE_HZ),
                 sources_of(self.flight, axis),
                 self.throttle if self.gyro.best is self.gyro.raw else None,
             )
@@ -96,6 +100,21 @@ class Shaking:
         size, number, axis = max(found)
         return number, axis, size
 
+    def commanded(self, axis: str, peak: Peak) -> bool:
+        """Whether the pilot, or where no stick moved the setpoint, has a peak at the same frequency."""
+        command = command_of(self.flight, axis)
+        if command is None:
+            return False
+        air = command.where(self.flight.flying(command.time_s))
+        try:
+            windows = windows_of(air.time_s, air.values)
+        except DataError:
+            return False
+        own = peaks_of(windows, lowest_hz=SLOWEST_TONE_HZ / 2.0)
+        return any(
+            low.band[0] <= peak.hz <= low.band[1] or abs(low.hz - peak.hz) < windows.step_hz for low in own
+        )
+
     @property
     def is_raw(self) -> bool:
         """Whether the spectra are of the gyro before its filters, of every other sample at least."""
@@ -106,12 +125,11 @@ class Shaking:
         return rate > 0.4 * self.chain.fastest_hz
 
     def may_fold(self, peak: Peak) -> bool:
-        """Whether a faster tone would pass the filters nearly as well as the one that shows."""
-        if self.is_raw:
+        """Whether the peak may be a faster tone: one that filters pass, and that a vehicle can shake by."""
+        faster_hz = peak.folded(8.0 * peak.nyquist_hz)[0]
+        if self.is_raw or 2.0 * np.pi * faster_hz * peak.rms > HARDEST_SHAKE:
             return False
         if self.gyro.best is self.gyro.raw or self.chain is None:
             return True
-        shown, faster = np.abs(
-            self.chain.response(np.array([peak.hz, peak.folded(8.0 * peak.nyquist_hz)[0]]))
-        )
+        shown, faster = np.abs(self.chain.response(np.array([peak.hz, faster_hz])))
         return bool(faster > 0.1 * shown)

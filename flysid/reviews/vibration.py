@@ -185,6 +185,8 @@ def _tone_finding(shaking: Shaking, of: dict[str, Fact]) -> Iterator[Finding]:
     if grade.rank < Grade.WATCH.rank:
         return
     axis, peak = strongest
+    if shaking.commanded(axis, peak):
+        return
     axes = [name for name in shaking.peaks if name == axis or _shares(shaking, name, peak)]
     verb = "shakes" if len(axes) == 1 else "shake"
     text = f"{_listed(axes).capitalize()} {verb} by {significant(peak.rms)} deg/s"

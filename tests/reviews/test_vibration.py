@@ -261,3 +261,22 @@ def test_sound_motors_are_not_accused(tmp_path: Path) -> None:
     alike = turning_log(tmp_path, 12.0, 64, apart=0.0)
     assert facts(alike)["worst_motor"].value == "none stands out"  # four motors that turn alike
     assert not any("motor" in action.title for action in alike.actions)
+
+
+def oscillating(tmp_path: Path, stick_hz: float) -> Section:
+    """Roll turns by 40 deg/s at 6 Hz; the stick moves at a frequency."""
+    rate = 500.0
+    t, x = shaken(25.0, rate, [(6.0, 40.0)], 0.5, 71)
+    columns = {f"gyroADC[{k}]": np.rint(10.0 * x).astype(int).tolist() for k in range(3)}
+    stick = 150.0 * np.sin(2.0 * np.pi * stick_hz * t)
+    columns |= {f"rcCommand[{k}]": np.rint(10.0 * stick).astype(int).tolist() for k in range(3)}
+    stamps = (1_000_000 + 2000 * np.arange(len(t))).tolist()
+    settings = BETAFLIGHT | {"looptime": "2000", "pid_process_denom": "1"}
+    return review(flight_of(tmp_path / f"{stick_hz:g}.bbl", blackbox(settings, columns, stamps)))
+
+
+def test_what_the_pilot_asks_for_is_no_oscillation(tmp_path: Path) -> None:
+    (own, *_) = oscillating(tmp_path, 0.5).findings
+    assert own.grade is Grade.WATCH
+    assert own.text == "Roll, pitch and yaw shake by 27.5 deg/s at 6 Hz"  # 494 Hz would be 85,000 deg/s2
+    assert not oscillating(tmp_path, 6.0).findings
