@@ -11,6 +11,7 @@ import numpy as np
 
 from flysid.errors import DataError, UsageError
 from flysid.reviews.gyro import AXES, UNIT, logged_gyro, motors_hz, sources_of, throttle_of
+from flysid.reviews.gyro_spectra import HARDEST_SHAKE
 from flysid.reviews.logged import Column, LoggedFlight
 from flysid.showing import first_of, one_of, significant
 from flysid.spectra.causes import name_causes
@@ -51,11 +52,12 @@ class FieldSpectrum:
 
     def _peak_line(self, peak: Peak, unit: str) -> str:
         low, high = (significant(edge, 4) for edge in peak.interval)
-        folded = first_of([f"{hz:.0f}" for hz in peak.folded(4.0 * peak.nyquist_hz)], 3)
+        hardest = HARDEST_SHAKE if self.column.unit == UNIT else np.inf
+        folded = [hz for hz in peak.folded(4.0 * peak.nyquist_hz) if 2.0 * np.pi * hz * peak.rms < hardest]
+        others = f"; or {first_of([f'{hz:.0f}' for hz in folded], 3)} Hz, folded" if folded else ""
         return (
             f"{significant(peak.hz, 4)} Hz [{low}, {high}], {peak.height_db:.0f} dB over the floor, "
-            f"RMS {significant(peak.rms)}{unit}"
-            + (f": {peak.cause}" if peak.cause else f"; or {folded} Hz, folded")
+            f"RMS {significant(peak.rms)}{unit}" + (f": {peak.cause}" if peak.cause else others)
         )
 
     def to_dict(self) -> dict[str, Any]:

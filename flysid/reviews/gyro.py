@@ -244,6 +244,21 @@ def throttle_of(flight: LoggedFlight) -> Column | None:
     return Column("actuator_motors.control", "", time_s, np.mean([m.held(time_s) for m in driven], axis=0))
 
 
+def command_of(flight: LoggedFlight, axis: str) -> Column | None:
+    """What the pilot asks of an axis, by sticks; by the attitude setpoint where no stick moves."""
+    k = AXES.index(axis)
+    sticks = [
+        (f"main.rcCommand[{k}]", ""),
+        (f"manual_control_setpoint.{axis}", ""),
+        (f"manual_control_setpoint.{'yxr'[k]}", ""),
+        (f"RCIN.C{(1, 2, 4)[k]}", "us"),
+        (f"vehicle_attitude_setpoint.{axis}_body", "deg"),
+        (f"ATT.Des{axis.capitalize()}", "deg"),
+    ]
+    found = (flight.quantity(address, unit=unit, stated=unit) for address, unit in sticks)
+    return next((column for column in found if column is not None and np.ptp(column.values) > 0.0), None)
+
+
 def motors_hz(flight: LoggedFlight) -> dict[int, Column]:
     """Number of a motor, from 1 -> its turns a second; {} where no ESC states any."""
     found: dict[int, Column] = {}

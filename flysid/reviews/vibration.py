@@ -3,25 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
-from flysid.errors import DataError
 from flysid.reviews.fact import Action, Fact, Finding, Grade, Section
-from flysid.reviews.filters import gyro_chain
-from flysid.reviews.gyro import UNIT, LoggedGyro, logged_gyro, sources_of, throttle_of
+from flysid.reviews.gyro import UNIT, motors_hz
+from flysid.reviews.gyro_spectra import Shaking
 from flysid.reviews.limits import limit
-from flysid.reviews.logged import Column, LoggedFlight
+from flysid.reviews.logged import LoggedFlight
 from flysid.reviews.notches import propose_notch
 from flysid.reviews.shaking import accelerometer_clips, accelerometer_level
 from flysid.reviews.spectrum_pictures import pictures_of
 from flysid.showing import first_of, significant
-from flysid.spectra.causes import name_causes
-from flysid.spectra.chain import Chain
-from flysid.spectra.peaks import Peak, peaks_of
-from flysid.spectra.spectrum import Windows, windows_of
+from flysid.spectra.peaks import Peak
 
 MOTION_HZ = 20.0
 """Below it, what moves is the vehicle."""
@@ -32,85 +26,6 @@ PHASE_HZ = 30.0
 """At which a chain of filters is described: where vehicles are steered, and where small ones cross over."""
 TONE_SHARE = 0.25
 """Of the power of all that the gyro measures: from there on, a tone is worth a sentence."""
-
-
-@dataclass(frozen=True, eq=False)
-class Shaking:
-    """The spectra of one flight's gyro.
-
-    Attributes
-    ----------
-    flight, gyro : what they are of.
-    windows : axis -> in the air, of the signal that shows most.
-    chain : of the filters; None where it is not known.
-    no_chain : why not.
-    """
-
-    flight: LoggedFlight
-    gyro: LoggedGyro
-    windows: dict[str, Windows]
-    chain: Chain | None
-    no_chain: str = ""
-
-    @classmethod
-    def of(cls, flight: LoggedFlight) -> Shaking:
-        """Of a flight."""
-        gyro = logged_gyro(flight)
-        windows = {}
-        for axis, column in gyro.best.items():
-            air = column.where(flight.flying(column.time_s))
-            try:
-                windows[axis] = windows_of(air.time_s, air.values)
-            except DataError:
-                continue
-        try:
-            return cls(flight, gyro, windows, gyro_chain(flight, gyro))
-        except DataError as error:
-            return cls(flight, gyro, windows, None, error.message)
-
-    @cached_property
-    def throttle(self) -> Column | None:
-        """0 to 1."""
-        return throttle_of(self.flight)
-
-    @cached_property
-    def peaks(self) -> dict[str, list[Peak]]:
-        """Axis -> peaks with their causes, the strongest first."""
-        return {
-            axis: name_causes(
-                windows,
-                peaks_of(windows, lowest_hz=3.0),
-                sources_of(self.flight, axis),
-                self.throttle if self.gyro.best is self.gyro.raw else None,
-            )
-            for axis, windows in self.windows.items()
-        }
-
-    @property
-    def strongest(self) -> tuple[str, Peak] | None:
-        """Axis and peak that carry most power."""
-        found = [(axis, peak) for axis, peaks in self.peaks.items() for peak in peaks]
-        return max(found, key=lambda pair: pair[1].rms, default=None)
-
-    @property
-    def is_raw(self) -> bool:
-        """Whether the spectra are of the gyro before its filters, of every other sample at least."""
-        best = self.gyro.best is self.gyro.raw and self.gyro.every_sample and bool(self.windows)
-        if not best or self.chain is None:
-            return False
-        rate = min(windows.rate_hz for windows in self.windows.values())
-        return rate > 0.4 * self.chain.fastest_hz
-
-    def may_fold(self, peak: Peak) -> bool:
-        """Whether a faster tone would pass the filters nearly as well as the one that shows."""
-        if self.is_raw:
-            return False
-        if self.gyro.best is self.gyro.raw or self.chain is None:
-            return True
-        shown, faster = np.abs(
-            self.chain.response(np.array([peak.hz, peak.folded(8.0 * peak.nyquist_hz)[0]]))
-        )
-        return bool(faster > 0.1 * shown)
 
 
 def review(flight: LoggedFlight) -> Section:
@@ -149,6 +64,7 @@ def _gyro_facts(shaking: Shaking) -> Iterator[Fact]:
     )
     yield from (_band(shaking, key, addresses) for key in BANDS_HZ)
     yield from _peak_facts(shaking, addresses)
+    yield from _motor_facts(shaking)
 
 
 def _band(shaking: Shaking, key: str, addresses: tuple[str, ...]) -> Fact:
@@ -241,7 +157,7 @@ def _filter_facts(shaking: Shaking) -> Iterator[Fact]:
 
 def _findings(shaking: Shaking, facts: tuple[Fact, ...]) -> Iterator[Finding]:
     of = {fact.key: fact for fact in facts}
-    tone = list(_tone_finding(shaking, of))
+    tone = list(_motor_finding(shaking)) or list(_tone_finding(shaking, of))
     yield from tone
     level = of.get("vibration.accel_level")
     if tone and level is not None and level.grade is Grade.GOOD:
@@ -269,6 +185,8 @@ def _tone_finding(shaking: Shaking, of: dict[str, Fact]) -> Iterator[Finding]:
     if grade.rank < Grade.WATCH.rank:
         return
     axis, peak = strongest
+    if shaking.commanded(axis, peak):
+        return
     axes = [name for name in shaking.peaks if name == axis or _shares(shaking, name, peak)]
     verb = "shakes" if len(axes) == 1 else "shake"
     text = f"{_listed(axes).capitalize()} {verb} by {significant(peak.rms)} deg/s"
@@ -281,6 +199,39 @@ def _tone_finding(shaking: Shaking, of: dict[str, Fact]) -> Iterator[Finding]:
     yield Finding(
         f"{text}; at {rate} Hz of logging its frequency cannot be told", grade, 0.8, "vibration.peak", more
     )
+
+
+def _motor_facts(shaking: Shaking) -> Iterator[Fact]:
+    if not shaking.windows or len(motors_hz(shaking.flight)) < 2:
+        return
+    worst = shaking.worst_motor
+    if worst is None:
+        yield Fact("vibration.worst_motor", "motor that shakes most", "none stands out")
+        return
+    number, axis, size = worst
+    yield Fact(
+        "vibration.worst_motor",
+        "motor that shakes most",
+        f"motor {number}",
+        note=f"{significant(size)} deg/s in {axis} at its own frequency, twice as much as any other at least",
+        grade=limit("vibration.tone").grade(size),
+    )
+
+
+def _motor_finding(shaking: Shaking) -> Iterator[Finding]:
+    worst = shaking.worst_motor
+    if worst is None:
+        return
+    number, axis, size = worst
+    grade = limit("vibration.tone").grade(size)
+    if grade.rank >= Grade.WATCH.rank:
+        yield Finding(
+            f"Motor {number} shakes {axis} by {significant(size)} deg/s",
+            grade,
+            0.9,
+            "vibration.worst_motor",
+            "at its own frequency: a propeller, a shaft or a bearing",
+        )
 
 
 def _listed(names: list[str]) -> str:
@@ -296,6 +247,15 @@ def _shares(shaking: Shaking, axis: str, peak: Peak) -> bool:
 
 
 def _actions(shaking: Shaking) -> Iterator[Action]:
+    worst = shaking.worst_motor
+    if worst is not None and limit("vibration.tone").grade(worst[2]).rank >= Grade.WATCH.rank:
+        number, axis, size = worst
+        yield Action(
+            f"Check motor {number}: propeller, shaft, bearings",
+            f"{axis} shakes by {significant(size)} deg/s at its frequency, twice as much as at any other's",
+            weight=0.8,
+            fact="vibration.worst_motor",
+        )
     strongest = shaking.strongest
     if strongest is None or shaking.chain is None or not shaking.is_raw:
         return

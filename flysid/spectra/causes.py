@@ -130,6 +130,35 @@ def follows(windows: Windows, shown_hz: FloatArray, *, draws: int = 40) -> float
     return own - float(np.median(others)) if own > others.max() else 0.0
 
 
+def sizes_along(windows: Windows, turns_hz: FloatArray, *, reach: int = 1, fewest: int = 8) -> FloatArray:
+    """(M,) RMS of what shakes at each of several frequencies that move; NaN where they are rarely apart.
+
+    It is what stands above the floor within so many steps. A window counts for a frequency where no other
+    one is as near as that.
+
+    Parameters
+    ----------
+    turns_hz : (M, W) during each window; NaN or zero where they are not known.
+    fewest : windows that a size rests on.
+    """
+    known = np.isfinite(turns_hz) & (turns_hz > 0.0)
+    place = (
+        np.rint(fold(np.where(known, turns_hz, 0.0), windows.rate_hz) / windows.step_hz).astype(np.int64) - 1
+    )
+    floor = floor_of(windows.mean)
+    found = np.full(len(turns_hz), np.nan)
+    for number in range(len(turns_hz)):
+        others = np.delete(place, number, axis=0)
+        clear = known[number] & (np.abs(others - place[number]) > 2 * reach).all(axis=0)
+        clear &= (place[number] >= reach) & (place[number] < len(windows.hz) - reach)
+        if clear.sum() >= fewest:
+            near = place[number][clear][:, None] + np.arange(-reach, reach + 1)
+            excess = np.take_along_axis(windows.density[clear], near, axis=1) - floor[near]
+            power = float(excess.sum(axis=1).mean()) * windows.step_hz
+            found[number] = np.sqrt(max(0.0, power))
+    return found
+
+
 def power_of(windows: Windows, peak: Peak, throttle: FloatArray) -> tuple[float, float] | None:
     """95 % interval of the power of the throttle with which a peak's frequency grows; None where unknown.
 

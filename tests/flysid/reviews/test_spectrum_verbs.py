@@ -47,6 +47,7 @@ def test_peaks_are_printed_with_interval_and_what_they_may_fold_from(log: Path) 
     assert "4000 Hz (tones above 2000 Hz fold)" in " ".join(roll.split())
     assert "150 Hz [" in roll
     assert "310 Hz [" in roll
+    assert "folded" not in roll  # 3,850 Hz by 8 deg/s would tear it apart
     assert "no peak above the noise" in done.stdout[len(roll) :]
 
 

@@ -161,7 +161,7 @@ def raw_log(
 ) -> Section:
     """4 kHz gyro before and behind a low-pass of 250 Hz; the throttle moves."""
     rate = 4000.0
-    t, x = shaken(20.0, rate, tones, 1.0, 21)
+    t, x = shaken(15.0, rate, tones, 1.0, 21)
     throttle = 0.45 + (0.2 if moves else 0.0) * np.sin(2.0 * np.pi * t / 7.0)
     w = 2.0 * np.pi * 250.0 / rate
     behind = signal.lfilter([w / (w + 1.0)], [1.0, w / (w + 1.0) - 1.0], x)
@@ -179,7 +179,7 @@ def test_a_steady_tone_before_the_filters_gets_a_notch_with_its_effect(tmp_path:
     (action,) = section.actions
     assert [change.name for change in action.changes] == ["gyro_notch1_hz", "gyro_notch1_cutoff"]
     assert action.changes[0].new == 150.0
-    _, x = shaken(20.0, 4000.0, [(150.0, 25.0)], 1.0, 21)
+    _, x = shaken(15.0, 4000.0, [(150.0, 25.0)], 1.0, 21)
     w, edge = 2.0 * np.pi * 250.0 / 4000.0, action.changes[1].new
     behind = signal.lfilter([w / (w + 1.0)], [1.0, w / (w + 1.0) - 1.0], x)
     width = 150.0 / (150.0 * edge / (150.0**2 - edge**2))
@@ -221,3 +221,62 @@ def test_ten_rows_a_second_are_too_few_for_noise(tmp_path: Path) -> None:
     found = facts(review(flight_of(tmp_path / "a.bin", dataflash_file(rows, {"INS_GYRO_FILTER": 20.0}))))
     assert found["gyro_mid"].missing == "the gyro is logged too slowly"
     assert number(found["gyro_rate"]) == pytest.approx(10.0, rel=1e-3)
+
+
+def turning_log(tmp_path: Path, size: float, seed: int, apart: float = 0.06) -> Section:
+    """Four motors whose turns the log holds; the third shakes by this size, the others a little."""
+    rate = 2000.0
+    rng = np.random.default_rng(seed)
+    t, x = shaken(20.0, rate, [], 1.0, seed)
+    base = 110.0 + 12.0 * np.interp(t, np.arange(0.0, 40.0, 2.0), rng.normal(size=20))
+    own = [np.interp(t, np.arange(0.0, 40.0, 1.5), rng.normal(size=27)) for _ in range(4)]
+    turns = [base * (1.0 + apart * one) for one in own]
+    for number, hz in enumerate(turns):
+        x = x + (size if number == 2 else 1.0) * np.sin(2.0 * np.pi * np.cumsum(hz) / rate)
+    raw = np.rint(10.0 * x).astype(int).tolist()
+    columns = {f"{name}[{k}]": raw for name in ("gyroUnfilt", "gyroADC") for k in range(3)}
+    columns |= {
+        f"eRPM[{k}]": np.rint(hz * 60.0 * 7.0 / 100.0).astype(int).tolist() for k, hz in enumerate(turns)
+    }
+    settings = BETAFLIGHT | {"motor_poles": "14", "looptime": "500", "pid_process_denom": "1"}
+    stamps = (1_000_000 + 500 * np.arange(len(t))).tolist()
+    return review(flight_of(tmp_path / f"{seed}.bbl", blackbox(settings, columns, stamps)))
+
+
+def test_a_bent_shaft_is_that_motors(tmp_path: Path) -> None:
+    for seed in (51, 52):
+        section = turning_log(tmp_path, 12.0, seed)
+        (first, *_) = section.findings
+        assert first.text.startswith("Motor 3 shakes")
+        assert first.grade is Grade.WATCH
+        assert [action.title for action in section.actions] == ["Check motor 3: propeller, shaft, bearings"]
+
+
+def test_sound_motors_are_not_accused(tmp_path: Path) -> None:
+    for seed in (61, 62):
+        section = turning_log(tmp_path, 1.0, seed)
+        assert facts(section)["worst_motor"].value == "none stands out"
+        assert not section.findings
+        assert not section.actions
+    alike = turning_log(tmp_path, 12.0, 64, apart=0.0)
+    assert facts(alike)["worst_motor"].value == "none stands out"  # four motors that turn alike
+    assert not any("motor" in action.title for action in alike.actions)
+
+
+def oscillating(tmp_path: Path, stick_hz: float) -> Section:
+    """Roll turns by 40 deg/s at 6 Hz; the stick moves at a frequency."""
+    rate = 500.0
+    t, x = shaken(25.0, rate, [(6.0, 40.0)], 0.5, 71)
+    columns = {f"gyroADC[{k}]": np.rint(10.0 * x).astype(int).tolist() for k in range(3)}
+    stick = 150.0 * np.sin(2.0 * np.pi * stick_hz * t)
+    columns |= {f"rcCommand[{k}]": np.rint(10.0 * stick).astype(int).tolist() for k in range(3)}
+    stamps = (1_000_000 + 2000 * np.arange(len(t))).tolist()
+    settings = BETAFLIGHT | {"looptime": "2000", "pid_process_denom": "1"}
+    return review(flight_of(tmp_path / f"{stick_hz:g}.bbl", blackbox(settings, columns, stamps)))
+
+
+def test_what_the_pilot_asks_for_is_no_oscillation(tmp_path: Path) -> None:
+    (own, *_) = oscillating(tmp_path, 0.5).findings
+    assert own.grade is Grade.WATCH
+    assert own.text == "Roll, pitch and yaw shake by 27.5 deg/s at 6 Hz"  # 494 Hz would be 85,000 deg/s2
+    assert not oscillating(tmp_path, 6.0).findings
