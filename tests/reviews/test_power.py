@@ -145,6 +145,7 @@ def flights() -> dict[str, Flight]:
         "worn": replace(sound, weak=1, weakness=0.2),
         "propeller": replace(sound, weak=1, weakness=0.2, propeller=True),
         "heavy": replace(sound, heavier=1.2),
+        "stopped": replace(sound, fails_s=33.0),
         "sagging": FAULTS["sagging battery"].spoil(sound, np.random.default_rng(0)),
     }
     return dict(zip(kinds, fly(list(kinds.values())), strict=True))
@@ -187,6 +188,28 @@ def test_only_speeds_tell_a_weak_motor_from_a_propeller(flights: dict[str, Fligh
     commands = reviewed(flights["worn"], ".ulg", tmp_path)
     (finding,) = (f for f in commands.findings if f.fact == "power.motor_spread")
     assert "do not tell" in finding.more
+
+
+def test_a_motor_that_stops_is_named_where_its_speed_is_logged(
+    flights: dict[str, Flight], tmp_path: Path
+) -> None:
+    section = reviewed(flights["stopped"], ".bin", tmp_path)
+    beat = next(fact for fact in section.facts if fact.key == "power.desync")
+    assert str(beat.value).startswith("motor 1 at 33.")
+    assert any(action.title.startswith("Check motor 1") for action in section.actions)
+    for kind in ("sound", "worn", "heavy", "sagging"):
+        quiet = reviewed(flights[kind], ".bin", tmp_path)
+        assert next(f for f in quiet.facts if f.key == "power.desync").value == "none", kind
+
+
+@needs_shared
+def test_escs_of_a_real_flight() -> None:
+    section = review(logged(AGGRESSIVE))
+    counts = [ulog_values(AGGRESSIVE, "esc_status", f"esc[{i}].esc_errorcount")[1] for i in range(4)]
+    assert value_of(section, "esc_errors") == max(np.ptp(count) for count in counts)
+    heat = [ulog_values(AGGRESSIVE, "esc_status", f"esc[{i}].esc_temperature")[1] for i in range(4)]
+    assert np.max(heat) - 2.0 <= value_of(section, "esc_temperature") <= np.max(heat)
+    assert next(f for f in section.facts if f.key == "power.desync").value == "none"
 
 
 def test_the_resistance_is_the_simulated_one(flights: dict[str, Flight], tmp_path: Path) -> None:
