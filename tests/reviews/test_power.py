@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import tomllib
 from dataclasses import replace
+from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
@@ -256,3 +258,25 @@ def test_a_sensor_that_ends_stays_there() -> None:
     wave = 40.0 + 15.0 * rng.normal(size=5000)
     assert share_at_end(column(wave)) < 0.005
     assert share_at_end(column(np.minimum(wave, 60.0))) > 0.05
+
+
+def test_a_rover_has_no_motors_that_carry_it(flights: dict[str, Flight], tmp_path: Path) -> None:
+    """Its FRAME_CLASS is 1, too."""
+    path = tmp_path / "flight.bin"
+    path.write_bytes(dataflash_bytes(flights["worn"]).replace(b"ArduCopter V4.5.7", b"ArduRover V4.5.7 "))
+    section = review(open_logged(path))
+    keys = {fact.key for fact in section.facts if fact.value is not None}
+    assert not keys & {"power.hover_throttle", "power.motor_spread", "power.motor_1", "power.at_minimum"}
+    assert "power.resistance" in keys
+
+
+def test_every_frame_is_balanced() -> None:
+    """Motors around the middle, as many turning one way as the other."""
+    frames = tomllib.loads(files("flysid.reviews").joinpath("frames.toml").read_text("utf-8"))
+    for firmware, layouts in frames.items():
+        for name, layout in layouts.items():
+            angles, spins = np.array(layout, dtype=float).T
+            assert spins.sum() == 0.0, (firmware, name)
+            turned = np.exp(1j * np.radians(angles))
+            assert abs(turned.sum()) < 1e-9, (firmware, name)
+            assert abs((spins * turned).sum()) < 1e-9, (firmware, name)
