@@ -229,11 +229,11 @@ class _Bodies:
         ahead, aside = c * push[:, 0] + s * push[:, 1], -s * push[:, 0] + c * push[:, 1]
         up = np.maximum(GRAVITY - push[:, 2], 2.0)
         turned = (self.headings[:, i] - yaw + np.pi) % (2.0 * np.pi) - np.pi
-        asked = np.stack(
+        leaning = np.stack(
             [np.arctan2(aside, up), -np.arctan2(ahead, up), yaw + np.clip(turned, -0.8, 0.8)], axis=1
         )
-        rates = self.of["attitude"][:, None] * (asked - self.euler)
-        rates[:, 2] = self.turning[:, i] + 0.5 * self.of["attitude"] * (asked[:, 2] - yaw)
+        rates = self.of["attitude"][:, None] * (leaning - self.euler)
+        rates[:, 2] = self.turning[:, i] + 0.5 * self.of["attitude"] * (leaning[:, 2] - yaw)
         rates[:, 2] = np.clip(rates[:, 2], -1.2, 1.2)
         rates = np.clip(rates, -3.5, 3.5)
         tilt = np.cos(self.euler[:, 0]) * np.cos(self.euler[:, 1])
@@ -254,7 +254,7 @@ class _Bodies:
             "rates": self.w.copy(),
             "wanted_position": self.wanted.copy(),
             "wanted_velocity": velocity,
-            "wanted_attitude": asked,
+            "wanted_attitude": leaning,
             "wanted_rates": rates,
             "thrusts": thrusts,
             "throttles": throttles,

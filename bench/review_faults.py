@@ -179,9 +179,9 @@ def compare(trials: Sequence[Trial], folder: Path, *, tells: bool = True) -> dic
             count[verdict] += 1
             count["action"] += bool(found.actions)
             if tells and (verdict != "right" or (trial.kind == SOUND and found.actions)):
-                said = "; ".join(f"{f.text} ({f.grade.value})" for f in found.findings)
+                sentences = "; ".join(f"{f.text} ({f.grade.value})" for f in found.findings)
                 done = "; ".join(a.title for a in found.actions)
-                print(f"{path.name}: {verdict}: {said} | {done} | {spent_s:.2f} s", flush=True)
+                print(f"{path.name}: {verdict}: {sentences} | {done} | {spent_s:.2f} s", flush=True)
             for words in found.broken:
                 print(f"{path.name}: {words}")
     return score

@@ -76,12 +76,12 @@ def _switched_off(
     if not len(idle) or not carried.any() or times[idle[-1]] < begins_s - 1.0:
         return
     at_s = float(times[carried][-1])
-    reason = _said(flight, events, at_s - 1.0, at_s + 0.5)
+    reason = _message_between(flight, events, at_s - 1.0, at_s + 0.5)
     text = f"all motors were commanded to stop at {at_s:.1f} s, {begins_s - at_s:.1f} s before it tipped over"
     yield Cause("motors switched off in the air", 0.95, f"{text}{f', with {reason!r}' if reason else ''}")
 
 
-def _said(flight: LoggedFlight, events: Sequence[Event], first_s: float, last_s: float) -> str:
+def _message_between(flight: LoggedFlight, events: Sequence[Event], first_s: float, last_s: float) -> str:
     """The last message between two times."""
     texts = [
         e.text

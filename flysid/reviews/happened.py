@@ -26,13 +26,13 @@ JUST_S = 0.5
 
 def review(flight: LoggedFlight) -> Section:
     """Section "What happened"."""
-    told = events(flight.log)
+    stated_events = events(flight.log)
     crash = find_crash(flight)
-    causes = rank_causes(flight, _begin(flight, crash), told) if _ended_badly(flight, crash) else []
-    facts = tuple(_facts(flight, told, crash, causes))
-    findings = tuple(_findings(flight, told, crash, causes))
+    causes = rank_causes(flight, _begin(flight, crash), stated_events) if _ended_badly(flight, crash) else []
+    facts = tuple(_facts(flight, stated_events, crash, causes))
+    findings = tuple(_findings(flight, stated_events, crash, causes))
     return Section(
-        "happened", "What happened", facts, findings, (), tuple(_tables(flight, told, crash, causes))
+        "happened", "What happened", facts, findings, (), tuple(_tables(flight, stated_events, crash, causes))
     )
 
 
@@ -52,9 +52,9 @@ def _seconds(flight: LoggedFlight, event: Event) -> float:
 
 
 def _facts(
-    flight: LoggedFlight, told: Sequence[Event], crash: Crash | None, causes: Sequence[Cause]
+    flight: LoggedFlight, stated_events: Sequence[Event], crash: Crash | None, causes: Sequence[Cause]
 ) -> Iterator[Fact]:
-    modes = [event.text for event in told if event.kind == "mode"]
+    modes = [event.text for event in stated_events if event.kind == "mode"]
     if modes:
         yield Fact("happened.modes", "flight modes", ", ".join(dict.fromkeys(modes)))
     else:
@@ -62,12 +62,12 @@ def _facts(
     if flight.flown.seconds:
         spans = "; ".join(f"{clock_words(a)} to {clock_words(b)}" for a, b in flight.air_s[:5])
         yield Fact("happened.air", "in the air", spans)
-    failsafes = _failsafes(flight, told)
+    failsafes = _failsafes(flight, stated_events)
     words = "; ".join(f"{text} at {at_s:.1f} s" for at_s, text in failsafes[:3])
     first_s = failsafes[0][0] if failsafes else None
     grade = Grade.WATCH if failsafes else Grade.GOOD
     yield Fact("happened.failsafes", "failsafes and errors", words or "none", grade=grade, at_s=first_s)
-    changed = _changed_in_the_air(flight, told)
+    changed = _changed_in_the_air(flight, stated_events)
     value = "; ".join(event.text for event in changed[:3]) or "none"
     yield Fact("happened.parameter_changes", "parameters changed in the air", value)
     yield from _departure(flight)
@@ -133,10 +133,10 @@ def _impact(flight: LoggedFlight, crash: Crash | None) -> Iterator[Fact]:
 # ------------------------------------------------------------------------------------------- events
 
 
-def _failsafes(flight: LoggedFlight, told: Sequence[Event]) -> list[tuple[float, str]]:
+def _failsafes(flight: LoggedFlight, stated_events: Sequence[Event]) -> list[tuple[float, str]]:
     """When, and what: by the firmware's state, and by its messages where the state stays silent."""
     found = [(flight.clock.seconds(m.boot, m.span[0]), m.what) for m in flight.mishaps]
-    messages = [(_seconds(flight, event), event.text) for event in told if event.kind == "message"]
+    messages = [(_seconds(flight, event), event.text) for event in stated_events if event.kind == "message"]
     for i, (at_s, text) in enumerate(messages):
         words = plain_words(text)
         if (
@@ -150,9 +150,9 @@ def _failsafes(flight: LoggedFlight, told: Sequence[Event]) -> list[tuple[float,
     return sorted(found)
 
 
-def _changed_in_the_air(flight: LoggedFlight, told: Sequence[Event]) -> list[Event]:
+def _changed_in_the_air(flight: LoggedFlight, stated_events: Sequence[Event]) -> list[Event]:
     """Changes of parameters that somebody made while it flew."""
-    changed = [e for e in told if e.kind == "parameter" and not e.text.startswith(BOOKKEEPING)]
+    changed = [e for e in stated_events if e.kind == "parameter" and not e.text.startswith(BOOKKEEPING)]
     times = np.array([_seconds(flight, event) for event in changed])
     return [event for event, flying in zip(changed, flight.flying(times), strict=True) if flying]
 
@@ -166,7 +166,7 @@ def clock_words(seconds: float) -> str:
 
 
 def _findings(
-    flight: LoggedFlight, told: Sequence[Event], crash: Crash | None, causes: Sequence[Cause]
+    flight: LoggedFlight, stated_events: Sequence[Event], crash: Crash | None, causes: Sequence[Cause]
 ) -> Iterator[Finding]:
     if not flight.was_flown:
         return
@@ -180,7 +180,7 @@ def _findings(
         last = next(m for m in flight.mishaps if flight.clock.seconds(m.boot, m.span[0]) == flight.ends_s)
         text = f"The flight ended badly at {flight.ends_s:.0f} s: {last.what}"
         yield Finding(text, Grade.BAD, 1.0, "happened.cause", likely)
-    stated = _failsafes(flight, told)
+    stated = _failsafes(flight, stated_events)
     flying = flight.flying(np.array([at_s for at_s, _ in stated]) - JUST_S)
     begins_s = _begin(flight, crash)
     failsafes = [found for found, flew in zip(stated, flying, strict=True) if flew and found[0] < begins_s]
@@ -188,7 +188,7 @@ def _findings(
         at_s, text = failsafes[0]
         yield Finding(f"Failsafe at {at_s:.0f} s: {text}", Grade.WATCH, 0.6, "happened.failsafes")
     if _ends_in_the_air(flight) and crash is None:
-        yield from _cut_off(flight, told)
+        yield from _cut_off(flight, stated_events)
 
 
 def _ends_in_the_air(flight: LoggedFlight) -> bool:
@@ -198,8 +198,8 @@ def _ends_in_the_air(flight: LoggedFlight) -> bool:
     return max(last for _, last in flight.air_s) >= flight.duration_s - 0.5
 
 
-def _cut_off(flight: LoggedFlight, told: Sequence[Event]) -> Iterator[Finding]:
-    causes = [c for c in rank_causes(flight, flight.duration_s, told) if c.weight >= 0.7]
+def _cut_off(flight: LoggedFlight, stated_events: Sequence[Event]) -> Iterator[Finding]:
+    causes = [c for c in rank_causes(flight, flight.duration_s, stated_events) if c.weight >= 0.7]
     at_s = flight.duration_s
     if causes:
         text = f"The log ends in the air at {at_s:.0f} s: {causes[0].name}"
@@ -213,15 +213,16 @@ def _cut_off(flight: LoggedFlight, told: Sequence[Event]) -> Iterator[Finding]:
 
 
 def _tables(
-    flight: LoggedFlight, told: Sequence[Event], crash: Crash | None, causes: Sequence[Cause]
+    flight: LoggedFlight, stated_events: Sequence[Event], crash: Crash | None, causes: Sequence[Cause]
 ) -> Iterator[Table]:
     lines = [
         (_seconds(flight, event), event.kind, plain_words(event.text))
-        for event in told
+        for event in stated_events
         if event.kind != "parameter" and "logger" not in event.text.lower()
     ]
     lines += [
-        (_seconds(flight, event), "parameter", event.text) for event in _changed_in_the_air(flight, told)
+        (_seconds(flight, event), "parameter", event.text)
+        for event in _changed_in_the_air(flight, stated_events)
     ]
     for first, last in flight.air_s if flight.flown.seconds else ():
         lines += [(first, "flight", "in the air"), (last, "flight", "on the ground, or the end of the log")]

@@ -8,6 +8,7 @@ import numpy as np
 
 from flysid.dataset import FloatArray
 from flysid.reviews.logged import BoolArray, Column, LoggedFlight
+from flysid.reviews.motors import is_multicopter
 
 STATED = {"ardupilot": "MOT_THST_HOVER", "px4": "MPC_THR_HOVER"}
 """Firmware -> parameter that says what hovering takes."""
@@ -99,7 +100,7 @@ def measure_hover(flight: LoggedFlight, *, least_s: float = 3.0) -> Hover:
     stated = _stated(flight)
     learns = flight.family == "ardupilot" and flight.parameters.get("MOT_HOVER_LEARN", 2.0) == 2.0
     nothing = Hover(float("nan"), (float("nan"), float("nan")), "", stated, learns)
-    thrust = _thrust(flight)
+    thrust = _thrust(flight) if is_multicopter(flight) else None
     if thrust is None:
         return nothing
     calm = thrust.where(find_calm(flight, thrust.time_s) & (thrust.values > 0.0))

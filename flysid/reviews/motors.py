@@ -15,6 +15,7 @@ from importlib.resources import files
 import numpy as np
 
 from flysid.dataset import FloatArray
+from flysid.facts.modes import family_of
 from flysid.reviews.logged import Column, LoggedFlight
 
 Place = tuple[float, float]
@@ -48,7 +49,7 @@ class Motor:
 
 
 def read_motors(flight: LoggedFlight) -> tuple[Motor, ...]:
-    """The motors of a log; () where it holds no commands, or where the frame is not known.
+    """The motors of a multicopter's log; () where it holds no commands, or where the frame is not known.
 
     Examples
     --------
@@ -58,12 +59,19 @@ def read_motors(flight: LoggedFlight) -> tuple[Motor, ...]:
     ()
     """
     reader = READERS.get(flight.family)
-    return tuple(reader(flight)) if reader else ()
+    return tuple(reader(flight)) if reader and is_multicopter(flight) else ()
 
 
 def _around(degrees_and_spins: Sequence[Sequence[float]]) -> list[tuple[Place, float]]:
     turned = [(np.radians(degrees), spin) for degrees, spin in degrees_and_spins]
     return [((float(np.cos(angle)), float(np.sin(angle))), spin) for angle, spin in turned]
+
+
+def is_multicopter(flight: LoggedFlight) -> bool:
+    """Whether it hovers on its motors, as far as the log says: a rover has a FRAME_CLASS, too."""
+    if flight.family == "ardupilot":
+        return family_of(flight.info.get("vehicle", "")) == "copter"
+    return flight.family != "px4" or flight.parameters.get("CA_AIRFRAME", 0.0) == 0.0
 
 
 def _ardupilot(flight: LoggedFlight) -> Iterator[Motor]:

@@ -7,12 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from flysid.reviews import battery_facts, motor_balance
+from flysid.reviews import battery_facts, esc, motor_balance
 from flysid.reviews.battery import read_battery
 from flysid.reviews.fact import Action, Change, Fact, Finding, Grade, Section, Shown
 from flysid.reviews.hover import STATED, Hover, measure_hover
 from flysid.reviews.limits import limit
-from flysid.reviews.logged import Column, LoggedFlight
+from flysid.reviews.logged import LoggedFlight
 from flysid.reviews.motors import Motor, read_motors
 from flysid.reviews.remedies import remedy
 from flysid.showing import significant
@@ -29,7 +29,7 @@ def review(flight: LoggedFlight) -> Section:
         *_hover_facts(flight, hover),
         *_range_facts(flight, motors if balance is not None else ()),
         *motor_balance.facts(balance, motors, remedy(flight, "motors")),
-        *_esc_facts(flight),
+        *esc.facts(flight, motors),
         *found,
         *_board_facts(flight),
     )
@@ -38,9 +38,15 @@ def review(flight: LoggedFlight) -> Section:
         *motor_balance.findings(balance),
         *_hover_findings(flight, level),
         *_range_findings(flight, facts),
+        *esc.findings(facts),
         *battery_facts.findings(facts),
     )
-    actions = (*motor_balance.actions(balance), *_hover_actions(flight, level), *battery_facts.actions(facts))
+    actions = (
+        *motor_balance.actions(balance),
+        *_hover_actions(flight, level),
+        *esc.actions(facts),
+        *battery_facts.actions(facts),
+    )
     shown: tuple[Shown, ...] = (*motor_balance.plan(balance), *battery_facts.picture(battery))
     if not flight.was_flown:
         findings = actions = ()
@@ -167,33 +173,6 @@ def _range_findings(flight: LoggedFlight, facts: tuple[Fact, ...]) -> Iterator[F
             motor = fact.note.partition(",")[0]
             text = f"{motor.capitalize()} is at {words[fact.key]} {fact.value:.0f} % of the flight"
             yield Finding(text, Grade.WATCH, 0.5, fact.key, "the controller cannot do more there")
-
-
-def _esc_facts(flight: LoggedFlight) -> Iterator[Fact]:
-    fields = [f"{thing}.Temp" for thing in flight.things("ESC")]
-    fields += [f"esc_status.esc[{i}].esc_temperature" for i in range(8)]
-    hottest: tuple[float, Column] | None = None
-    for field in fields:
-        column = flight.quantity(field, unit="degC", stated="degC")
-        if column is None or not (column.values > 0.0).any():
-            continue
-        value = float(np.percentile(column.values, 99.0))
-        if hottest is None or value > hottest[0]:
-            hottest = value, column
-    if hottest is not None:
-        value, column = hottest
-        known = limit("power.esc_temperature")
-        at_s = float(column.time_s[np.argmax(column.values)])
-        yield Fact(
-            "power.esc_temperature",
-            "hottest ESC",
-            value,
-            "degC",
-            grade=known.grade(value),
-            note=known.source,
-            fields=(column.address,),
-            at_s=at_s,
-        )
 
 
 def _board_facts(flight: LoggedFlight) -> Iterator[Fact]:

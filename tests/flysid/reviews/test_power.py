@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import tomllib
 from dataclasses import replace
+from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
@@ -145,6 +147,7 @@ def flights() -> dict[str, Flight]:
         "worn": replace(sound, weak=1, weakness=0.2),
         "propeller": replace(sound, weak=1, weakness=0.2, propeller=True),
         "heavy": replace(sound, heavier=1.2),
+        "stopped": replace(sound, fails_s=33.0),
         "sagging": FAULTS["sagging battery"].spoil(sound, np.random.default_rng(0)),
     }
     return dict(zip(kinds, fly(list(kinds.values())), strict=True))
@@ -187,6 +190,28 @@ def test_only_speeds_tell_a_weak_motor_from_a_propeller(flights: dict[str, Fligh
     commands = reviewed(flights["worn"], ".ulg", tmp_path)
     (finding,) = (f for f in commands.findings if f.fact == "power.motor_spread")
     assert "do not tell" in finding.more
+
+
+def test_a_motor_that_stops_is_named_where_its_speed_is_logged(
+    flights: dict[str, Flight], tmp_path: Path
+) -> None:
+    section = reviewed(flights["stopped"], ".bin", tmp_path)
+    beat = next(fact for fact in section.facts if fact.key == "power.desync")
+    assert str(beat.value).startswith("motor 1 at 33.")
+    assert any(action.title.startswith("Check motor 1") for action in section.actions)
+    for kind in ("sound", "worn", "heavy", "sagging"):
+        quiet = reviewed(flights[kind], ".bin", tmp_path)
+        assert next(f for f in quiet.facts if f.key == "power.desync").value == "none", kind
+
+
+@needs_shared
+def test_escs_of_a_real_flight() -> None:
+    section = review(logged(AGGRESSIVE))
+    counts = [ulog_values(AGGRESSIVE, "esc_status", f"esc[{i}].esc_errorcount")[1] for i in range(4)]
+    assert value_of(section, "esc_errors") == max(np.ptp(count) for count in counts)
+    heat = [ulog_values(AGGRESSIVE, "esc_status", f"esc[{i}].esc_temperature")[1] for i in range(4)]
+    assert np.max(heat) - 2.0 <= value_of(section, "esc_temperature") <= np.max(heat)
+    assert next(f for f in section.facts if f.key == "power.desync").value == "none"
 
 
 def test_the_resistance_is_the_simulated_one(flights: dict[str, Flight], tmp_path: Path) -> None:
@@ -233,3 +258,25 @@ def test_a_sensor_that_ends_stays_there() -> None:
     wave = 40.0 + 15.0 * rng.normal(size=5000)
     assert share_at_end(column(wave)) < 0.005
     assert share_at_end(column(np.minimum(wave, 60.0))) > 0.05
+
+
+def test_a_rover_has_no_motors_that_carry_it(flights: dict[str, Flight], tmp_path: Path) -> None:
+    """Its FRAME_CLASS is 1, too."""
+    path = tmp_path / "flight.bin"
+    path.write_bytes(dataflash_bytes(flights["worn"]).replace(b"ArduCopter V4.5.7", b"ArduRover V4.5.7 "))
+    section = review(open_logged(path))
+    keys = {fact.key for fact in section.facts if fact.value is not None}
+    assert not keys & {"power.hover_throttle", "power.motor_spread", "power.motor_1", "power.at_minimum"}
+    assert "power.resistance" in keys
+
+
+def test_every_frame_is_balanced() -> None:
+    """Motors around the middle, as many turning one way as the other."""
+    frames = tomllib.loads(files("flysid.reviews").joinpath("frames.toml").read_text("utf-8"))
+    for firmware, layouts in frames.items():
+        for name, layout in layouts.items():
+            angles, spins = np.array(layout, dtype=float).T
+            assert spins.sum() == 0.0, (firmware, name)
+            turned = np.exp(1j * np.radians(angles))
+            assert abs(turned.sum()) < 1e-9, (firmware, name)
+            assert abs((spins * turned).sum()) < 1e-9, (firmware, name)
