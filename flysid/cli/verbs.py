@@ -298,7 +298,6 @@ VERBS: Mapping[str, Verb] = {
             (
                 "flysid export flight.bin ATT RATE --to mat",
                 "flysid export run --channel longitudinal --c longitudinal-c --float32",
-                "flysid export run --channel longitudinal --casadi longitudinal_casadi.py",
             ),
             step="Share",
         ),

@@ -52,13 +52,17 @@ def linear_program(model: FittedLinear) -> Program:
         return _in_lags(model)
     states, coordinates = _of_difference(model)
     balanced, into = _balance(states)
-    effect = _late_effect(model.system, balanced.late, model.n_init)
 
-    def state_after(du: FloatArray, dy: FloatArray) -> FloatArray:
-        entered = _difference_state(model, du, dy) - np.einsum("iorj,rj->io", effect, du)
-        return np.asarray(into @ coordinates(entered))
+    def find_past() -> AffinePast:
+        effect = _late_effect(model.system, balanced.late, model.n_init)
 
-    return _program(model, balanced, lambda: _affine_past(model, balanced.late, state_after))
+        def state_after(du: FloatArray, dy: FloatArray) -> FloatArray:
+            entered = _difference_state(model, du, dy) - np.einsum("iorj,rj->io", effect, du)
+            return np.asarray(into @ coordinates(entered))
+
+        return _affine_past(model, balanced.late, state_after)
+
+    return _program(model, balanced, find_past)
 
 
 def state_space_program(model: FittedStateSpace) -> Program:

@@ -9,8 +9,7 @@ a lag, the constant 1, or worked out of these (`Worked`), and firing strengths p
 A linear model is one rule. What a step remembers stands in cells: the constant 1, every input from lag 0 to
 its deepest one, every simulated quantity from lag 1 to its deepest one, everything worked out.
 
-This is the only module that looks inside fitted models; what is written for other programs sees the program
-alone.
+Only the modules that make it look inside fitted models. What is written for other programs sees it alone.
 """
 
 from __future__ import annotations

@@ -54,10 +54,13 @@ def states_with_units(program: Program) -> list[str]:
 
 def states_of(members: Sequence[Member]) -> list[str]:
     """`states_with_units` of all members, one behind another; of several, each says whose it is."""
-    told = [states_with_units(m.program) for m in members]
-    if len(told) == 1:
-        return told[0]
-    return [f"model {number}: {words}" for number, each in enumerate(told, 1) for words in each]
+    if len(members) == 1:
+        return states_with_units(members[0].program)
+    return [
+        f"model {number}: {words}"
+        for number, member in enumerate(members, 1)
+        for words in states_with_units(member.program)
+    ]
 
 
 def title_of(members: Sequence[Member]) -> str:

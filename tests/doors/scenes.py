@@ -263,6 +263,7 @@ LONG: dict[str, int] = {
     "docs/gains.md": 18,
     "docs/index.md": 14,
     "docs/models.md": 17,
+    "docs/mpc.md": 11,
     "docs/own-models.md": 13,
     "docs/plan.md": 18,
     "docs/predict.md": 15,
