@@ -119,7 +119,9 @@ def _log_open(
         y = np.round(y / grain) * grain
     if kinds["logging"] in ("event-logged", "merged"):
         fine_s = dt_s / FINE
-        return _read_table({"u": (fine_s * changes, values), "y": (fine_s * at, y)})
+        return _read_table(
+            {"u": (np.asarray(fine_s * changes, dtype=np.float64), values), "y": (fine_s * at, y)}
+        )
     data = Dataset.from_arrays(u, y, dt_s, inputs=["u"], outputs=["y"])
     if kinds["logging"] == "gap":
         middle = len(u) // 2
