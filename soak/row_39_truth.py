@@ -43,7 +43,7 @@ def _judge_flights(kind: str, first: int, budget: Budget) -> Outcome:
     found = []
     for count in FLIGHTS:
         rng = np.random.default_rng((first, count))
-        claims = []
+        claims: list[Scope | None] = []
         while len(claims) < TRIALS and goes_on():
             with outcome.trial():
                 claims.append(claim(draw_gains(kind, count, rng), ROWS, rng))
