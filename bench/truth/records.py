@@ -120,7 +120,7 @@ def _log_open(
     if kinds["logging"] in ("event-logged", "merged"):
         fine_s = dt_s / FINE
         return _read_table(
-            {"u": (np.asarray(fine_s * changes, float), values), "y": (np.asarray(fine_s * at, float), y)}
+            {"u": (np.asarray(fine_s * changes, dtype=np.float64), values), "y": (fine_s * at, y)}
         )
     data = Dataset.from_arrays(u, y, dt_s, inputs=["u"], outputs=["y"])
     if kinds["logging"] == "gap":

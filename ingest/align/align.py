@@ -391,7 +391,8 @@ class _Boot:
 def _period(found: Loaded) -> float:
     """Shortest of the boots' sample times, ns: a boot of two samples must not decide; nor rows without a
     number, as merged tables have."""
-    times = [boot.t_ns[np.isfinite(boot.x)] for boot in found.boots.values()]
+    known = [(boot.t_ns, np.isfinite(boot.x)) for boot in found.boots.values()]
+    times = [t_ns[finite] if finite.any() else t_ns for t_ns, finite in known]
     longest = max(times, key=len, default=None)
     return float("inf") if longest is None else resample.period_ns(longest)
 

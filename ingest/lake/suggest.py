@@ -202,6 +202,9 @@ def _verdict(
     band = seen.band_hz()
     if share.high < GOOD_COHERENCE:
         return "weak", f"{share.words} of the output's power follows {name}; {ALONE}"
+    if share.value < GOOD_COHERENCE and share.low > 0.0:
+        part = f"perhaps only {100.0 * share.value:.0f} %"
+        return "weak", f"{part} of the output's power follows {name}; {ALONE}"
     if band is None and share.low == 0.0:
         return "weak", f"the output is not shown to follow {name} at any frequency; {ALONE}"
     if band is not None and is_narrow(band):

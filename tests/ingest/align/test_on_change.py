@@ -8,6 +8,7 @@ import secrets
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 from click.testing import CliRunner
 from scipy.signal import lfilter
@@ -25,8 +26,9 @@ OUTPUT_S = 1.0 / 30.0
 MS = 1_000_000
 
 
-def logged(at_ms: FloatArray, values: FloatArray) -> RecordedSignal:
-    return RecordedSignal(np.asarray(np.round(at_ms * MS), dtype=np.int64), values)
+def logged(at_ms: npt.ArrayLike, values: npt.ArrayLike) -> RecordedSignal:
+    at_ns = np.round(np.asarray(at_ms, dtype=np.float64) * MS)
+    return RecordedSignal(at_ns.astype(np.int64), np.asarray(values, dtype=np.float64))
 
 
 def changes(kind: str, rng: np.random.Generator, seconds: float) -> tuple[FloatArray, FloatArray]:
