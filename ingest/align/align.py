@@ -29,6 +29,7 @@ from flysid.ingest.align.clocks import align_clocks
 from flysid.ingest.align.conditions import condition_spans
 from flysid.ingest.align.doubts import doubts
 from flysid.ingest.align.labels import Labels, labels_of
+from flysid.ingest.align.late import late_rows
 from flysid.ingest.align.recipe import Recipe, SignalSpec, load_recipe
 from flysid.ingest.align.report import AlignReport, FlightReport, SignalReport
 from flysid.ingest.align.resample import RecordedSignal, Span
@@ -239,15 +240,15 @@ class _Job:
             log.name, signals=reports, notes=(*clocks.notes, *conditions.notes, *conditions.never)
         )
         segments: list[Segment] = []
+        late = {n: late_rows(log, found.stream) for n, found in loaded.items()}
         begins = log_clock(log.clocks).begins_ns
         for boot in boots:
             name = f"{log.name}#{boot}" if several else log.name
             series = {n: boots_of[boot] for n, boots_of in tidied.items()}
             if all(len(s.t_ns) for s in series.values()):
                 begin_ns = begins.get(boot, min(int(s.t_ns[0]) for s in series.values()))
-                part = _Boot(
-                    self, name, series, dt_ns, labels.get(boot, Labels()), begin_ns, vehicle_of(log.info)
-                )
+                own = labels.get(boot, Labels())
+                part = _Boot(self, name, series, dt_ns, own, begin_ns, late, vehicle_of(log.info))
                 found, counts = part.segments(conditions.spans.get(boot))
                 segments += found
                 report = report.plus(counts)
@@ -300,6 +301,7 @@ class _Boot:
     dt_ns: int
     labels: Labels
     begin_ns: int
+    late: Mapping[str, resample.IntArray]
     vehicle: str = ""
 
     def segments(self, allowed: Sequence[Span] | None) -> tuple[list[Segment], FlightReport]:
@@ -334,7 +336,7 @@ class _Boot:
 
     def _spans_of(self, name: str, series: RecordedSignal) -> list[Span]:
         gap, after = pauses(self.job.specs[name], series.period_ns, self.dt_ns)
-        return resample.spans_between_gaps(series.t_ns, gap, after)
+        return resample.spans_between_gaps(series.t_ns, gap, after, self.late[name])
 
     def _ratio(self) -> int:
         return ratio_of(self.job.recipe, self.series, self.dt_ns)
