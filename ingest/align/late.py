@@ -1,7 +1,7 @@
 """Rows that came late because the loop that writes them was late, and not because rows are missing.
 
-A flight controller that numbers its rounds tells both apart: where the number goes on as it does elsewhere, no
-row is missing, and nothing was measured meanwhile. Simulators on a busy machine stand still for tens of
+A flight controller that numbers its rounds tells both apart: where the number goes on as it does elsewhere,
+no row is missing, and nothing was measured meanwhile. Simulators on a busy machine stand still for tens of
 milliseconds at a time.
 """
 
