@@ -4,7 +4,7 @@
 
 Every vehicle (inertia, motors' lag and gyro noise drawn, unknown to the fit) flies the firmware's own gains
 first. From that flight's plant the response from setpoint to rate is predicted under other sets of gains,
-which are then flown. The firmware runs on wall time, so the campaign resumes: what is in OUT is not flown again.
+which are then flown. The firmware runs on wall time, and the campaign resumes: flights in OUT are kept.
 
 Printed: the share of lines between 1 and 30 Hz, as far as both flights know them, within 2 dB and 10 deg, for
 the prediction and for "nothing changed". The loop of the firmware runs at the pace that the machine allows,
