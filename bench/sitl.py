@@ -42,7 +42,7 @@ SETUP = (
     "set deadband = 0",
     "feature -GPS",
 )
-ARM_S, START_S, END_S = 6.0, 7.0, 0.7
+ARM_S, START_S, END_S = 9.0, 10.0, 0.7
 GRAVITY = 9.80665
 TICK_S = 0.05
 """Of the state's stamps: shorter ones let the firmware's clock run ahead."""
@@ -122,7 +122,7 @@ class Pilot:
     rng: np.random.Generator
     size: float = 120.0
     hold: Array = field(default_factory=lambda: np.zeros(3))
-    until: float = 10.0
+    until: float = 12.0
 
     def channels(self, t: float, end: float, body: Body, own: Vehicle) -> list[int]:
         """us of 16 channels: roll, pitch, throttle, yaw, arm."""

@@ -67,6 +67,14 @@ class Law:
         nearest = self.since if self.version < self.since else self.until
         return f"{own}, which is not described: the law of {_dotted(nearest)} stands in"
 
+    def name_of(self, role: str, **fields: str) -> str:
+        """The parameter of a role: "p" of an axis, "notch_hz" of a number.
+
+        >>> parameter_law("arducopter").name_of("p", axis="RLL")
+        'ATC_RAT_RLL_P'
+        """
+        return self.names[role][0].format(**fields)
+
     def part(self, name: str) -> Mapping[str, Any]:
         """One of the entry's tables; empty where the law has no such part."""
         return self.parts.get(name, {})
@@ -100,6 +108,18 @@ def blackbox_law(revision: str) -> Law:
     )
 
 
+def parameter_law(name: str, version: Version | None = None) -> Law:
+    """The law of an autopilot that states parameters: px4 or arducopter; the last one without a version.
+
+    Examples
+    --------
+    >>> parameter_law("px4", (1, 12)).part("derivative")["order"]
+    2
+    """
+    table = _table(name)
+    return _nearest(table, version or tuple(table["law"][-1]["until"]))
+
+
 def _span(table: Mapping[str, Any]) -> str:
     return f"{_dotted(table['law'][0]['since'])} to {_dotted(table['law'][-1]['until'])}"
 
@@ -115,10 +135,10 @@ def _nearest(table: Mapping[str, Any], version: Version) -> Law:
         version,
         tuple(entry["since"]),
         tuple(entry["until"]),
-        rest.pop("scale"),
-        rest.pop("gains"),
+        rest.pop("scale", {}),
+        rest.pop("gains", {}),
         {name: rest[name] for name in rest if name not in ("names", "not_described")},
-        {name: tuple(found) for name, found in rest["names"].items()},
+        {name: (found,) if isinstance(found, str) else tuple(found) for name, found in rest["names"].items()},
         rest.get("not_described", {}),
     )
 

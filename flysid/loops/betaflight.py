@@ -195,7 +195,7 @@ class BetaflightLaw:
             bool(integral.get("freezes", False)),
             bool(integral.get("rotates", False)),
             law.scale["f"] * forward,
-            _tpa_terms(law, read),
+            _tpa_terms(law, read, axis),
             str(law.part("throttle")["of"]),
             filters_of("pt1", read.one("yaw_lowpass", 0.0)) if axis == "yaw" else (),
             boost,
@@ -308,7 +308,9 @@ def _kind(law: Law, read: _Header, name: str) -> str:
 def _lowpasses(law: Law, read: _Header, moving: Moving | None) -> Filters:
     """Of the derivative: the first at its lower cut-off where it moves, and the second."""
     first = moving.low if moving else read.needed("lowpass_1")[0]
-    second = read.needed("lowpass_2")[0] if law.names.get("lowpass_2") else 0.0
+    second = read.one("lowpass_2", 0.0)
+    if law.names.get("lowpass_2") and not law.part("derivative").get("second_optional", False):
+        (second, *_) = read.needed("lowpass_2")
     kinds = (_kind(law, read, f"lowpass_{number}_type") for number in (1, 2))
     return tuple(own for kind, hz in zip(kinds, (first, second), strict=True) for own in filters_of(kind, hz))
 
@@ -375,8 +377,10 @@ def _anti_gravity(
     return off, AntiGravity(kind, gain, cutoff_hz=cut, p=read.one("anti_gravity_p", 0.0))
 
 
-def _tpa_terms(law: Law, read: _Header) -> tuple[str, ...]:
+def _tpa_terms(law: Law, read: _Header, axis: str) -> tuple[str, ...]:
     """Terms that TPA shrinks: of the mode where the header states it, else as the law has them."""
+    if axis == "yaw" and law.part("throttle").get("leaves_yaw", False):
+        return ()
     mode = read.several("tpa_mode")
     if not mode:
         return tuple(law.part("throttle")["terms"])

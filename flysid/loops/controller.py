@@ -1,16 +1,7 @@
-"""Rate controllers as their firmware computes them, from the gains that a log states.
+"""A rate controller in small motions, and whether it is the one that flew.
 
-Betaflight's is `flysid.loops.betaflight`.
-
-PX4 (RateControl, 1.12 on) and ArduPilot (AC_PID, 4.0 on) count in rad/s and in shares of the output, here
-in deg/s and thousandths:
-
-    PX4:        K (P (r - y) + I integral of (r - y) - D (F y)') + FF r,     F of first order
-    ArduPilot:  P e + I integral of e + D (F e)' + FF (T r),                 e = E (T r - y)
-
-with filters T, E, F of first order on target, error and derivative. PX4's F was of second order before 1.13
-(pull request 18364). `refuse_misfit` compares all of it
-with the log.
+Betaflight's and INAV's come from `flysid.loops.betaflight`, PX4's and ArduPilot's from
+`flysid.loops.parameter_laws`. Rates are in deg/s, outputs in thousandths.
 """
 
 from __future__ import annotations
@@ -23,14 +14,10 @@ import numpy as np
 from flysid.dataset import FloatArray
 from flysid.errors import DataError
 from flysid.loops.law_parts import LARGEST_MISS, TermCheck
-from flysid.loops.stages import Filters, response
+from flysid.loops.stages import Filters, Notches, notched, response
 from flysid.loops.stick_response import ComplexArray, Loop
 
 THOUSANDTHS = 1000.0
-RELEASE = "ver_sw_release"
-FIRST_ORDER_SINCE = 0x010D0000
-"""PX4's release in a ULog, and 1.13, since which its derivative goes through a first-order filter."""
-ARDUPILOT_AXES = {"roll": "RLL", "pitch": "PIT", "yaw": "YAW"}
 
 
 @dataclass(frozen=True)
@@ -50,6 +37,9 @@ class Controller:
     p_filters : of what P goes through.
     recorded_forward : f (Hz), and the response there of a recorded term that the setpoint alone makes.
     i_at_rest : of the error's integral while the sticks rest, where `i` is less on average over a flight.
+    forward_slope : from the filtered setpoint's derivative straight to the output.
+    error_notches, reference_notches : centre (Hz), quality and depth (a factor) of what they go through.
+    output_filters : of what the whole output goes through.
     law : firmware and version whose law this is, for people.
     exact : whether that version is described; else the nearest one stands in.
     """
@@ -68,6 +58,10 @@ class Controller:
     p_filters: Filters = ()
     recorded_forward: tuple[FloatArray, ComplexArray] | None = None
     i_at_rest: float | None = None
+    forward_slope: float = 0.0
+    error_notches: Notches = ()
+    reference_notches: Notches = ()
+    output_filters: Filters = ()
     law: str = ""
     exact: bool = True
 
@@ -79,7 +73,7 @@ class Controller:
         """(F,) from the measured rate, its sign left out."""
         s = 2j * np.pi * np.maximum(f, 1e-6)
         inside = self.p * response(self.p_filters, f) + self.i / s + self.d * s * self._slope_through(f)
-        return np.asarray(inside * response(self.error_filters, f))
+        return np.asarray(inside * self._error_through(f) * response(self.output_filters, f))
 
     def reference(self, f: FloatArray) -> ComplexArray:
         """(F,) from the setpoint."""
@@ -88,9 +82,14 @@ class Controller:
         if self.slope_filtered:
             slope = slope * self._slope_through(f)
         p = self.p * response(self.p_filters, f)
-        inside = (p + self.i / s + slope) * response(self.error_filters, f)
-        direct = self.forward + self._recorded_forward_at(f)
-        return np.asarray((inside + direct) * response(self.reference_filters, f))
+        inside = (p + self.i / s + slope) * self._error_through(f)
+        direct = self.forward + self.forward_slope * s + self._recorded_forward_at(f)
+        through = response(self.reference_filters, f) * notched(self.reference_notches, f)
+        return np.asarray((inside + direct) * through * response(self.output_filters, f))
+
+    def _error_through(self, f: FloatArray) -> ComplexArray:
+        """(F,) of what the error goes through."""
+        return np.asarray(response(self.error_filters, f) * notched(self.error_notches, f))
 
     def _recorded_forward_at(self, f: FloatArray) -> ComplexArray:
         """(F,) of the recorded term; 0 where there is none."""
@@ -109,76 +108,6 @@ class Controller:
         s = loop.mean
         told = self.reference(loop.f) * s[0, 0] - self.feedback(loop.f) * s[0, 2]
         return float(np.median(np.abs(told - s[0, 1])[at] / np.abs(s[0, 1])[at]))
-
-
-def px4(stated: Mapping[str, float], axis: str) -> Controller:
-    """The rate controller of PX4, from parameters and the release where the log names it.
-
-    Raises
-    ------
-    DataError : parameters are missing: another version, or a log without them.
-    """
-    stem = f"MC_{axis.upper()}RATE_"
-    k, p, i, d = _find_stated(stated, *(stem + name for name in ("K", "P", "I", "D")))
-    (cut,) = _find_stated(stated, "IMU_DGYRO_CUTOFF")
-    unit = np.pi / 180.0 * THOUSANDTHS
-    return Controller(
-        {f"{stem}K": k, "P": p, "I": i, "D": d},
-        unit * k * p,
-        unit * k * i,
-        unit * k * d,
-        0.0,
-        ((px4_order(stated), cut),),
-        forward=unit * stated.get(stem + "FF", 0.0),
-    )
-
-
-def px4_order(stated: Mapping[str, float]) -> int:
-    """Of the filter of PX4's derivative."""
-    return 1 if stated.get(RELEASE, FIRST_ORDER_SINCE) >= FIRST_ORDER_SINCE else 2
-
-
-def ardupilot(stated: Mapping[str, float], axis: str) -> Controller:
-    """The rate controller of ArduCopter 4.0 and later, from parameters.
-
-    Raises
-    ------
-    DataError : parameters are missing (older versions have one filter), or the slope is fed forward.
-    """
-    stem = f"ATC_RAT_{ARDUPILOT_AXES[axis]}_"
-    if stem + "FILT" in stated and stem + "FLTT" not in stated:
-        raise DataError(
-            f"these are gains of ArduCopter before 4.0, with a single filter ({stem}FILT): not known here",
-            hint="fly ArduCopter 4.0 or later; the response to the command: flysid tf LOG -r ardupilot-rate",
-        )
-    p, i, d, target, error, slope = _find_stated(
-        stated, *(stem + name for name in ("P", "I", "D", "FLTT", "FLTE", "FLTD"))
-    )
-    if stated.get(stem + "D_FF", 0.0):
-        raise DataError(f"{stem}D_FF is not known here", hint="set it to 0 for the flight")
-    unit = np.pi / 180.0 * THOUSANDTHS
-    return Controller(
-        {f"{stem}P": p, "I": i, "D": d},
-        unit * p,
-        unit * i,
-        unit * d,
-        1.0,
-        ((1, slope),),
-        ((1, error),),
-        ((1, target),),
-        unit * stated.get(stem + "FF", 0.0),
-        slope_filtered=True,
-    )
-
-
-def _find_stated(stated: Mapping[str, float], *names: str) -> tuple[float, ...]:
-    missing = [name for name in names if name not in stated]
-    if missing:
-        raise DataError(
-            f"the log does not state {', '.join(missing)}",
-            hint="log the parameters; known are PX4 1.12 on and ArduCopter 4.0 on",
-        )
-    return tuple(stated[name] for name in names)
 
 
 def refuse_misfit(
@@ -205,7 +134,8 @@ def refuse_misfit(
             hint="update flysid, or log with a version that is described; "
             "the loop itself: flysid tf LOG -r betaflight-rate",
         )
-    proven = bool(checks) and not off
+    needed = {"P"} | ({"D"} if controller.d > 0.0 else set())
+    proven = not off and needed <= {check.term for check in checks}
     if not miss <= largest and not proven:
         raise DataError(
             f"the stated gains do not give what the log recorded: {100.0 * miss:.0f} % off between "

@@ -9,18 +9,14 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from flysid.errors import DataError, UsageError
+from flysid.laws.described import parameter_law
 from flysid.loops.betaflight import AXES, NO_CONDITIONS, Conditions, betaflight
 from flysid.loops.blackbox_loops import record_of, settings_of
-from flysid.loops.controller import (
-    ARDUPILOT_AXES,
-    Controller,
-    ardupilot,
-    px4,
-    px4_order,
-    refuse_misfit,
-)
+from flysid.loops.controller import Controller, refuse_misfit
 from flysid.loops.law_parts import TermCheck
 from flysid.loops.margins import Figure, Margins, margins, trusted_band
+from flysid.loops.parameter_checks import ardupilot_checks, px4_checks
+from flysid.loops.parameter_laws import ardupilot, px4, px4_law
 from flysid.loops.parameterlogs import (
     ardupilot_parameters,
     ardupilot_record,
@@ -189,21 +185,21 @@ KINDS = (
         "vehicle_rates_setpoint",
         "px4-rates",
         px4_parameters,
-        lambda log, axis, _: (px4_record(log, axis), NO_CONDITIONS),
+        lambda log, axis, stated: (px4_record(log, axis), px4_checks(log, axis, stated)),
         lambda stated, axis, _: px4(stated, axis),
         lambda stated, axis: (
             *_own(stated, f"MC_{axis.upper()}RATE_"),
             *_own(stated, "IMU_DGYRO_CUTOFF"),
-            px4_order(stated),
+            px4_law(stated).since,
         ),
     ),
     Kind(
         "RATE",
         "ardupilot-rate",
         ardupilot_parameters,
-        lambda log, axis, _: (ardupilot_record(log, axis), NO_CONDITIONS),
+        lambda log, axis, stated: (ardupilot_record(log, axis), ardupilot_checks(log, axis, stated)),
         lambda stated, axis, _: ardupilot(stated, axis),
-        lambda stated, axis: _own(stated, f"ATC_RAT_{ARDUPILOT_AXES[axis]}_"),
+        lambda stated, axis: _own(stated, f"ATC_RAT_{parameter_law('arducopter').part('axes')[axis]}_"),
     ),
     Kind(
         "main",

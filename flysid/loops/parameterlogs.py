@@ -17,7 +17,8 @@ from flysid.flightwriter import float_values
 from flysid.ingest.lake.events import IN_FORCE
 from flysid.loops.betaflight import AXES
 from flysid.loops.blackbox_loops import LARGEST_SHARE, even_pieces
-from flysid.loops.controller import RELEASE, THOUSANDTHS
+from flysid.loops.controller import THOUSANDTHS
+from flysid.loops.parameter_laws import RELEASE
 from flysid.loops.stick_response import StickRecord
 
 STREAMS = {
@@ -59,16 +60,15 @@ def parameters_of(log: Any, needed: Callable[[str], bool]) -> dict[str, float]:
 
 def px4_parameters(log: Any) -> dict[str, float]:
     """Those of PX4's rate controllers, and the number of the release."""
-    wanted = parameters_of(
-        log, lambda name: name == "IMU_DGYRO_CUTOFF" or ("RATE_" in name and "MC_" in name)
-    )
+    others = ("IMU_DGYRO_CUTOFF", "MC_YAW_TQ_CUTOFF", "MC_BAT_SCALE_EN")
+    wanted = parameters_of(log, lambda name: name in others or ("RATE_" in name and "MC_" in name))
     release = str(log.facts.info.get(RELEASE, ""))
     return wanted | ({RELEASE: float(release)} if release.isdecimal() else {})
 
 
 def ardupilot_parameters(log: Any) -> dict[str, float]:
-    """Those of ArduCopter's rate controllers."""
-    return parameters_of(log, lambda name: name.startswith("ATC_RAT_"))
+    """Those of ArduCopter's rate controllers and their notches."""
+    return parameters_of(log, lambda name: name.startswith(("ATC_RAT_", "FILT")))
 
 
 def px4_record(log: Any, axis: str) -> StickRecord:
@@ -83,9 +83,9 @@ def px4_record(log: Any, axis: str) -> StickRecord:
         output = ("vehicle_torque_setpoint", "xyz")
     else:
         output = ("actuator_controls_0", "control")
-    time, rate = _column(log, "vehicle_angular_velocity", "xyz", k)
-    at, setpoint = _column(log, "vehicle_rates_setpoint", axis)
-    when, share = _column(log, *output, k)
+    time, rate = column_of(log, "vehicle_angular_velocity", "xyz", k)
+    at, setpoint = column_of(log, "vehicle_rates_setpoint", axis)
+    when, share = column_of(log, *output, k)
     out = np.interp(time, when, share)
     outside = _asked_of_px4(log, axis)
     slowest = min(_rate(t) for t in (time, at, when))
@@ -102,11 +102,11 @@ def ardupilot_record(log: Any, axis: str) -> StickRecord:
     DataError : RATE is missing or too slow, or the output at its limit.
     """
     letter = axis[0].upper()
-    time, rate = _column(log, "RATE", letter)
-    _, setpoint = _column(log, "RATE", f"{letter}Des")
-    _, out = _column(log, "RATE", f"{letter}Out")
+    time, rate = column_of(log, "RATE", letter)
+    _, setpoint = column_of(log, "RATE", f"{letter}Des")
+    _, out = column_of(log, "RATE", f"{letter}Out")
     name = {"R": "DesRoll", "P": "DesPitch", "Y": "DesYaw"}[letter]
-    outside = _column(log, "ATT", name)
+    outside = column_of(log, "ATT", name)
     loop = (setpoint, THOUSANDTHS * out, rate)
     asked = outside if np.ptp(outside[1]) else None
     faster = "LOG_BITMASK bit 0 (fast attitude), LOG_FILE_RATEMAX 0"
@@ -136,7 +136,7 @@ def _rate(time: FloatArray) -> float:
     return float(np.round(1.0 / np.median(np.diff(time)))) if len(time) > 2 else 0.0  # flights alike
 
 
-def _column(log: Any, stream: str, name: str, place: int | None = None) -> tuple[FloatArray, FloatArray]:
+def column_of(log: Any, stream: str, name: str, place: int | None = None) -> tuple[FloatArray, FloatArray]:
     """(N,) times in s and values, of an array its `place`-th."""
     try:
         table = log.table(stream, ["time_ns", name])

@@ -16,6 +16,8 @@ from flysid.dataset import FloatArray
 ComplexArray = npt.NDArray[np.complex128]
 Filters = tuple[tuple[int, float], ...]
 """Orders (1, or 2 for a Butterworth biquad) and cut-offs (Hz), one behind the other."""
+Notches = tuple[tuple[float, float, float], ...]
+"""Centres (Hz), qualities, and the gain at the centre, one behind the other."""
 STAGES = {"pt1": 1, "pt2": 2, "pt3": 3}
 
 
@@ -70,4 +72,17 @@ def response(filters: Filters, f: FloatArray, notch: tuple[float, float] = (0.0,
     if centre > cut > 0.0:
         far = f / centre
         through = through * (1.0 - far * far) / (1.0 + 1j * far * (centre / cut - cut / centre) - far * far)
+    return np.asarray(through)
+
+
+def notched(notches: Notches, f: FloatArray) -> ComplexArray:
+    """(F,) of notches that leave a share of their centre.
+
+    >>> np.abs(notched(((50.0, 2.0, 0.1),), np.array([50.0]))).round(3).tolist()
+    [0.1]
+    """
+    through: ComplexArray = np.ones(len(f), dtype=np.complex128)
+    for centre, quality, left in notches:
+        x = 1j * f / centre
+        through = through * (1.0 + left * x / quality + x * x) / (1.0 + x / quality + x * x)
     return np.asarray(through)

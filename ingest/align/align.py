@@ -30,6 +30,7 @@ from flysid.ingest.align.conditions import condition_spans
 from flysid.ingest.align.doubts import doubts
 from flysid.ingest.align.grids import command_on_grid, fine_grid, pauses, ratio_of
 from flysid.ingest.align.labels import Labels, labels_of
+from flysid.ingest.align.late import late_rows
 from flysid.ingest.align.on_change import held_specs
 from flysid.ingest.align.recipe import Recipe, SignalSpec, load_recipe
 from flysid.ingest.align.report import AlignReport, FlightReport, SignalReport
@@ -242,6 +243,7 @@ class _Job:
             log.name, signals=reports, notes=(*clocks.notes, *conditions.notes, *conditions.never)
         )
         segments: list[Segment] = []
+        late = {n: late_rows(log, found.stream) for n, found in loaded.items()}
         begins = log_clock(log.clocks).begins_ns
         dates = {c.boot: c.began_utc_ns for c in log.clocks}
         for boot in boots:
@@ -251,7 +253,7 @@ class _Job:
                 begin_ns = begins.get(boot, min(int(s.t_ns[0]) for s in series.values()))
                 own = labels.get(boot, Labels())
                 vehicle = vehicle_of(log.info)
-                part = _Boot(self, name, series, dt_ns, own, begin_ns, vehicle, dates.get(boot))
+                part = _Boot(self, name, series, dt_ns, own, begin_ns, late, vehicle, dates.get(boot))
                 found, counts = part.segments(conditions.spans.get(boot))
                 segments += found
                 report = report.plus(counts)
@@ -304,6 +306,7 @@ class _Boot:
     dt_ns: int
     labels: Labels
     begin_ns: int
+    late: Mapping[str, resample.IntArray]
     vehicle: str = ""
     began_utc_ns: float | None = None
 
@@ -339,7 +342,7 @@ class _Boot:
 
     def _spans_of(self, name: str, series: RecordedSignal) -> list[Span]:
         gap, after = pauses(self.job.specs[name], series.period_ns, self.dt_ns)
-        return resample.spans_between_gaps(series.t_ns, gap, after)
+        return resample.spans_between_gaps(series.t_ns, gap, after, self.late[name])
 
     def _ratio(self) -> int:
         return ratio_of(self.job.recipe, self.series, self.dt_ns)

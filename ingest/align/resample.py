@@ -119,11 +119,19 @@ def nice_period_ns(period: float) -> int:
 # ------------------------------------------------------------------------------------------- spans
 
 
-def spans_between_gaps(t_ns: IntArray, max_gap_ns: float, after_ns: float = 1) -> list[Span]:
-    """Half-open spans without a pause above `max_gap_ns`; each ends `after_ns` after its last sample."""
+def spans_between_gaps(
+    t_ns: IntArray, max_gap_ns: float, after_ns: float = 1, late_ns: IntArray | None = None
+) -> list[Span]:
+    """Half-open spans without a pause above `max_gap_ns`; each ends `after_ns` after its last sample.
+
+    `late_ns`: times of samples behind which a pause is none: the next one came late.
+    """
     if len(t_ns) == 0:
         return []
-    cuts = np.flatnonzero(np.diff(t_ns) > max_gap_ns)
+    paused = np.diff(t_ns) > max_gap_ns
+    if late_ns is not None and len(late_ns):
+        paused &= ~np.isin(t_ns[:-1], late_ns)
+    cuts = np.flatnonzero(paused)
     firsts = np.append(0, cuts + 1)
     lasts = np.append(cuts, len(t_ns) - 1)
     tail = int(min(after_ns, FOREVER))

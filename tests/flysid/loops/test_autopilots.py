@@ -14,8 +14,9 @@ from click.testing import CliRunner
 
 from flysid.cli.gains import command
 from flysid.errors import DataError, UsageError
-from flysid.loops.controller import Controller, ardupilot, px4
+from flysid.loops.controller import Controller
 from flysid.loops.judged import judge
+from flysid.loops.parameter_laws import ardupilot, px4
 from flysid.loops.parameterlogs import px4_parameters
 from flysid.validate import history, run
 from flysid.validate.run import RUN_FILE

@@ -89,7 +89,8 @@ REFUSED: dict[str, tuple[Callable[[], Any], str]] = {
     "no parameters": (lambda: without(px4(), "parameters"), "states no parameters"),
     "parameter missing": (lambda: without_parameter(px4(), "MC_ROLLRATE_K"), "not state MC_ROLLRATE_K"),
     "older ArduCopter": (older_ardupilot, "before 4.0, with a single filter .ATC_RAT_RLL_FILT"),
-    "slope fed forward": (lambda: ardupilot(40.0, {"ATC_RAT_RLL_D_FF": 0.1}), "D_FF is not known"),
+    "notch not stated": (lambda: ardupilot(40.0, {"ATC_RAT_RLL_NTF": 1.0}), "not state FILT1_NOTCH_FREQ"),
+    "slope not fed forward": (lambda: ardupilot(40.0, {"ATC_RAT_RLL_D_FF": 0.1}), "do not give what"),
     # the stated gains are not those that flew
     "gains changed in flight": (changed_in_flight, r"was changed from 0\.15 to 0\.2"),
     "another profile": (lambda: log_of(40.0, {"rollPID": "92,45,25"}), "do not give what the log"),

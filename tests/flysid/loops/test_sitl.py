@@ -1,0 +1,33 @@
+"""Logs of the firmware itself, whose stamps jitter: the general verbs keep them whole."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from click.testing import CliRunner
+
+from bench.sitl import Vehicle
+from flysid.cli.step import command as step
+from flysid.cli.tf import command as tf
+
+RATE = ["-r", "betaflight-rate", "-c"]
+
+
+def test_a_step_is_found_in_a_log_whose_stamps_jitter(firmware_log: Path) -> None:
+    """Every late round of the loop cut the record: "5.84 s of flying are too short for a response of 2 s"."""
+    done = CliRunner().invoke(step, [str(firmware_log), *RATE, "roll_rate", "--json"], standalone_mode=False)
+    assert done.exception is None
+    (found,) = json.loads(done.stdout)["steps"]
+    assert found["seconds"] > 20.0
+    assert 0.8 < found["figures"]["final value"]["value"] < 1.2
+
+
+def test_the_dead_time_of_the_motors_carries_the_lag_and_the_jitter(firmware_log: Path) -> None:
+    done = CliRunner().invoke(tf, [str(firmware_log), *RATE, "roll_motors", "--json"], standalone_mode=False)
+    assert done.exception is None
+    (channel,) = json.loads(done.stdout)["channels"]
+    assert channel["seconds"] > 25.0
+    (transfer,) = channel["transfers"]
+    late = transfer["dead_time"]["high"] if transfer["dead_time"] else transfer["dead_time_s"]
+    assert 0.0 < late < 3.0 * Vehicle().lag_s
