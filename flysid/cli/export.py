@@ -13,6 +13,7 @@ from flysid.cli.display import Display
 from flysid.cli.output import say
 from flysid.cli.source import opened_flights, reading_options
 from flysid.cli.trust import Own, Setting
+from flysid.cli.vehicleexport import FILES, write_vehicle
 from flysid.errors import UsageError
 from flysid.facts.clock import log_clock
 from flysid.progress import tell
@@ -26,11 +27,13 @@ KINDS = ("csv", "parquet", "mat", "xlsx", "mcap")
 @click.option(
     "--to",
     "kind",
-    type=click.Choice(KINDS),
+    type=click.Choice((*KINDS, *FILES)),
     default="csv",
     show_default=True,
-    help="File type, for a flight.",
+    help=f"File type, for a flight; for a vehicle: {', '.join(FILES)}.",
 )
+@click.option("--mass", "mass_kg", type=POSITIVE, metavar="KG", help="Of a vehicle, as weighed.")
+@click.option("--arm", "arm_m", type=POSITIVE, metavar="M", help="From a vehicle's centre to its motors.")
 @click.option("--flight", cls=Setting, default="", help="The flight of a folder, by id or its beginning.")
 @click.option(
     "--rate",
@@ -71,6 +74,8 @@ def command(
     source: Path,
     streams: tuple[str, ...],
     kind: str,
+    mass_kg: float | None,
+    arm_m: float | None,
     flight: str,
     rate_hz: float | None,
     out: Path | None,
@@ -89,8 +94,14 @@ def command(
     """Export a flight's streams, or a fitted model, to other programs.
 
     Each stream of a flight has its own table with its own times; --rate puts all on one grid. A model (a
-    run's folder, or a model file) becomes C99 without allocation, an FMU, or MATLAB files.
+    run's folder, or a model file) becomes C99 without allocation, an FMU, or MATLAB files. A vehicle (what
+    'flysid vehicle -o' wrote) becomes parameters of a simulator, or functions for a controller.
     """
+    if kind in FILES:
+        click.echo(str(write_vehicle(source, kind, out, mass_kg, arm_m, force)))
+        return
+    if mass_kg is not None or arm_m is not None:
+        raise UsageError("--mass and --arm are of a vehicle", hint=f"--to {' or '.join(FILES)}")
     from flysid.cli.modelexport import Wanted, write_c, write_fmu, write_lpv, write_matlab
 
     wanted = Wanted(source, channel, label, rate_hz, data)
