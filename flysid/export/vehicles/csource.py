@@ -7,7 +7,7 @@ from string import Template
 
 from flysid.sixdof import layout
 from flysid.sixdof.fitted import FittedVehicle
-from flysid.sixdof.layout import BODY_DRAG, CURVE, DAMPING, INERTIA, LAG, LEAN, ROTOR_DRAG, THRUST, TRIM
+from flysid.sixdof.layout import ARM, BODY_DRAG, CURVE, DAMPING, INERTIA, LAG, LEAN, ROTOR_DRAG, THRUST, TRIM
 from flysid.sixdof.rigid_body import GRAVITY
 
 TEMPLATE = """\
@@ -47,6 +47,12 @@ static void vehicle_derivative(const double *x, const double *u, const double *w
     spin += root;
     for (int k = 0; k < 3; k++) turn[k] += vehicle_effects[k][i] * share;
     for (int k = 0; k < 2; k++) hub[k] += vehicle_effects[k][i] * root / thrust;
+    const double roll = vehicle_effects[0][i], pitch = ry * vehicle_effects[1][i];
+    const double met = $arm / thrust * root, tipping = roll * x[10] + pitch * x[11];
+    turn[0] -= met * vehicle_rotor_drag[2] * roll * tipping;
+    turn[1] -= met * vehicle_rotor_drag[2] * vehicle_effects[1][i] * tipping;
+    turn[2] -= met / rz * x[12]
+               * (vehicle_rotor_drag[0] * roll * roll + vehicle_rotor_drag[1] * pitch * pitch);
     d[13 + i] = (u[i] - x[13 + i]) / $lag;
   }
   const double speed = sqrt(a[0] * a[0] + a[1] * a[1] + a[2] * a[2]);
@@ -100,6 +106,7 @@ def vehicle_header(vehicle: FittedVehicle) -> str:
         "lean_pitch": _number(theta[LEAN + 1]),
         "lean_roll": _number(theta[LEAN]),
         "gravity": _number(GRAVITY),
+        "arm": _number(theta[ARM]),
         "thrust": _number(theta[THRUST]),
         "motors": str(vehicle.motors),
         "curve": _number(theta[CURVE]),

@@ -11,6 +11,7 @@ from __future__ import annotations
 from flysid.sixdof import layout
 from flysid.sixdof.fitted import FittedVehicle
 from flysid.sixdof.layout import (
+    ARM,
     BODY_DRAG,
     CURVE,
     DAMPING,
@@ -44,6 +45,7 @@ TRIM = {trim!r}
 DAMPING = {damping!r}
 LEAN = {lean!r}
 INERTIA = {inertia!r}
+ARM = {arm!r}
 ROLL = {roll!r}
 PITCH = {pitch!r}
 YAW = {yaw!r}
@@ -79,6 +81,12 @@ def derivative(x, u, wind=(0.0, 0.0, 0.0), *, sqrt, stack, smallest=max):
     pitch = pitch + LEAN[1] * spin * a[0] - ROTOR_DRAG[2] * hub_pitch * a[2]
     yaw = TRIM[2] - DAMPING[2] * spin * wz + (1.0 - ry) / rz * wx * wy
     yaw = yaw + ROTOR_DRAG[1] * ry / rz * hub_pitch * a[1] + ROTOR_DRAG[0] / rz * hub_roll * a[0]
+    tipping = [ROLL[i] * wx + ry * PITCH[i] * wy for i in range(MOTORS)]
+    met = ARM / THRUST
+    roll = roll - met * ROTOR_DRAG[2] * sum(root[i] * ROLL[i] * tipping[i] for i in range(MOTORS))
+    pitch = pitch - met * ROTOR_DRAG[2] * sum(root[i] * PITCH[i] * tipping[i] for i in range(MOTORS))
+    spread = [ROTOR_DRAG[0] * ROLL[i] ** 2 + ROTOR_DRAG[1] * (ry * PITCH[i]) ** 2 for i in range(MOTORS)]
+    yaw = yaw - met / rz * wz * sum(root[i] * spread[i] for i in range(MOTORS))
     turns = [
         -0.5 * (qx * wx + qy * wy + qz * wz),
         0.5 * (qw * wx + qy * wz - qz * wy),
@@ -165,6 +173,7 @@ def portable_source(vehicle: FittedVehicle) -> str:
         damping=numbers(DAMPING, 3),
         lean=numbers(LEAN, 2),
         inertia=numbers(INERTIA, 2),
+        arm=float(theta[ARM]),
         roll=roll,
         pitch=pitch,
         yaw=yaw,

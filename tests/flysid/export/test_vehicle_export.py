@@ -35,7 +35,7 @@ def vehicle() -> FittedVehicle:
     theta[[layout.LAG, layout.CURVE, layout.POWER, layout.THRUST]] = 0.04, 0.7, 1.1, 5.0
     theta[layout.ROTOR_DRAG : layout.TRIM] = 0.08, 0.09, 0.05, 0.01, 0.02, 0.03
     theta[layout.TRIM : layout.INERTIA] = 0.1, -0.2, 0.05, 0.3, 0.2, 0.1, 0.4, -0.5
-    theta[layout.INERTIA : layout.EFFECTS] = 1.2, 1.9
+    theta[layout.INERTIA : layout.EFFECTS] = 1.2, 1.9, 0.001
     signs = np.array([[-1, -1, 1, 1], [-1, 1, 1, -1], [-1, 1, -1, 1]])
     theta[layout.EFFECTS :] = (signs * np.array([[120.0], [100.0], [15.0]])).ravel()
     size = len(theta)
@@ -154,6 +154,7 @@ def test_rotorpy_flies_the_same(vehicle: FittedVehicle) -> None:
     theta[layout.CURVE] = 1.0
     theta[layout.ROTOR_DRAG + 1] = theta[layout.ROTOR_DRAG]
     theta[layout.TRIM : layout.INERTIA] = 0.0
+    theta[layout.ARM] = 0.0
     own = replace(vehicle, theta=theta)
     parameters = rotorpy_parameters(own, 0.5, 1e-3)  # a short arm: RotorPy damps by the square of its length
     state = {
