@@ -13,6 +13,7 @@ from flysid.cli.display import Display
 from flysid.cli.output import say
 from flysid.cli.source import opened_flights, reading_options
 from flysid.cli.trust import Own, Setting
+from flysid.cli.vehicleexport import FILES, is_vehicle, write_vehicle
 from flysid.errors import UsageError
 from flysid.facts.clock import log_clock
 from flysid.progress import tell
@@ -28,11 +29,14 @@ CALLED = {"casadi": "model_casadi.py", "jax": "model_jax.py", "onnx": "model.onn
 @click.option(
     "--to",
     "kind",
-    type=click.Choice([*KINDS, *CALLED]),
+    type=click.Choice([*KINDS, *dict.fromkeys([*CALLED, *FILES])]),
     default="csv",
     show_default=True,
-    help="File type: of a flight, or for code that calls a model (casadi, jax, onnx).",
+    help=f"File type: of a flight; for code that calls a model: {', '.join(CALLED)}; of a vehicle: "
+    f"{', '.join(FILES)}.",
 )
+@click.option("--mass", "mass_kg", type=POSITIVE, metavar="KG", help="Of a vehicle, as weighed.")
+@click.option("--arm", "arm_m", type=POSITIVE, metavar="M", help="From a vehicle's centre to its motors.")
 @click.option("--flight", cls=Setting, default="", help="The flight of a folder, by id or its beginning.")
 @click.option(
     "--rate",
@@ -85,6 +89,8 @@ def command(
     source: Path,
     streams: tuple[str, ...],
     kind: str,
+    mass_kg: float | None,
+    arm_m: float | None,
     flight: str,
     rate_hz: float | None,
     out: Path | None,
@@ -107,8 +113,14 @@ def command(
 
     Each stream of a flight has its own table with its own times; --rate puts all on one grid. A model (a
     run's folder, or a model file) becomes C99 without allocation, an FMU, MATLAB files, or functions for code
-    of MPC and of learning: --to casadi is --casadi with the file after -o, or model_casadi.py.
+    of MPC and of learning: --to casadi is --casadi with the file after -o, or model_casadi.py. A vehicle (what
+    'flysid vehicle -o' wrote) becomes parameters of a simulator, or functions for a controller.
     """
+    if kind in FILES and (kind not in CALLED or is_vehicle(source)):
+        click.echo(str(write_vehicle(source, kind, out, mass_kg, arm_m, force)))
+        return
+    if mass_kg is not None or arm_m is not None:
+        raise UsageError("--mass and --arm are of a vehicle", hint=f"--to {' or '.join(FILES)}")
     from flysid.cli.modelexport import (
         Wanted,
         write_c,

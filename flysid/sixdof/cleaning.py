@@ -12,7 +12,8 @@ from flysid.stretch import FloatArray
 BoolArray = npt.NDArray[np.bool_]
 
 STRAIGHT_S = 0.08
-"""A shorter straight line may be chance."""
+STRAIGHT_ROWS = 8
+"""A shorter straight line, or one of fewer samples, may be chance."""
 LINE = 1e-5
 """Of a signal's spread: a second difference below it is what writing in decimals leaves of a line."""
 BEYOND = 1.0005
@@ -75,7 +76,7 @@ class Damage:
 
 
 def straight_lines(signals: FloatArray, dt_s: float, *, standing: bool = False) -> BoolArray:
-    """(N,) samples in stretches of at least 80 ms over which every column is a straight line.
+    """(N,) samples in stretches of at least 80 ms and 8 samples over which every column is a straight line.
 
     Parameters
     ----------
@@ -91,7 +92,7 @@ def straight_lines(signals: FloatArray, dt_s: float, *, standing: bool = False) 
     size = np.maximum(spread[spread > 0.0], np.abs(moving[1:-1]))
     bend = np.abs(np.diff(moving, 2, axis=0)) <= LINE * size
     straight = np.concatenate([[False], bend.all(axis=1), [False]])
-    least = max(round(STRAIGHT_S / dt_s) - 1, 1)
+    least = max(round(STRAIGHT_S / dt_s), STRAIGHT_ROWS) - 1
     for first, last in runs(straight):
         moved = np.abs(moving[last] - moving[first - 1]).max() > 0.0
         if last - first >= least and (standing or moved):

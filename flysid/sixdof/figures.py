@@ -9,6 +9,7 @@ import numpy as np
 
 from flysid.sixdof import layout
 from flysid.sixdof.layout import (
+    ARM,
     BODY_DRAG,
     CURVE,
     DAMPING,
@@ -111,7 +112,8 @@ _FLIGHTS: Sequence[tuple[range, str]] = (
     (range(TRIM, DAMPING), "hover for ten seconds"),
     (range(DAMPING, LEAN), "turn about this axis at several rates, for seconds"),
     (range(LEAN, INERTIA), "log velocities, and fly to and fro along this axis"),
-    (range(INERTIA, EFFECTS), "turn about two axes at once: quick circles while yawing"),
+    (range(ARM, EFFECTS), "turn about each axis at several rates, for seconds"),
+    (range(INERTIA, ARM), "turn about two axes at once: quick circles while yawing"),
 )
 
 

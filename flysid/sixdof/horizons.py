@@ -12,7 +12,7 @@ import numpy as np
 from flysid.sixdof import layout, rotations
 from flysid.sixdof.actuators import interval_means, shares
 from flysid.sixdof.fitted import FittedVehicle
-from flysid.sixdof.layout import BODY_DRAG, DAMPING, INERTIA, LEAN, ROTOR_DRAG, THRUST, TRIM
+from flysid.sixdof.layout import ARM, BODY_DRAG, DAMPING, INERTIA, LEAN, ROTOR_DRAG, THRUST, TRIM
 from flysid.sixdof.record import Record
 from flysid.sixdof.rigid_body import GRAVITY
 from flysid.sixdof.torque_fit import log_voltage_of
@@ -136,10 +136,29 @@ def drive(record: Record, vehicle: FittedVehicle) -> Driven:
     turning = theta[TRIM:DAMPING] - theta[DAMPING : DAMPING + 3] * spin[:, None] * rate
     turning[:, 0] += theta[LEAN] * spin * air[:, 1]
     turning[:, 1] += theta[LEAN + 1] * spin * air[:, 0]
+    turning += _met_by_hubs(theta, mean, rate)
     pitch, yaw = theta[INERTIA : INERTIA + 2]
     couple = np.array([pitch - yaw, (yaw - 1.0) / pitch, (1.0 - pitch) / yaw])
     turning += couple * np.roll(rate, -1, axis=1) * np.roll(rate, -2, axis=1)
     return Driven(mean @ layout.effects(theta).T, turning, theta[THRUST] * mean.sum(axis=1), spin)
+
+
+def _met_by_hubs(theta: FloatArray, share: FloatArray, rate: FloatArray) -> FloatArray:
+    """(n, 3) angular acceleration by the air that hubs meet as the vehicle turns; see `layout`."""
+    if not (theta[ARM] > 0.0 and theta[THRUST] > 0.0):
+        return np.zeros_like(rate)
+    root = np.sqrt(np.maximum(share, 0.0))
+    roll, pitch, _ = layout.effects(theta)
+    drag = theta[ROTOR_DRAG : ROTOR_DRAG + 3]
+    ry, rz = theta[INERTIA : INERTIA + 2]
+    tipping = rate[:, :1] * roll + ry * rate[:, 1:2] * pitch
+    yaw = rate[:, 2] * (root @ (drag[0] * roll**2 + drag[1] * (ry * pitch) ** 2)) / rz
+    parts = (
+        drag[2] * (root * roll * tipping).sum(axis=1),
+        drag[2] * (root * pitch * tipping).sum(axis=1),
+        yaw,
+    )
+    return np.asarray(-theta[ARM] / theta[THRUST] * np.stack(parts, axis=1))
 
 
 def averaged(values: FloatArray, time_s: float, dt_s: float) -> FloatArray:

@@ -8,6 +8,10 @@ and s_i = (1 - curve) x_i + curve x_i^2 what it lifts as a share of full thrust 
     dω/dt = effects s + trim + sum(sqrt(s)) ((lean_roll w_y, lean_pitch w_x, 0) - damping ω)
             + gyroscopic torque + torque of the rotors' drag, which acts at their hubs
 
+A hub lies (-arm ratio pitch, arm roll) forward and left of the centre of mass, where pitch and roll are its
+motor's effects, ratio is the inertia's of pitch over roll, and arm is a number of its own: the air that a hub
+meets as the vehicle turns damps.
+
 sqrt(s) is a rotor's speed as a share of its speed at full thrust.
 """
 
@@ -22,8 +26,8 @@ from flysid.stretch import FloatArray
 
 LAG, DELAY, CURVE, POWER, THRUST = range(5)
 ROTOR_DRAG, BODY_DRAG, TRIM, DAMPING = 5, 8, 11, 14
-LEAN, INERTIA = 17, 19
-EFFECTS = 21
+LEAN, INERTIA, ARM = 17, 19, 21
+EFFECTS = 22
 """Where groups begin; the effects of motors about roll, then pitch, then yaw stand last."""
 AXES = ("roll", "pitch", "yaw")
 LETTERS = ("x", "y", "z")
@@ -45,6 +49,7 @@ LIMITS = {
     **{BODY_DRAG + i: (0.0, np.inf) for i in range(3)},
     **{DAMPING + i: (0.0, np.inf) for i in range(3)},
     **{INERTIA + i: (0.2, 5.0) for i in range(2)},
+    ARM: (0.0, np.inf),
 }
 """What a multirotor can be: nothing acts before its command, and air never drives it."""
 
@@ -67,6 +72,7 @@ def numbers(motors: int) -> tuple[Number, ...]:
     rows += [(f"{axis} damping", "1/s") for axis in AXES]
     rows += [("roll from sideways speed", "rad/s/m"), ("pitch from forward speed", "rad/s/m")]
     rows += [("inertia pitch / roll", ""), ("inertia yaw / roll", "")]
+    rows += [("arm by effect", "m s^2/rad")]
     rows += [(f"{axis} of motor {i + 1}", "rad/s^2") for axis in AXES for i in range(motors)]
     return tuple(Number(name, unit, index) for index, (name, unit) in enumerate(rows))
 

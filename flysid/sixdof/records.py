@@ -37,8 +37,8 @@ GROUPS: Mapping[str, tuple[str, ...]] = {
 }
 """Outputs of a dataset by instrument."""
 VOLTAGE = "voltage"
-FULL_SCALES = (1.0, 100.0, 1000.0, 65535.0)
-"""What commands are commonly shares of: one, per cent, per mille, 16 bits."""
+FULL_SCALES = (1.0, 100.0, 1000.0, 2047.0, 65535.0)
+"""What commands are commonly shares of: one, per cent, per mille, DShot's 11 bits, 16 bits."""
 PULSES = (800.0, 2200.0)
 """Commands between these are pulses of 1,000 to 2,000 us."""
 TURNING = 0.05
@@ -125,7 +125,7 @@ def flights_of(data: Dataset, scale: Scale | None = None) -> Flights:
         raise DataError(
             f"nothing flies: in {counted(len(data.flights), 'flight')} there is no whole second with all "
             f"motors turning{higher}",
-            hint="a flight in the air, with its motors logged at 50 Hz or more",
+            hint=f"a flight in the air; {found}: if not, state full scale (--zero, --full-scale)",
         )
     return Flights(records, found, damage, frames)
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from flysid.sixdof.layout import BODY_DRAG, DAMPING, EFFECTS, INERTIA, LEAN, ROTOR_DRAG, THRUST, TRIM
+from flysid.sixdof.layout import ARM, BODY_DRAG, DAMPING, EFFECTS, INERTIA, LEAN, ROTOR_DRAG, THRUST, TRIM
 from flysid.stretch import FloatArray
 
 STATES = 13
@@ -91,8 +91,24 @@ def _derivative(state, share, share_by, theta, wind, wanted):  # type: ignore[no
     turn[1, 2] = -per * theta[ROTOR_DRAG + 2] * hub[1]
     turn[2, 1] = per * ry / rz * theta[ROTOR_DRAG + 1] * hub[1]
     turn[2, 0] = per / rz * theta[ROTOR_DRAG] * hub[0]
+    rolls = 0.0  # sums of effects times effects, of roll and pitch, weighted with rotor speeds
+    both = 0.0
+    pitches = 0.0
+    for i in range(m):
+        root = np.sqrt(max(share[i], _LEAST_SHARE))
+        rolls += root * theta[EFFECTS + i] ** 2
+        both += root * theta[EFFECTS + i] * theta[EFFECTS + m + i]
+        pitches += root * theta[EFFECTS + m + i] ** 2
+    met = np.zeros((3, 3))  # of angular acceleration by the rate, if arm is 1: the air that hubs meet
+    met[0, 0] = -per * theta[ROTOR_DRAG + 2] * rolls
+    met[0, 1] = -per * theta[ROTOR_DRAG + 2] * ry * both
+    met[1, 0] = -per * theta[ROTOR_DRAG + 2] * both
+    met[1, 1] = -per * theta[ROTOR_DRAG + 2] * ry * pitches
+    met[2, 2] = -per / rz * (theta[ROTOR_DRAG] * rolls + theta[ROTOR_DRAG + 1] * ry * ry * pitches)
+    arm = theta[ARM]
+    damped = met @ rate
     for k in range(3):
-        total = theta[TRIM + k] - theta[DAMPING + k] * spin * rate[k]
+        total = theta[TRIM + k] - theta[DAMPING + k] * spin * rate[k] + arm * damped[k]
         for j in range(3):
             total += turn[k, j] * w[j]
         for i in range(m):
@@ -150,7 +166,10 @@ def _derivative(state, share, share_by, theta, wind, wanted):  # type: ignore[no
     for k in range(3):
         one = (k + 1) % 3
         other = (k + 2) % 3
-        a[10 + k, 10 + k] = -theta[DAMPING + k] * spin
+        for j in range(3):
+            a[10 + k, 10 + j] = arm * met[k, j]
+        a[10 + k, 10 + k] -= theta[DAMPING + k] * spin
+        b[10 + k, ARM] = damped[k]
         a[10 + k, 10 + one] += couple[k] * rate[other]
         a[10 + k, 10 + other] += couple[k] * rate[one]
         b[10 + k, TRIM + k] = 1.0
@@ -172,8 +191,25 @@ def _derivative(state, share, share_by, theta, wind, wanted):  # type: ignore[no
     b[10, THRUST] = -per * turn[0, 2] * w[2]
     b[11, THRUST] = -per * turn[1, 2] * w[2]
     b[12, THRUST] = -per * yawing
+    drag = per * arm * theta[ROTOR_DRAG + 2]
+    ahead = per * arm / rz * theta[ROTOR_DRAG] * rate[2]
+    aside = per * arm / rz * theta[ROTOR_DRAG + 1] * ry * ry * rate[2]
+    b[10, ROTOR_DRAG + 2] -= per * arm * (rolls * rate[0] + ry * both * rate[1])
+    b[11, ROTOR_DRAG + 2] -= per * arm * (both * rate[0] + ry * pitches * rate[1])
+    b[12, ROTOR_DRAG] -= per * arm / rz * rolls * rate[2]
+    b[12, ROTOR_DRAG + 1] -= per * arm / rz * ry * ry * pitches * rate[2]
+    for k in range(3):
+        b[10 + k, THRUST] -= per * arm * damped[k]
     for i in range(m):
         root = np.sqrt(max(share[i], _LEAST_SHARE))
+        one = theta[EFFECTS + i]
+        other = theta[EFFECTS + m + i]
+        b[10, EFFECTS + i] -= drag * root * (2.0 * one * rate[0] + ry * other * rate[1])
+        b[11, EFFECTS + i] -= drag * root * other * rate[0]
+        b[12, EFFECTS + i] -= 2.0 * ahead * root * one
+        b[10, EFFECTS + m + i] -= drag * root * ry * one * rate[1]
+        b[11, EFFECTS + m + i] -= drag * root * (one * rate[0] + 2.0 * ry * other * rate[1])
+        b[12, EFFECTS + m + i] -= 2.0 * aside * root * other
         b[10, EFFECTS + i] -= per * theta[ROTOR_DRAG + 2] * w[2] * root
         b[12, EFFECTS + i] += per / rz * theta[ROTOR_DRAG] * w[0] * root
         b[11, EFFECTS + m + i] -= per * theta[ROTOR_DRAG + 2] * w[2] * root
@@ -181,12 +217,12 @@ def _derivative(state, share, share_by, theta, wind, wanted):  # type: ignore[no
     roll = rate[1] * rate[2]
     pitch = rate[2] * rate[0]
     yaw = rate[0] * rate[1]
-    b[10, INERTIA] = roll
-    b[11, INERTIA] = -(rz - 1.0) / (ry * ry) * pitch
-    b[12, INERTIA] = -yaw / rz + turn[2, 1] * w[1] / ry
+    b[10, INERTIA] = roll - drag * both * rate[1]
+    b[11, INERTIA] = -(rz - 1.0) / (ry * ry) * pitch - drag * pitches * rate[1]
+    b[12, INERTIA] = -yaw / rz + turn[2, 1] * w[1] / ry - 2.0 * aside * pitches / ry
     b[10, INERTIA + 1] = -roll
     b[11, INERTIA + 1] = pitch / ry
-    b[12, INERTIA + 1] = -(1.0 - ry) / (rz * rz) * yaw - yawing / rz
+    b[12, INERTIA + 1] = -(1.0 - ry) / (rz * rz) * yaw - (yawing + arm * damped[2]) / rz
     by_spin = np.empty(3)
     for k in range(3):
         by_spin[k] = -theta[ROTOR_DRAG + k] * w[k]
@@ -199,12 +235,18 @@ def _derivative(state, share, share_by, theta, wind, wanted):  # type: ignore[no
                 b[3 + j, c] += theta[THRUST] * r[j, 2] * ds + by_spin[j] * root
             for k in range(3):
                 b[10 + k, c] += theta[EFFECTS + k * m + i] * ds - theta[DAMPING + k] * rate[k] * root
-            rolls = per * theta[EFFECTS + i] * root
-            pitches = per * theta[EFFECTS + m + i] * root
-            b[10, c] += theta[LEAN] * root * w[1] - rolls * theta[ROTOR_DRAG + 2] * w[2]
-            b[11, c] += theta[LEAN + 1] * root * w[0] - pitches * theta[ROTOR_DRAG + 2] * w[2]
-            b[12, c] += pitches * ry / rz * theta[ROTOR_DRAG + 1] * w[1]
-            b[12, c] += rolls / rz * theta[ROTOR_DRAG] * w[0]
+            one = theta[EFFECTS + i]
+            other = theta[EFFECTS + m + i]
+            tipping = one * rate[0] + ry * other * rate[1]
+            b[10, c] -= drag * root * one * tipping
+            b[11, c] -= drag * root * other * tipping
+            b[12, c] -= root * (ahead * one * one + aside * other * other)
+            left = per * one * root
+            back = per * other * root
+            b[10, c] += theta[LEAN] * root * w[1] - left * theta[ROTOR_DRAG + 2] * w[2]
+            b[11, c] += theta[LEAN + 1] * root * w[0] - back * theta[ROTOR_DRAG + 2] * w[2]
+            b[12, c] += back * ry / rz * theta[ROTOR_DRAG + 1] * w[1]
+            b[12, c] += left / rz * theta[ROTOR_DRAG] * w[0]
     return d, a, b
 
 

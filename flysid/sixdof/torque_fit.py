@@ -136,6 +136,7 @@ def fit_torques(
         starts.sort(key=lambda s: sum(float(r @ r) for r, _ in blocks_at(s)))
     first = descend(blocks_at, starts[0], free, limits)
     left = _left_by_axis(blocks_at(first.theta))
+    left[left <= 0.0] = left.max()  # an axis about which nothing turned
     scale *= left / left.mean()  # axes count by what they leave, so that a noisy one pulls no other
     return descend(blocks_at, first.theta, free, limits)
 

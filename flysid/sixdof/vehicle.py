@@ -15,6 +15,7 @@ from flysid.sixdof.actuators import interval_means
 from flysid.sixdof.descent import Found
 from flysid.sixdof.fitted import FittedVehicle, FlightFacts
 from flysid.sixdof.layout import (
+    ARM,
     CURVE,
     DAMPING,
     DELAY,
@@ -40,6 +41,8 @@ WINDOW_S = 1.0
 """Free runs are tried over windows that a rough start survives,"""
 LONG_S = 2.0
 """and then fitted over windows in which an error of torque becomes metres."""
+ARM_M = 0.1
+"""Free runs start from arms this long."""
 TOO_SMALL = "too small for these flights, held at 0"
 TRIAL_STEPS = 2000
 """Samples that free runs are tried on before all are taken."""
@@ -141,7 +144,8 @@ class _Work:
         """First values, and what no data of these flights can tell."""
         self.theta[[LAG, DELAY]] = 0.04, 0.01
         self.theta[INERTIA : INERTIA + 2] = PLATE
-        self._hold(range(INERTIA, EFFECTS), f"held at those of a flat plate, {PLATE[0]:g} and {PLATE[1]:g}")
+        self._hold([ARM], "damping is sought an axis by itself, held at 0")
+        self._hold(range(INERTIA, ARM), f"held at those of a flat plate, {PLATE[0]:g} and {PLATE[1]:g}")
         self.theta[POWER] = 1.0 if has_volts else 0.0
         if not has_volts:
             self._hold([POWER], "no voltage is logged, held at 0")
@@ -214,8 +218,12 @@ class _Work:
         windows = shooting.windows_of(self.stretches, LONG_S)
         if not self.has_air or len(windows) < 2:
             return
+        damping = range(DAMPING, DAMPING + 3)
         free = [i for i in range(self.count) if i not in self.held or INERTIA <= i < EFFECTS]
+        free = [i for i in free if i not in damping]
         start = np.clip(self.theta, *layout.limits(self.motors))
+        start[damping] = 0.0
+        start[ARM] = ARM_M / float(np.sqrt(np.mean(layout.effects(self.theta)[0] ** 2)))
         flights = len(self.flights.names)
         few = shooting.windows_of(self.stretches, WINDOW_S, TRIAL_STEPS)
         found, left = shooting.fit_windows(few, start, free, flights, self.calm)
@@ -240,11 +248,13 @@ class _Work:
                 "controller answers bend them, so the numbers are those of regression"
             )
             return
+        weak += damping
         self.theta[weak] = 0.0
         self.inside[weak] = False
         self.covariance[weak] = 0.0
         self.covariance[:, weak] = 0.0
         self._hold(weak, TOO_SMALL)
+        self._hold(damping, "it follows from the rotors' drag at their hubs, held at 0 beside it")
         for place in range(INERTIA, EFFECTS):
             self.held.pop(place, None)
         self._take(found, free)
@@ -258,7 +268,7 @@ class _Work:
     def _weak(self, found: Found, free: Sequence[int]) -> list[int]:
         """Drag, trim, damping and lean that free runs do not tell from nothing."""
         errors = np.sqrt(np.diag(found.covariance))
-        small = range(ROTOR_DRAG, INERTIA)
+        small = (*range(ROTOR_DRAG, INERTIA), ARM)
         return [i for i in free if i in small and not abs(found.theta[i]) > SIGNIFICANT * errors[i]]
 
     def _apart(self, found: Found) -> float:

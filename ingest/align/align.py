@@ -56,7 +56,9 @@ def dataset(flights: Iterable[Flight | Log], recipe: Recipe | str | Path, channe
     return align(flights, recipe, channel).dataset
 
 
-def align(flights: Iterable[Flight | Log], recipe: Recipe | str | Path, channel: str) -> Aligned:
+def align(
+    flights: Iterable[Flight | Log], recipe: Recipe | str | Path, channel: str, *, may_stand: bool = False
+) -> Aligned:
     """Bring the signals of one channel of many flights onto one grid.
 
     Parameters
@@ -64,6 +66,7 @@ def align(flights: Iterable[Flight | Log], recipe: Recipe | str | Path, channel:
     flights : flights in memory or stored; those without the channel's streams are left out, and reported.
     recipe : a recipe, or the name or path of one.
     channel : a channel of the recipe.
+    may_stand : an input or output that never changes is no reason to refuse the flights.
 
     Raises
     ------
@@ -83,7 +86,8 @@ def align(flights: Iterable[Flight | Log], recipe: Recipe | str | Path, channel:
         segments=segments,
         name=channel,
     )
-    check_excitation(aligned)
+    if not may_stand:
+        check_excitation(aligned)
     found = extra(Extra.DOUBTS, partial(doubts, aligned, job.recipe.channel(channel)), (), channel)
     return Aligned(aligned, replace(report, doubts=found))
 

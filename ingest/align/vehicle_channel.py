@@ -70,7 +70,7 @@ def vehicle_data(logs: Sequence[Log], recipe: Recipe) -> VehicleData:
     else:
         lacking.append(VOLTAGE)
     channel = ChannelSpec(tuple(inputs), tuple(outputs))
-    found = align(logs, replace(recipe, channels={CHANNEL: channel}), CHANNEL)
+    found = align(logs, replace(recipe, channels={CHANNEL: channel}), CHANNEL, may_stand=True)
     return VehicleData(found.dataset, tuple(lacking))
 
 

@@ -18,7 +18,7 @@ def theta() -> np.ndarray:
     rng = np.random.default_rng(3)
     found = rng.uniform(0.1, 0.5, layout.count(MOTORS))
     found[[layout.LAG, layout.DELAY, layout.CURVE, layout.POWER, layout.THRUST]] = 0.03, 0.0137, 0.6, 1.1, 4.0
-    found[layout.INERTIA : layout.EFFECTS] = 1.1, 1.7
+    found[layout.INERTIA : layout.EFFECTS] = 1.1, 1.7, 0.02
     found[layout.EFFECTS :] = rng.normal(0.0, 20.0, 3 * MOTORS)
     return found
 
@@ -72,7 +72,7 @@ def test_means_of_intervals_are_those_of_the_curve() -> None:
 def test_without_motors_it_falls(theta: np.ndarray) -> None:
     own = np.zeros_like(theta)
     own[layout.LAG] = 0.03
-    own[layout.INERTIA : layout.EFFECTS] = 1.0, 2.0
+    own[layout.INERTIA : layout.ARM] = 1.0, 2.0
     start = np.zeros(13)
     start[6] = 1.0
     states = run(start, np.zeros((201, MOTORS)), DT, own)
