@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
@@ -10,7 +11,8 @@ import numpy as np
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError
 from flysid.model.base import Fitted
-from flysid.model.start import Timed, drifting_of, run_from_window, start_window
+from flysid.model.start import Timed, drifting_of, judging_rows, run_from_window
+from flysid.split import cut
 
 LEVEL = 0.01
 """Relative difference in mean square that nobody would pay an order for."""
@@ -53,12 +55,27 @@ def in_flight_order(data: Dataset) -> Dataset:
     return data if ordered == data.segments else data.with_segments(ordered)
 
 
-def parts_to_choose_on(train: Dataset) -> tuple[Dataset, Dataset]:
-    """What candidates are fitted to and what they are judged on; raises DataError where there is too little.
+def parts_to_choose_on(
+    train: Dataset, *, seed: int = 0, guard_s: float | None = None
+) -> tuple[Dataset, Dataset]:
+    """What candidates are fitted to and what they are judged on.
 
-    Whoever chooses on whole flights takes the same, so that a fit which several ask for is done once.
+    Whoever chooses on whole flights takes the same, so that a fit which several need is done once. A held-out
+    block of a flight begins with the guard before it, which serves neither part: runs start there, and few
+    rows of the block are lost to their start.
+
+    Parameters
+    ----------
+    seed, guard_s : as `flysid.Dataset.split` takes them.
+
+    Raises
+    ------
+    DataError : there is too little.
     """
-    return train.split(holdout=HELD_OUT)
+    split = train.plan_split(holdout=HELD_OUT, seed=seed, guard_s=guard_s)
+    lead = round(split.guard_s / train.dt_s)
+    fit, _ = split.apply(train)
+    return fit, cut(train, [replace(piece, start=max(piece.start - lead, 0)) for piece in split.test])
 
 
 def block_errors(model: Fitted, data: Dataset, skip: int, scale: FloatArray) -> FloatArray:
@@ -96,7 +113,7 @@ def free_run_errors(models: Mapping[str, FreeRunning], check: Dataset) -> dict[s
 def judge_free_runs(models: Mapping[str, FreeRunning], check: Dataset) -> dict[str, tuple[FloatArray, bool]]:
     """Errors and exceptions of `free_run_errors`, and whether the model ever reached its output limits."""
     lags = max(model.n_init for model in models.values())
-    windows = [start_window(lags, len(s), check.dt_s) for s in check.segments]
+    windows = [judging_rows(lags, len(s), check.dt_s) for s in check.segments]
     scored = [(s, w) for s, w in zip(check.segments, windows, strict=True) if len(s) >= w + FEWEST]
     if not scored:
         raise DataError(f"no segment has {FEWEST} samples beside those that start the models")

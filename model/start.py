@@ -52,6 +52,15 @@ def full_window(n_init: int, dt_s: float) -> int:
     return max(round(WINDOW_S / dt_s), WINDOW_LAGS * n_init)
 
 
+def judging_rows(n_init: int, n_samples: int, dt_s: float) -> int:
+    """Samples that start a run which a choice hangs on: `full_window`, at most half of the segment.
+
+    A held-out block is short. Started from a tenth of it, a third-order lag errs by three times the noise,
+    and whichever candidate happens to start well looks best. Never fewer than `n_init`.
+    """
+    return max(n_init, min(full_window(n_init, dt_s), n_samples // 2))
+
+
 def lags_inside_window(dt_s: float, needed: int) -> int:
     """As many lags as never lengthen `full_window`; at least `needed`, and 1."""
     return max(round(WINDOW_S / dt_s / WINDOW_LAGS), needed, 1)

@@ -12,9 +12,9 @@ from flysid.dataset import Dataset, FloatArray, Segment
 from flysid.errors import DataError
 from flysid.model.arguments import never_changes, no_samples
 from flysid.model.freerun import Difference
-from flysid.model.selection import FEWEST, HELD_OUT
+from flysid.model.selection import FEWEST, parts_to_choose_on
 from flysid.model.simulation_error import Record
-from flysid.model.start import MAX_SHARE
+from flysid.model.start import MAX_SHARE, judging_rows
 from flysid.model.stream import Block, OnDisk, Source, blocks_of
 
 FOLDS = 3
@@ -168,7 +168,7 @@ class Parts:
         if self.validation is not None:
             return self.train, self.validation
         try:
-            fit, check = self.train.split(holdout=HELD_OUT, seed=self.seed, guard_s=guard_s(self.train))
+            fit, check = parts_to_choose_on(self.train, seed=self.seed, guard_s=guard_s(self.train))
             Scaling.of(fit)
         except DataError:  # too short to hold anything out: choices lean on the training part
             return self.train, self.train
@@ -206,7 +206,8 @@ def judging_window(parts: Parts, depth: int) -> int:
     """Samples of every validation segment from which all candidates estimate their start alike."""
     longest = max((len(s) for s in parts.check.segments), default=0)
     usable = [len(s) for s in parts.check.segments if len(s) > longest // 4]
-    return max(depth, 1, int(MAX_SHARE * min(usable, default=0)))
+    shortest = min(usable, default=0)
+    return max(judging_rows(depth, shortest, parts.train.dt_s), 1, int(MAX_SHARE * shortest))
 
 
 def guard_s(data: Dataset) -> float:

@@ -45,3 +45,20 @@ def test_a_candidate_is_judged_from_an_estimated_start(
     assert judged
     for found, right in judged:
         np.testing.assert_allclose(found, right, rtol=1e-3)
+
+
+def test_a_held_out_block_begins_with_its_guard() -> None:
+    """Which serves neither part: what starts a run costs the block few rows, and was not fitted to."""
+    train = experiment("lateral", 0.05, 0.05)
+    step_ns = round(train.dt_s * 1e9)
+
+    def rows(data: Dataset) -> set[int]:
+        return {s.t0_ns // step_ns + k for s in data.segments for k in range(len(s))}
+
+    fit, check = selection.parts_to_choose_on(train)
+    split = train.plan_split(holdout=selection.HELD_OUT)
+    plain_fit, held = split.apply(train)
+    lead = rows(check) - rows(held)
+    assert rows(fit) == rows(plain_fit)
+    assert not rows(fit) & rows(check)
+    assert 0 < len(lead) <= len(held.segments) * round(split.guard_s / train.dt_s)
