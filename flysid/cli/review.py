@@ -14,13 +14,14 @@ import click
 from flysid.cli.addresses import SOURCE
 from flysid.cli.checks import Words
 from flysid.cli.display import Display
-from flysid.cli.output import ExitCode, check_target, say
+from flysid.cli.output import ExitCode, check_target, printable, say
 from flysid.cli.source import flight_options, opened_flights, reading_options
 from flysid.cli.trust import Own, Setting
 
 if TYPE_CHECKING:
     from flysid.ingest.lake.chosen_flights import Selection
     from flysid.reviews.reviewed import Review
+    from flysid.reviews.series import Series
 
 
 @click.command("review")
@@ -69,49 +70,70 @@ def command(
         check_grammar(condition)
     if output is not None:
         check_target(output, force, makes_folders=True)
-    found = list(_reviews(sources, told, selection, with_evidence=output is not None))
+    found, flown = _review_all(sources, told, selection, with_evidence=output is not None)
     if as_json:
-        documents = [review.to_dict() for review in found]
-        click.echo(json.dumps(documents[0] if len(documents) == 1 else documents, indent=1, allow_nan=False))
+        click.echo(json.dumps(_document(found, flown), indent=1, allow_nan=False))
     else:
-        from flysid.reviews.lines import markdown, terminal_text
-
-        texts = [markdown(r) if as_markdown else terminal_text(r) for r in found]
-        click.echo("\n\n".join(texts))
+        click.echo("\n\n".join(_texts(found, flown, as_markdown)))
     if output is not None:
-        _write(output, found, sources)
+        _write(output, found, flown, sources)
     elif not (as_json or as_markdown):
         names = " ".join(shlex.quote(str(source)) for source in sources)
-        say(f"next: the page with pictures and evidence: flysid review {names} -o review.html")
+        page = "series.html" if flown.vehicles else "review.html"
+        say(f"next: the page with pictures and evidence: flysid review {names} -o {page}")
     if condition and _holds(condition, found):
         return ExitCode.CHECK_FAILED
     return 0 if all(review.is_judged for review in found) else 3
 
 
-def _reviews(
+def _review_all(
     sources: Sequence[Path], told: Words, selection: Selection, *, with_evidence: bool
-) -> Iterator[Review]:
-    """The reviews of all flights of all sources, in their order."""
+) -> tuple[list[Review], Series]:
+    """The reviews of all flights of all sources, in their order, and the series that they make."""
     from flysid.ingest.lake.chosen_flights import select
     from flysid.reviews.logged import LoggedFlight
     from flysid.reviews.review import review_flight
+    from flysid.reviews.series import series
 
+    pairs = []
     with ExitStack() as stack:
         stack.enter_context(Display().shown())
         for source in sources:
             lake = stack.enter_context(opened_flights(source, told, selection=selection))
             for log in select(lake, selection).logs:
                 flight = LoggedFlight(log, log.manifest.damage, log.manifest.source.name)
-                yield review_flight(flight, with_evidence=with_evidence)
+                pairs.append((review_flight(flight, with_evidence=with_evidence), flight))
+        return [review for review, _ in pairs], series(pairs)
 
 
-def _write(output: Path, found: Sequence[Review], sources: Sequence[Path]) -> None:
+def _document(found: Sequence[Review], flown: Series) -> Any:
+    """One review, a list of them, or a series and its reviews."""
+    documents = [review.to_dict() for review in found]
+    if flown.vehicles:
+        return {"series": flown.to_dict(), "reviews": documents}
+    return documents[0] if len(documents) == 1 else documents
+
+
+def _texts(found: Sequence[Review], flown: Series, as_markdown: bool) -> Iterator[str]:
+    """The series first; on a terminal its flights are left to the page."""
+    from flysid.reviews.lines import markdown, terminal_text
+
+    lines = [printable(line) for line in flown.lines()]
+    if as_markdown:
+        yield from ["\n".join(["```", *lines, "```"])] if lines else []
+        yield from map(markdown, found)
+        return
+    yield from ["\n".join(lines)] if lines else []
+    yield from (terminal_text(review) for review in found if not flown.holds(review))
+
+
+def _write(output: Path, found: Sequence[Review], flown: Series, sources: Sequence[Path]) -> None:
     """The page, and the parameters that it proposes in a file beside it."""
     from flysid.reviews.page import write_review
     from flysid.reviews.parameter_file import file_suffix, parameter_text
 
     names = " ".join(shlex.quote(str(source)) for source in sources)
-    write_review(output, found, f"flysid review {names} -o {shlex.quote(str(output))}")
+    write_review(output, found, f"flysid review {names} -o {shlex.quote(str(output))}", flown.tables)
     click.echo(str(output))
     for review in found:
         text = parameter_text(review.actions, review.family, review.whole)

@@ -28,14 +28,16 @@ MOST_SAMPLES = 300_000
 """In the lines of the flight over time; where there are more, extremes are kept."""
 
 
-def write_review(path: str | Path, reviews: Sequence[Review], command: str = "") -> Path:
-    """Write the page whole or not at all; returns its path.
+def write_review(
+    path: str | Path, reviews: Sequence[Review], command: str = "", series: Sequence[Table] = ()
+) -> Path:
+    """Write the page whole or not at all; returns its path. The rest is as in `render`.
 
     Raises
     ------
     StoreError : the file cannot be written.
     """
-    return write_page(path, render(reviews, command))
+    return write_page(path, render(reviews, command, series))
 
 
 def render(reviews: Sequence[Review], command: str = "", series: Sequence[Table] = ()) -> str:
