@@ -113,8 +113,8 @@ def command(
 
     Each stream of a flight has its own table with its own times; --rate puts all on one grid. A model (a
     run's folder, or a model file) becomes C99 without allocation, an FMU, MATLAB files, or functions for code
-    of MPC and of learning: --to casadi is --casadi with the file after -o, or model_casadi.py. A vehicle (what
-    'flysid vehicle -o' wrote) becomes parameters of a simulator, or functions for a controller.
+    of MPC and of learning: --to casadi is --casadi with the file after -o, or model_casadi.py. A vehicle
+    (what 'flysid vehicle -o' wrote) becomes parameters of a simulator, or functions for a controller.
     """
     if kind in FILES and (kind not in CALLED or is_vehicle(source)):
         click.echo(str(write_vehicle(source, kind, out, mass_kg, arm_m, force)))

@@ -31,7 +31,7 @@ MOST_SAMPLES = 120_000
 def write_review(
     path: str | Path, reviews: Sequence[Review], command: str = "", series: Sequence[Table] = ()
 ) -> Path:
-    """Write the page whole or not at all; returns its path.
+    """Write the page whole or not at all; returns its path. The rest is as in `render`.
 
     Raises
     ------

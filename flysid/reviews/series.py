@@ -24,10 +24,13 @@ from flysid.reviews.series_next import try_next
 from flysid.reviews.series_plant import Sameness, compare_plants
 from flysid.reviews.series_settings import Difference, differences
 from flysid.showing import WIDTH, align, counted, fold, significant
+from flysid.showing import align, counted, fold, significant
 
 MOST_LINES = 25
 """Of a terminal, for one vehicle."""
 LEAST_ROWS = 4
+HEAD_LINES = 2
+LEVEL = ("roll", "pitch")
 FIGURES = (
     ("lag", "tracking.{loop}_{axis}_lag", "ms"),
     ("error", "tracking.{loop}_{axis}_rms", ""),
@@ -164,21 +167,31 @@ class VehicleSeries:
 
     @property
     def table(self) -> Table:
-        """A row for every flight: gains and figures."""
+        """A row for every flight: gains and figures, those of several axes in one cell."""
         unit = self.figure("error", "roll").unit
-        headings = ["flight", "roll", "pitch", "lag roll", "pitch", "yaw, ms", "error roll", f"pitch, {unit}"]
-        columns = [self.figure("lag", axis).values for axis in AXES]
-        columns += [self.figure("error", axis).values for axis in ("roll", "pitch")]
-        for name, axis in (("phase margin", "roll"), ("phase margin", "pitch"), ("noise", "")):
-            figure = self.figure(name, axis)
-            if np.isfinite(figure.values).any():
-                headings.append({"roll": "margin roll", "pitch": "pitch, deg", "": "noise, deg/s"}[axis])
-                columns.append(figure.values)
-        rows = tuple(
-            (flown.name, *(_gain_words(flown, axis) for axis in ("roll", "pitch")), *map(_cell, values))
-            for flown, values in zip(self.flights, np.array(columns).T, strict=True)
+        columns = (
+            ("lag, ms", "lag", tuple(AXES)),
+            (f"error, {unit}", "error", LEVEL),
+            ("margin, deg", "phase margin", LEVEL),
+            ("noise, deg/s", "noise", ("",)),
         )
-        return Table(self.title, tuple(headings), rows)
+        cells = [(heading, self._cells(name, axes)) for heading, name, axes in columns]
+        known = [(heading, column) for heading, column in cells if any(cell.strip("/?") for cell in column)]
+        headings = ("flight", *LEVEL, *(heading for heading, _ in known))
+        rows = tuple(
+            (
+                flown.name,
+                *(_gain_words(flown, axis) for axis in LEVEL),
+                *(column[i] for _, column in known),
+            )
+            for i, flown in enumerate(self.flights)
+        )
+        return Table(self.title, headings, rows)
+
+    def _cells(self, name: str, axes: Sequence[str]) -> list[str]:
+        """Of every flight "12/8.8/9.7"; "?" where a figure is not determined."""
+        columns = [self.figure(name, axis).values for axis in axes]
+        return ["/".join(map(_cell, values)) for values in zip(*columns, strict=True)]
 
     @property
     def tables(self) -> tuple[Table, ...]:
@@ -198,8 +211,8 @@ class VehicleSeries:
 
     def lines(self, most: int = MOST_LINES) -> list[str]:
         """For a terminal."""
-        head = [self.title]
         below = [*(same.words for same in self.sameness), *self._effect_lines(), *self._action_lines()]
+<<<<<<< HEAD
         below = [line for text in below for line in fold(text).splitlines()]
         room = max(most - len(head) - len(below) - 1, LEAST_ROWS)
         return [*head, *self._rows(room), *below][:most]
@@ -214,8 +227,17 @@ class VehicleSeries:
             shown = [row[:-1] for row in shown]
             lines = align(shown)
         return lines
+=======
+        below = [part for line in below for part in fold(line).split("\n")]
+        room = max(most - len(below) - HEAD_LINES, LEAST_ROWS)
+        table = align([self.table.headings, *_some(self.table.rows, room)])
+        return [self.title, *table, *below][:most]
+>>>>>>> tracking
 
     def _effect_lines(self, most: int = 6) -> Iterator[str]:
+        if not any(flown.gains[axis] for flown in self.flights for axis in AXES):
+            yield "The logs state no gains: what a change did is not known."
+            return
         clear = [effect.words for effect in self.effects if effect.is_clear][:most]
         yield from clear or ["No change of a gain did anything beyond the scatter between flights."]
         for axis in AXES:
@@ -266,6 +288,10 @@ class Series:
     def tables(self) -> tuple[Table, ...]:
         """For a page."""
         return tuple(table for own in self.vehicles for table in own.tables)
+
+    def holds(self, review: Review) -> bool:
+        """Whether a review is of one of its flights."""
+        return any(flown.review is review for own in self.vehicles for flown in own.flights)
 
     def lines(self, most: int = MOST_LINES) -> list[str]:
         """For a terminal: so many in all, where vehicles are few."""

@@ -38,6 +38,9 @@ class Scene:
 WATCH = "flysid watch run udp:0.0.0.0:14550"
 HIRO = real("blackbox/hiro_highP_highD.bfl", "flight.bfl")
 COPTER = real("dataflash/copter_437s.bin", "flight.bin")
+SHORT = f"{inputs.FAST.replace('routine', 'pilot')} --format ulog --duration 30"
+SERIES = lines(*(f"flysid synth -o flights {SHORT} --seed {seed}" for seed in (1, 2)))
+"""Flights of one vehicle, in their order."""
 PX4 = f"flysid synth -o px4 {inputs.ARDUPILOT.replace('routine', 'pilot')} --format ulog"
 LIVE = "flysid synth --plant ardrone --plan pilot --live udp:127.0.0.1:14550"
 INTERRUPTED = 130
@@ -176,7 +179,7 @@ SCENES: dict[str, Scene] = {
         },
         codes={"flysid compare old new --fail-if 'free_run.ci95.low > 0'": 4},  # the new one is worse
     ),
-    "docs/review.md": Scene({"": COPTER}),
+    "docs/review.md": Scene({"": each(COPTER, SERIES)}),
     "docs/settings.md": Scene(
         before={
             'eval "$(_FLYSID_COMPLETE=zsh_source flysid)"': program("zsh"),
