@@ -77,37 +77,27 @@ def command(
         check_grammar(condition)
     if output is not None:
         check_target(output, force, makes_folders=True)
-<<<<<<< HEAD
     found, series = _reviewed(sources, told, selection, with_evidence=output is not None)
     if as_json:
         click.echo(json.dumps(_document(found, series), indent=1, allow_nan=False))
     elif as_markdown:
         from flysid.reviews.lines import markdown
 
-        click.echo("\n\n".join(markdown(review) for review in found))
+        together = ["\n".join(["```", *map(printable, series.lines()), "```"])] if series.vehicles else []
+        click.echo("\n\n".join([*together, *map(markdown, found)]))
     else:
         click.echo(_text(found, series))
     if output is not None:
         _write(output, found, series, sources)
-=======
-    found, flown = _review_all(sources, told, selection, with_evidence=output is not None)
-    if as_json:
-        click.echo(json.dumps(_document(found, flown), indent=1, allow_nan=False))
-    else:
-        click.echo("\n\n".join(_texts(found, flown, as_markdown)))
-    if output is not None:
-        _write(output, found, flown, sources)
->>>>>>> tracking
     elif not (as_json or as_markdown):
         names = " ".join(shlex.quote(str(source)) for source in sources)
-        page = "series.html" if flown.vehicles else "review.html"
+        page = "series.html" if series.vehicles else "review.html"
         say(f"next: the page with pictures and evidence: flysid review {names} -o {page}")
     if condition and _holds(condition, found):
         return ExitCode.CHECK_FAILED
     return 0 if all(review.is_judged for review in found) else 3
 
 
-<<<<<<< HEAD
 def _reviewed(
     sources: Sequence[Path], told: Words, selection: Selection, *, with_evidence: bool
 ) -> tuple[list[Review], Series]:
@@ -118,18 +108,6 @@ def _reviewed(
     from flysid.reviews.series import Series, series
 
     pairs: list[tuple[Review, LoggedFlight]] = []
-=======
-def _review_all(
-    sources: Sequence[Path], told: Words, selection: Selection, *, with_evidence: bool
-) -> tuple[list[Review], Series]:
-    """The reviews of all flights of all sources, in their order, and the series that they make."""
-    from flysid.ingest.lake.chosen_flights import select
-    from flysid.reviews.logged import LoggedFlight
-    from flysid.reviews.review import review_flight
-    from flysid.reviews.series import series
-
-    pairs = []
->>>>>>> tracking
     with ExitStack() as stack:
         stack.enter_context(Display().shown())
         for source in sources:
@@ -137,7 +115,6 @@ def _review_all(
             for log in select(lake, selection).logs:
                 flight = LoggedFlight(log, log.manifest.damage, log.manifest.source.name)
                 pairs.append((review_flight(flight, with_evidence=with_evidence), flight))
-<<<<<<< HEAD
         compared = extra(Extra.SERIES, partial(series, pairs), Series(()))
     return [review for review, _ in pairs], compared
 
@@ -155,51 +132,19 @@ def _text(found: Sequence[Review], series: Series) -> str:
 
     if len(found) == 1:
         return terminal_text(found[0])
-    together = {flown.review.name for own in series.vehicles for flown in own.flights}
-    alone = [headline(review) for review in found if review.name not in together]
-    shared = shared_findings([review for review in found if review.name in together])
+    alone = [headline(review) for review in found if not series.holds(review)]
+    shared = shared_findings([review for review in found if series.holds(review)])
     lines = [*alone, *series.lines(MOST_LINES - len(shared)), *shared]
     return "\n".join(fold(printable(line)) for line in lines)
 
 
 def _write(output: Path, found: Sequence[Review], series: Series, sources: Sequence[Path]) -> None:
-=======
-        return [review for review, _ in pairs], series(pairs)
-
-
-def _document(found: Sequence[Review], flown: Series) -> Any:
-    """One review, a list of them, or a series and its reviews."""
-    documents = [review.to_dict() for review in found]
-    if flown.vehicles:
-        return {"series": flown.to_dict(), "reviews": documents}
-    return documents[0] if len(documents) == 1 else documents
-
-
-def _texts(found: Sequence[Review], flown: Series, as_markdown: bool) -> Iterator[str]:
-    """The series first; on a terminal its flights are left to the page."""
-    from flysid.reviews.lines import markdown, terminal_text
-
-    lines = [printable(line) for line in flown.lines()]
-    if as_markdown:
-        yield from ["\n".join(["```", *lines, "```"])] if lines else []
-        yield from map(markdown, found)
-        return
-    yield from ["\n".join(lines)] if lines else []
-    yield from (terminal_text(review) for review in found if not flown.holds(review))
-
-
-def _write(output: Path, found: Sequence[Review], flown: Series, sources: Sequence[Path]) -> None:
->>>>>>> tracking
     """The page, and the parameters that it proposes in a file beside it."""
     from flysid.reviews.page import write_review
     from flysid.reviews.parameter_file import file_suffix, parameter_text
 
     names = " ".join(shlex.quote(str(source)) for source in sources)
-<<<<<<< HEAD
     write_review(output, found, f"flysid review {names} -o {shlex.quote(str(output))}", series.tables)
-=======
-    write_review(output, found, f"flysid review {names} -o {shlex.quote(str(output))}", flown.tables)
->>>>>>> tracking
     click.echo(str(output))
     for review in found:
         text = parameter_text(review.actions, review.family, review.whole)

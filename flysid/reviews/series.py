@@ -24,7 +24,6 @@ from flysid.reviews.series_next import try_next
 from flysid.reviews.series_plant import Sameness, compare_plants
 from flysid.reviews.series_settings import Difference, differences
 from flysid.showing import WIDTH, align, counted, fold, significant
-from flysid.showing import align, counted, fold, significant
 
 MOST_LINES = 25
 """Of a terminal, for one vehicle."""
@@ -212,10 +211,9 @@ class VehicleSeries:
     def lines(self, most: int = MOST_LINES) -> list[str]:
         """For a terminal."""
         below = [*(same.words for same in self.sameness), *self._effect_lines(), *self._action_lines()]
-<<<<<<< HEAD
-        below = [line for text in below for line in fold(text).splitlines()]
-        room = max(most - len(head) - len(below) - 1, LEAST_ROWS)
-        return [*head, *self._rows(room), *below][:most]
+        below = [part for line in below for part in fold(line).split("\n")]
+        room = max(most - len(below) - HEAD_LINES, LEAST_ROWS)
+        return [self.title, *self._rows(room), *below][:most]
 
     def _rows(self, room: int) -> list[str]:
         """The table, with the figures that have room beside each other."""
@@ -227,12 +225,6 @@ class VehicleSeries:
             shown = [row[:-1] for row in shown]
             lines = align(shown)
         return lines
-=======
-        below = [part for line in below for part in fold(line).split("\n")]
-        room = max(most - len(below) - HEAD_LINES, LEAST_ROWS)
-        table = align([self.table.headings, *_some(self.table.rows, room)])
-        return [self.title, *table, *below][:most]
->>>>>>> tracking
 
     def _effect_lines(self, most: int = 6) -> Iterator[str]:
         if not any(flown.gains[axis] for flown in self.flights for axis in AXES):

@@ -10,7 +10,7 @@ import pytest
 from click.testing import CliRunner
 
 from flysid.cli import root
-from tests.reviews.copter_log import copter_log, even, wander
+from tests.flysid.reviews.copter_log import copter_log, even, wander
 
 
 @pytest.fixture(scope="module")
