@@ -199,9 +199,7 @@ def _tone_finding(shaking: Shaking, of: dict[str, Fact]) -> Iterator[Finding]:
         yield Finding(f"{text} at {at} Hz", grade, 0.8, "vibration.peak", more)
         return
     more = f"it shows at {at} Hz, {_folded_words(peak)}"
-    yield Finding(
-        f"{text}; at {rate} Hz of logging its frequency cannot be told", grade, 0.8, "vibration.peak", more
-    )
+    yield Finding(f"{text}; a log of {rate} Hz does not show how fast", grade, 0.8, "vibration.peak", more)
 
 
 def _motor_facts(shaking: Shaking) -> Iterator[Fact]:
