@@ -57,7 +57,9 @@ class FieldSpectrum:
         others = f"; or {first_of([f'{hz:.0f}' for hz in folded], 3)} Hz, folded" if folded else ""
         return (
             f"{significant(peak.hz, 4)} Hz [{low}, {high}], {peak.height_db:.0f} dB over the floor, "
-            f"RMS {significant(peak.rms)}{unit}" + (f": {peak.cause}" if peak.cause else others)
+            f"RMS {significant(peak.rms)}{unit}"
+            + (f": {peak.cause}" if peak.cause else others)
+            + (f" from {significant(peak.true_hz)} Hz" if peak.true_hz is not None else "")
         )
 
     def to_dict(self) -> dict[str, Any]:

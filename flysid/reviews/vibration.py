@@ -94,7 +94,8 @@ def _peak_facts(shaking: Shaking, addresses: tuple[str, ...]) -> Iterator[Fact]:
     address = addresses[list(shaking.windows).index(axis)]
     notes = [f"{axis}, {peak.height_db:.0f} dB over the floor, Nyquist {significant(peak.nyquist_hz)} Hz"]
     notes += [peak.cause] if peak.cause else []
-    notes += [_folded_words(peak)] if shaking.may_fold(peak) else []
+    notes += [f"its true frequency is {significant(peak.true_hz)} Hz"] if peak.true_hz else []
+    notes += [_folded_words(peak)] if shaking.may_fold(peak) and peak.true_hz is None else []
     yield Fact(
         "vibration.peak",
         "strongest peak",
@@ -193,12 +194,12 @@ def _tone_finding(shaking: Shaking, of: dict[str, Fact]) -> Iterator[Finding]:
     rate, at = significant(2.0 * peak.nyquist_hz), significant(peak.hz)
     if peak.cause or not shaking.may_fold(peak):
         more = f"{peak.cause}; logged at {rate} Hz" if peak.cause else ""
+        if peak.true_hz is not None:
+            at, more = significant(peak.true_hz), f"{more}, where it shows at {at} Hz"
         yield Finding(f"{text} at {at} Hz", grade, 0.8, "vibration.peak", more)
         return
     more = f"it shows at {at} Hz, {_folded_words(peak)}"
-    yield Finding(
-        f"{text}; at {rate} Hz of logging its frequency cannot be told", grade, 0.8, "vibration.peak", more
-    )
+    yield Finding(f"{text}; a log of {rate} Hz does not show how fast", grade, 0.8, "vibration.peak", more)
 
 
 def _motor_facts(shaking: Shaking) -> Iterator[Fact]:

@@ -37,6 +37,7 @@ class Match:
     ----------
     source, harmonic : which one.
     folded : its frequency lies above half the rate, and shows at another one.
+    true_hz : that frequency, its median.
     near : share of the time that it lies within the peak.
     follows : by how much (dB) the signal is stronger at the source's frequency of its own second than at
         those of other seconds; 0 where that is not beyond chance.
@@ -45,6 +46,7 @@ class Match:
     source: Source
     harmonic: int
     folded: bool
+    true_hz: float
     near: float
     follows: float
 
@@ -62,25 +64,30 @@ def name_causes(
     windows: Windows, peaks: Sequence[Peak], sources: Sequence[Source], throttle: Moving | None = None
 ) -> list[Peak]:
     """Peaks with their causes, where the log shows one."""
-    return [replace(peak, cause=_cause(windows, peak, sources, throttle)) for peak in peaks]
+    found = []
+    for peak in peaks:
+        cause, true_hz = _cause(windows, peak, sources, throttle)
+        found.append(replace(peak, cause=cause, true_hz=true_hz))
+    return found
 
 
-def _cause(windows: Windows, peak: Peak, sources: Sequence[Source], throttle: Moving | None) -> str:
+def _cause(
+    windows: Windows, peak: Peak, sources: Sequence[Source], throttle: Moving | None
+) -> tuple[str, float | None]:
+    """Words, and the true frequency of what is folded."""
     found = [match for source in sources for match in _matches(windows, peak, source)]
     if found:
         best = max(found, key=lambda match: (match.follows, match.near, -match.harmonic))
         least = _ALIKE * best.follows
         alike = [m.source.name for m in found if m.harmonic == best.harmonic and m.follows >= least]
-        return best.words_with(alike)
-    if throttle is None:
-        return ""
-    moves = power_of(windows, peak, throttle.held(windows.at_s))
+        return best.words_with(alike), best.true_hz if best.folded else None
+    moves = power_of(windows, peak, throttle.held(windows.at_s)) if throttle is not None else None
     if moves is None:
-        return ""
+        return "", None
     low, high = moves
     if low > _LEAST_POWER:
-        return MOVES
-    return STAYS if -_LEAST_POWER < low <= 0.0 <= high < _LEAST_POWER else ""
+        return MOVES, None
+    return STAYS if -_LEAST_POWER < low <= 0.0 <= high < _LEAST_POWER else "", None
 
 
 _ALIKE = 0.7
@@ -104,9 +111,9 @@ def _matches(windows: Windows, peak: Peak, source: Source, *, most_time: float =
         shown = fold(true_hz, windows.rate_hz)
         near = float(np.mean((shown >= low) & (shown <= high)))
         if near >= most_time:
-            folded = bool(np.median(true_hz) > windows.nyquist_hz)
+            middle = float(np.median(true_hz))
             gain = follows(windows.where(known), shown)
-            found.append(Match(source, harmonic, folded, near, gain))
+            found.append(Match(source, harmonic, middle > windows.nyquist_hz, middle, near, gain))
     return found
 
 

@@ -22,6 +22,7 @@ class Peak:
     band : from where to where it stands above twice the floor, Hz.
     nyquist_hz : half the rate of the stream: a faster tone shows below it.
     cause : words; "" where the log does not show it.
+    true_hz : of the tone, where its cause shows that it lies above half the rate; else None.
     """
 
     hz: float
@@ -31,6 +32,7 @@ class Peak:
     band: tuple[float, float]
     nyquist_hz: float
     cause: str = ""
+    true_hz: float | None = None
 
     def folded(self, highest_hz: float) -> tuple[float, ...]:
         """Frequencies above half the rate, up to the highest, of tones that would show here, too."""
@@ -50,6 +52,7 @@ class Peak:
             "nyquist_hz": self.nyquist_hz,
             "folded_hz": list(self.folded(4.0 * self.nyquist_hz)),
             "cause": self.cause,
+            "true_hz": self.true_hz,
         }
 
 

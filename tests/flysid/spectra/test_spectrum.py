@@ -110,7 +110,8 @@ def test_a_harmonic_beyond_half_the_rate_is_named_as_folded() -> None:
     sources = [Source("motor 2", moving(turns, t))]
     slow = windows_of(t[::4], x[::4])
     named = name_causes(slow, peaks_of(slow, lowest_hz=20.0), sources)
-    assert any(p.cause.startswith("motor 2, 2nd harmonic, folded") for p in named)
+    (folded,) = [p for p in named if p.cause.startswith("motor 2, 2nd harmonic, folded")]
+    assert folded.true_hz == pytest.approx(float(np.median(2.0 * turns)), rel=0.02)
 
 
 def test_what_stays_and_what_moves_with_the_throttle() -> None:
