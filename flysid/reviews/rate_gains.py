@@ -8,7 +8,7 @@ import numpy as np
 
 from flysid.ingest.lake.events import written
 from flysid.loops.betaflight import AXES
-from flysid.loops.controller import ARDUPILOT_AXES
+from flysid.laws.described import parameter_law
 from flysid.reviews.fact import Change
 from flysid.reviews.logged import LoggedFlight
 
@@ -32,7 +32,8 @@ def stated_gains(flight: LoggedFlight, axis: str) -> dict[str, float]:
     """
     if flight.has("main"):
         return dict(_of_blackbox(flight, axis))
-    stems = (f"MC_{axis.upper()}RATE_", f"ATC_RAT_{ARDUPILOT_AXES[axis]}_", f"RATE_{ARDUPILOT_AXES[axis]}_")
+    letters = parameter_law("arducopter").part("axes")[axis]
+    stems = (f"MC_{axis.upper()}RATE_", f"ATC_RAT_{letters}_", f"RATE_{letters}_")
     stated = flight.parameters
     stem = next((stem for stem in stems if stem + "P" in stated), None)
     if stem is None:
