@@ -24,6 +24,7 @@ import numpy as np
 import numpy.typing as npt
 
 from bench.sitl import Vehicle, fly
+from flysid.errors import DataError
 from flysid.ingest.lake.batch import ingest_logs
 from flysid.ingest.lake.finding import find_logs
 from flysid.ingest.lake.lake import open as open_lake
@@ -44,6 +45,8 @@ SETS: Sequence[Sequence[str]] = (
 REFERENCE_S, OTHER_S = 60.0, 40.0
 WITHIN_DB, WITHIN_DEG = 2.0, 10.0
 FROM_HZ, TO_HZ = 1.0, 30.0
+STICKS = 180.0
+"""us of the steps of the sticks."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,20 +118,24 @@ def main() -> None:
     parser.add_argument("--vehicles", type=int, default=20)
     parser.add_argument("--sets", type=int, default=len(SETS))
     options = parser.parse_args()
-    rows = []
+    rows: list[dict[str, Any]] = []
     for seed in range(options.vehicles):
         flights = []
         for k, settings in enumerate(SETS[: options.sets]):
             folder = options.out / f"vehicle-{seed:02d}" / f"set-{k}"
             known = sorted(folder.glob("LOG*.BF"))
             seconds = OTHER_S if k else REFERENCE_S
-            path = known[-1] if known else fly(folder, seconds, 100 * seed + k, settings, drawn(seed))
+            path = known[-1] if known else fly(folder, seconds, 100 * seed + k, settings, drawn(seed), STICKS)
             flights.append(read(path, folder))
         for axis in ("roll", "pitch"):
-            first, *others = (seen(flight, axis) for flight in flights)
-            for k, other in enumerate(others, 1):
-                rows.append({"vehicle": seed, "axis": axis, "set": k} | compare(first, other))
-                print(json.dumps(rows[-1]), flush=True)
+            for k, other in enumerate(flights[1:], 1):
+                row: dict[str, Any] = {"vehicle": seed, "axis": axis, "set": k}
+                try:
+                    row |= compare(seen(flights[0], axis), seen(other, axis))
+                    rows.append(row)
+                except DataError as error:
+                    row["refused"] = error.message
+                print(json.dumps(row), flush=True)
     lines = sum(row["lines"] for row in rows)
     for name in ("predicted", "unchanged"):
         share = sum(row["lines"] * row[name] for row in rows) / max(lines, 1.0)

@@ -244,15 +244,7 @@ def read_parameters(path: Path) -> dict[str, float]:
     ------
     UsageError : no such file. DataError : a line is not a parameter, or a name stands twice with two values.
     """
-    found = {}
-    for name, text in read_settings(path).items():
-        try:
-            found[name] = float(text)
-        except ValueError:
-            raise DataError(
-                f"{name} is not a number: {text[:60]!r}", path=path, hint="one NAME VALUE a line"
-            ) from None
-    return found
+    return {name: float(value) for name, value in read_settings(path, numbers=True).items()}
 
 
 def parameter_file(values: Parameters, head: tuple[str, ...]) -> str:

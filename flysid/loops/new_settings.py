@@ -45,8 +45,12 @@ def settings_in(words: str) -> dict[str, str]:
     return found
 
 
-def read_settings(path: Path) -> dict[str, str]:
+def read_settings(path: Path, *, numbers: bool = False) -> dict[str, str]:
     """Names and values of a file: a ground station's, NAME VALUE lines, or Betaflight's `set` lines.
+
+    Parameters
+    ----------
+    numbers : values are numbers; else words stand too, as a command line has them.
 
     Raises
     ------
@@ -69,7 +73,7 @@ def read_settings(path: Path) -> dict[str, str]:
             continue
         if len(words) == 5 and words[0].isdigit() and words[1].isdigit():  # QGroundControl: two ids, a type
             words = words[2:4]
-        if len(words) < 2 or not words[1]:
+        if len(words) < 2 or not words[1] or (numbers and not _is_number(words[1])):
             raise DataError(
                 f"line {number} is not a parameter: {line[:60]!r}", path=path, hint="one NAME VALUE a line"
             )
@@ -140,6 +144,14 @@ def _line(law: Law, stated: Mapping[str, str], known: str, name: str) -> str:
     if line is None:
         raise UsageError(f"{name}: the log's header does not state it", hint="log with the header whole")
     return line
+
+
+def _is_number(value: str) -> bool:
+    try:
+        float(value)
+    except ValueError:
+        return False
+    return True
 
 
 def _number(name: str, value: str) -> float:
