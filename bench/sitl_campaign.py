@@ -136,9 +136,9 @@ def main() -> None:
                 except DataError as error:
                     row["refused"] = error.message
                 print(json.dumps(row), flush=True)
-    lines = sum(row["lines"] for row in rows)
+    lines = sum(float(row["lines"]) for row in rows)
     for name in ("predicted", "unchanged"):
-        share = sum(row["lines"] * row[name] for row in rows) / max(lines, 1.0)
+        share = sum(float(row["lines"]) * float(row[name]) for row in rows) / max(lines, 1.0)
         print(
             f"{name}: {100.0 * share:.0f} % of {lines:.0f} lines within {WITHIN_DB} dB and {WITHIN_DEG} deg"
         )

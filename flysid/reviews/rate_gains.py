@@ -7,8 +7,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from flysid.ingest.lake.events import written
-from flysid.loops.betaflight import AXES
 from flysid.laws.described import parameter_law
+from flysid.loops.betaflight import AXES
 from flysid.reviews.fact import Change
 from flysid.reviews.logged import LoggedFlight
 
