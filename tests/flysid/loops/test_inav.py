@@ -75,4 +75,5 @@ def test_a_gain_of_inav_that_was_not_flown_is_named() -> None:
     (found,) = judge([inav_log(p=60.0)], ["roll"])
     assert "the P term is" in found.refused
     (wrong,) = (check for check in found.checks if not check.fits)
-    assert (wrong.term, wrong.slope) == ("P", pytest.approx(1.5, rel=0.05))
+    assert wrong.term == "P"
+    assert wrong.slope == pytest.approx(1.5, rel=0.05)
