@@ -12,6 +12,8 @@ from scipy.signal import lfilter
 
 import flysid
 from flysid.cli import root
+from flysid.sixdof import layout
+from flysid.sixdof.fitted import FittedVehicle
 
 ROOT = Path(__file__).resolve().parents[2]
 NAMES = [name for name in flysid.__all__ if name != "__version__"]
@@ -38,9 +40,20 @@ def place(tmp_path_factory: pytest.TempPathFactory, train: flysid.Dataset) -> Pa
     segment = train.segments[0]
     rows = np.column_stack([0.1 * np.arange(len(segment)), segment.u, segment.y])
     np.savetxt(folder / "steps.csv", rows, delimiter=",", header="time,u,y", comments="", fmt="%.6f")
+    _vehicle().save(folder / "vehicle.json")
     log = str(ROOT / "sample_logs/01-steps-seed2.tlog")
     CliRunner().invoke(root, ["ingest", log, "-q", "-o", str(folder / "data")], standalone_mode=False)
     return folder
+
+
+def _vehicle() -> FittedVehicle:
+    """A vehicle with four motors, of which nothing was determined."""
+    theta = np.clip(np.zeros(layout.count(4)), *layout.limits(4))
+    size = len(theta)
+    none = np.zeros(size, dtype=bool)
+    return FittedVehicle(
+        theta, np.zeros((size, size)), none, {}, 0.0, 1.0, float("nan"), 0.01, "regression", ()
+    )
 
 
 @pytest.mark.parametrize("name", NAMES)
