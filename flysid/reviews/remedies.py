@@ -43,4 +43,5 @@ REMEDIES = {
 
 def remedy(flight: LoggedFlight, of: str) -> str:
     """The parameter of this log's firmware; "" where none is known."""
-    return REMEDIES.get(flight.family, {}).get(of, "")
+    whose = flight.family or flight.info.get("vehicle", "").lower()  # a Crazyflie names no autopilot
+    return REMEDIES.get(whose, {}).get(of, "")

@@ -29,6 +29,8 @@ MOST_LINES = 25
 """Of a terminal, for one vehicle."""
 LEAST_ROWS = 4
 HEAD_LINES = 2
+LEAST_LINES = 6
+"""Of one vehicle among several."""
 LEVEL = ("roll", "pitch")
 FIGURES = (
     ("lag", "tracking.{loop}_{axis}_lag", "ms"),
@@ -286,9 +288,16 @@ class Series:
         return any(flown.review is review for own in self.vehicles for flown in own.flights)
 
     def lines(self, most: int = MOST_LINES) -> list[str]:
-        """For a terminal: so many in all, where vehicles are few."""
-        each = max(most // max(len(self.vehicles), 1), 6)
-        return [line for own in self.vehicles for line in own.lines(each)]
+        """For a terminal; of vehicles that do not fit, how many there are."""
+        if not self.vehicles:
+            return []
+        each = max(most // len(self.vehicles), LEAST_LINES)
+        shown = most // each
+        found = [line for own in self.vehicles[:shown] for line in own.lines(each)]
+        rest = len(self.vehicles) - shown
+        return (
+            [*found[: most - 1], f"and {counted(rest, 'vehicle')} more: see the page"] if rest > 0 else found
+        )
 
     def to_dict(self) -> dict[str, Any]:
         """For JSON."""

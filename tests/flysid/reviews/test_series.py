@@ -155,6 +155,10 @@ def test_vehicles_are_kept_apart_and_one_flight_is_no_series(tmp_path: Path) -> 
     both = series([*three, of(3, "Hiro1")])
     assert [own.vehicle for own in both.vehicles] == ["C+R GreenReaper", "Hiro1"]
     assert [one.name for own in both.vehicles for one in own.flights] == ["f0", "f2", "f1", "f3"]
+    assert len(both.lines()) <= 25
+    many = series([of(n % 4, f"vehicle {k}") for k in range(9) for n in range(2)])
+    assert len(many.lines()) <= 25
+    assert many.lines()[-1] == "and 5 vehicles more: see the page"
 
 
 @pytest.mark.parametrize("count", [3, 30])
