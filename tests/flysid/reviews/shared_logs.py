@@ -14,7 +14,7 @@ from flysid.ingest.align.signals import FlightLog
 from flysid.reviews.crash import end_at_crash
 from flysid.reviews.logged import LoggedFlight
 
-SHARED = Path(__file__).parents[3] / "shared" / "logs"
+SHARED = Path(__file__).parents[4] / "shared" / "logs"
 needs_shared = pytest.mark.skipif(not SHARED.exists(), reason="the shared logs are not here")
 
 
