@@ -38,7 +38,7 @@ def test_a_link_loss_is_counted_and_left_out(still: Dataset) -> None:
 def test_a_link_loss_changes_no_number(still: Dataset) -> None:
     whole = flysid.Vehicle(free_runs=False).fit(still)
     with_loss = flysid.Vehicle(free_runs=False).fit(damaged(still, 500, 300, 20.0))
-    np.testing.assert_allclose(with_loss["roll of motor 1"].value, whole["roll of motor 1"].value, rtol=0.05)
+    np.testing.assert_allclose(with_loss["roll of motor 1"].value, whole["roll of motor 1"].value, rtol=0.1)
     assert any("straight" in line for line in with_loss.lines())
 
 
