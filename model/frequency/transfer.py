@@ -7,6 +7,7 @@ beyond one sample become a dead time. Standard errors follow from the model's co
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 
 import numpy as np
@@ -115,7 +116,10 @@ def inverse_hold(b: FloatArray, a: FloatArray, delay: int, dt_s: float) -> tuple
     joint[:n, :n] = phi
     joint[:n, n] = gamma
     joint[n, n] = 1.0
-    generator = np.real(np.asarray(logm(joint))) / dt_s
+    with warnings.catch_warnings():
+        # SciPy doubts the last three digits, which no fit has
+        warnings.filterwarnings("ignore", "logm result may be inaccurate", RuntimeWarning)
+        generator = np.real(np.asarray(logm(joint))) / dt_s
     big_a = generator[:n, :n]
     big_b = generator[:n, n]
     row = np.eye(1, n)
