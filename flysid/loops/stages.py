@@ -1,24 +1,26 @@
-"""Low-pass filters and notches as flight firmwares compute them: their sections, and their responses.
+"""Low-pass filters and notches of a controller: their responses, and their sections in a firmware.
 
 A low-pass of several equal stages (PT2, PT3) is that many of first order, each with a higher cut-off, so that
 the whole is at -3 dB where it says.
 
-Source: Betaflight's filter.c; biquads by Bristow-Johnson's cookbook.
+Source: Betaflight's filter.c; the sections are those of `flysid.spectra.stages`.
 """
 
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from flysid.dataset import FloatArray
+from flysid.spectra.stages import ComplexArray as ComplexArray
+from flysid.spectra.stages import Kind, Stage
 
-ComplexArray = npt.NDArray[np.complex128]
 Filters = tuple[tuple[int, float], ...]
 """Orders (1, or 2 for a Butterworth biquad) and cut-offs (Hz), one behind the other."""
 Notches = tuple[tuple[float, float, float], ...]
 """Centres (Hz), qualities, and the gain at the centre, one behind the other."""
 STAGES = {"pt1": 1, "pt2": 2, "pt3": 3}
+KINDS = {1: Kind.PT1, 2: Kind.BIQUAD}
+"""Order of a low-pass -> its law."""
 
 
 def filters_of(kind: str, hz: float) -> Filters:
@@ -39,23 +41,12 @@ def filters_of(kind: str, hz: float) -> Filters:
 
 def sections(filters: Filters, notch: tuple[float, float], step_s: float) -> FloatArray:
     """(S, 5) b0, b1, b2, a1, a2 of a notch (centre and lower cut-off, Hz) and low-passes behind it."""
-    rows = []
     centre, cut = notch
-    if centre > cut > 0.0:
-        turn = 2.0 * np.pi * centre * step_s
-        wide = 0.5 * np.sin(turn) * (centre / cut - cut / centre)
-        rows.append(np.array([1.0, -2.0 * np.cos(turn), 1.0, -2.0 * np.cos(turn), 1.0 - wide]) / (1.0 + wide))
-    for order, hz in filters:
-        if order == 1:
-            share = step_s / (step_s + 1.0 / (2.0 * np.pi * hz))
-            rows.append(np.array([share, 0.0, 0.0, share - 1.0, 0.0]))
-        else:
-            turn = 2.0 * np.pi * hz * step_s
-            wide = np.sin(turn) / np.sqrt(2.0)
-            half = 0.5 * (1.0 - np.cos(turn))
-            own = np.array([half, 2.0 * half, half, -2.0 * np.cos(turn), 1.0 - wide])
-            rows.append(own / (1.0 + wide))
-    return np.array(rows).reshape(-1, 5)
+    stages = [Stage(Kind.NOTCH, centre, centre * cut / (centre**2 - cut**2))] if centre > cut > 0.0 else []
+    stages += [Stage(KINDS[order], hz) for order, hz in filters]
+    return np.array([row for stage in stages for row in np.vstack(stage.sections(1.0 / step_s))]).reshape(
+        -1, 5
+    )
 
 
 def response(filters: Filters, f: FloatArray, notch: tuple[float, float] = (0.0, 0.0)) -> ComplexArray:
