@@ -15,6 +15,7 @@ from flysid.cli.display import Display
 from flysid.cli.output import align_columns, printable
 from flysid.cli.reviewed_logs import reviewed_logs
 from flysid.cli.source import flight_options, reading_options
+from flysid.cli.trust import Setting
 from flysid.showing import fold, significant
 
 if TYPE_CHECKING:
@@ -28,12 +29,17 @@ if TYPE_CHECKING:
 @click.option(
     "--try",
     "more",
+    cls=Setting,
     multiple=True,
     metavar="FILTER",
     help="Add one: 'notch HZ WIDTH', 'pt1 HZ', 'pt2 HZ', 'pt3 HZ', 'biquad HZ'; repeatable.",
 )
 @click.option(
-    "--without", multiple=True, metavar="TEXT", help="Take away those with this in their name; repeatable."
+    "--without",
+    cls=Setting,
+    multiple=True,
+    metavar="TEXT",
+    help="Take away those with this in their name; repeatable.",
 )
 @click.option(
     "--crossover",

@@ -15,7 +15,7 @@ from flysid.cli.checks import Words
 from flysid.cli.display import Display
 from flysid.cli.output import check_target, explain, printable, say, say_drawn
 from flysid.cli.source import READING_OF_A_LOOK, flight_options, opened_flights, reading_options
-from flysid.cli.trust import Own
+from flysid.cli.trust import Own, Setting
 from flysid.showing import fold
 
 if TYPE_CHECKING:
@@ -28,7 +28,12 @@ AXES = ("roll", "pitch", "yaw")
 @click.command("predict")
 @click.argument("source", type=SOURCE)
 @click.option(
-    "--set", "words", default="", metavar="NAME=VALUE,...", help="Settings by the firmware's names."
+    "--set",
+    "words",
+    cls=Setting,
+    default="",
+    metavar="NAME=VALUE,...",
+    help="Settings by the firmware's names.",
 )
 @click.option(
     "--file",

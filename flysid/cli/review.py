@@ -6,6 +6,7 @@ import json
 import shlex
 from collections.abc import Sequence
 from contextlib import ExitStack
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,10 +16,10 @@ import click
 from flysid.cli.addresses import SOURCE
 from flysid.cli.checks import Words
 from flysid.cli.display import Display
-from flysid.cli.output import ExitCode, check_target, printable, say
+from flysid.cli.output import ExitCode, check_target, explain, printable, say
 from flysid.cli.source import flight_options, opened_flights, reading_options
 from flysid.cli.trust import Own, Setting
-from flysid.extras import Extra, extra
+from flysid.extras import Extra, Missing, extra
 from flysid.showing import fold
 
 if TYPE_CHECKING:
@@ -115,7 +116,12 @@ def _reviewed(
             for log in select(lake, selection).logs:
                 flight = LoggedFlight(log, log.manifest.damage, log.manifest.source.name)
                 pairs.append((review_flight(flight, with_evidence=with_evidence), flight))
-        compared = extra(Extra.SERIES, partial(series, pairs), Series(()))
+        missing = Missing()
+        with missing.gathering():
+            compared = extra(Extra.SERIES, partial(series, pairs), Series(()))
+        compared = replace(compared, missing=missing.sentences)
+    for sentence in compared.missing:
+        explain(sentence)
     return [review for review, _ in pairs], compared
 
 
@@ -123,7 +129,8 @@ def _document(found: Sequence[Review], series: Series) -> dict[str, Any]:
     """A log's document; of several logs all of them, and what they show together."""
     if len(found) == 1:
         return found[0].to_dict()
-    return {"reviews": [review.to_dict() for review in found], "series": series.to_dict()}
+    missing = {"missing": list(series.missing)} if series.missing else {}
+    return {"reviews": [review.to_dict() for review in found], "series": series.to_dict(), **missing}
 
 
 def _text(found: Sequence[Review], series: Series) -> str:
@@ -144,7 +151,8 @@ def _write(output: Path, found: Sequence[Review], series: Series, sources: Seque
     from flysid.reviews.parameter_file import file_suffix, parameter_text
 
     names = " ".join(shlex.quote(str(source)) for source in sources)
-    write_review(output, found, f"flysid review {names} -o {shlex.quote(str(output))}", series.tables)
+    command = f"flysid review {names} -o {shlex.quote(str(output))}"
+    write_review(output, found, command, series.tables, series.missing)
     click.echo(str(output))
     for review in found:
         text = parameter_text(review.actions, review.family, review.whole)

@@ -83,13 +83,13 @@ class Fact:
         """For JSON."""
         return {
             "label": self.label,
-            "value": self.value,
+            "value": self.value if self.value is None or isinstance(self.value, str) else float(self.value),
             "unit": self.unit,
-            "ci95": list(self.interval) if self.interval else None,
+            "ci95": [float(edge) for edge in self.interval] if self.interval else None,
             "grade": self.grade.value,
             "note": self.note,
             "fields": list(self.fields),
-            "at_s": self.at_s,
+            "at_s": None if self.at_s is None else float(self.at_s),
             "missing": self.missing,
             "remedy": self.remedy,
         }
@@ -133,6 +133,10 @@ class Change:
         """ "MPC_THR_HOVER 0.5 -> 0.66"."""
         return f"{self.name} {significant(self.old)} -> {significant(self.new)} {self.unit}".rstrip()
 
+    def to_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        return {"name": self.name, "old": float(self.old), "new": float(self.new), "unit": self.unit}
+
 
 @dataclass(frozen=True)
 class Action:
@@ -162,7 +166,7 @@ class Action:
         return {
             "title": self.title,
             "reason": self.reason,
-            "changes": [vars(change) for change in self.changes],
+            "changes": [change.to_dict() for change in self.changes],
             "predicted": self.predicted,
             "risk": self.risk,
             "fact": self.fact,

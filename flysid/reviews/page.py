@@ -29,7 +29,11 @@ MOST_SAMPLES = 120_000
 
 
 def write_review(
-    path: str | Path, reviews: Sequence[Review], command: str = "", series: Sequence[Table] = ()
+    path: str | Path,
+    reviews: Sequence[Review],
+    command: str = "",
+    series: Sequence[Table] = (),
+    absent: Sequence[str] = (),
 ) -> Path:
     """Write the page whole or not at all; returns its path. The rest is as in `render`.
 
@@ -37,16 +41,22 @@ def write_review(
     ------
     StoreError : the file cannot be written.
     """
-    return write_page(path, render(reviews, command, series))
+    return write_page(path, render(reviews, command, series, absent))
 
 
-def render(reviews: Sequence[Review], command: str = "", series: Sequence[Table] = ()) -> str:
+def render(
+    reviews: Sequence[Review],
+    command: str = "",
+    series: Sequence[Table] = (),
+    absent: Sequence[str] = (),
+) -> str:
     """The page of one log, or of several below one another.
 
     Parameters
     ----------
     command : that made it, for its foot.
     series : tables over all of them, which come first.
+    absent : sentences for what of the series could not be given.
     """
     missing = Missing()
     with missing.gathering():
@@ -73,7 +83,7 @@ def render(reviews: Sequence[Review], command: str = "", series: Sequence[Table]
     return (
         _environment()
         .get_template("review.html.j2")
-        .render(filled, missing=[one_line(words) for words in missing.sentences])
+        .render(filled, missing=[one_line(words) for words in (*absent, *missing.sentences)])
     )
 
 

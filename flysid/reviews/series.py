@@ -274,9 +274,15 @@ class VehicleSeries:
 
 @dataclass(frozen=True, eq=False)
 class Series:
-    """Flights of one vehicle or several, each vehicle's apart."""
+    """Flights of one vehicle or several, each vehicle's apart.
+
+    Attributes
+    ----------
+    missing : a sentence for what could not be compared.
+    """
 
     vehicles: tuple[VehicleSeries, ...]
+    missing: tuple[str, ...] = ()
 
     @property
     def tables(self) -> tuple[Table, ...]:

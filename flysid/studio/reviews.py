@@ -38,7 +38,7 @@ class Reviews:
         document = review.to_dict()
         log = lake_of(self._data, flight).logs[0]
         plots = {fact.key: _curves(log, fact.fields) for fact in review.facts}
-        times = {fact.key: fact.at_s for fact in review.facts}
+        times = {fact.key: fact.to_dict()["at_s"] for fact in review.facts}
         for one in (*document["findings"], *document["actions"]):
             one["plots"] = plots.get(one["fact"], [])
             one["at_s"] = times.get(one["fact"])

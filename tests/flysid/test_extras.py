@@ -142,9 +142,11 @@ def suggestions(place: Path) -> Shown:
 def review(place: Path) -> Shown:
     """Every section breaks here: the page names the log, and 3 says that nothing was judged."""
     code, said, out = flysid(place, "review", "data", "-o", "review.html", "--force", "--json", whole=True)
-    documents = json.loads(out[: out.rindex("}") + 1])["reviews"]
+    whole_document = json.loads(out[: out.rindex("}") + 1])
+    documents = whole_document["reviews"]
     page = html.unescape((place / "review.html").read_text("utf-8"))
     broken = [sentence for document in documents for sentence in document["broken"]]
+    broken += whole_document.get("missing", [])
     told = {"page": spaced(page)}
     if broken:
         told["JSON"] = spaced(" ".join(broken))

@@ -26,15 +26,18 @@ from flysid.cli.verbs import VERBS
 from tests.command import call, shell
 
 SWITCHES = {
-    "--all", "--csv", "--events", "--fail", "--feed-forward", "--fields", "--float32", "--halves",
+    "--all", "--calm", "--csv", "--events", "--fail", "--feed-forward", "--fields", "--float32", "--ground",
+    "--halves",
     "--json", "--keep-mishaps", "--kinematics", "--list", "--markdown", "--messages", "--no-refine",
     "--params", "--pool", "--px4-plane", "--quiet", "--rotate", "--suggest", "--table", "--term",
     "--toml", "--track", "--truth", "--ts", "--unstable", "--verbose",
 }  # fmt: skip
 NUMBERS = {
-    "--aim", "--altitude", "--amplitude", "--band", "--batch", "--dt", "--duration", "--false-alarms",
-    "--fast", "--fleet", "--for", "--grid", "--horizon", "--limit", "--more", "--ms", "--noise",
-    "--peak", "--rate", "--rows", "--seconds", "--seed", "--speed", "--vehicles", "--wind",
+    "--aim", "--altitude", "--amplitude", "--arm", "--band", "--batch", "--crossover", "--dt",
+    "--duration", "--false-alarms",
+    "--fast", "--fleet", "--for", "--full-scale", "--grid", "--horizon", "--limit", "--lowest", "--mass",
+    "--more", "--ms", "--noise", "--peak", "--rate", "--rows", "--seconds", "--seed", "--speed",
+    "--vehicles", "--wind", "--window", "--zero",
 }  # fmt: skip
 """Switches and numbers that change the result alone. A new one goes here, or is declared as `Own`."""
 

@@ -25,6 +25,10 @@ def document(**changes: Any) -> dict[str, Any]:
     return {**base, **changes}
 
 
+OF_A_VEHICLE = {"voltage", *(f"motor{k}" for k in range(5, 9))}
+"""Signals that `flysid vehicle` takes where a log has them: no channel asks for them."""
+
+
 @pytest.mark.parametrize("name", shipped_recipes())
 def test_every_shipped_recipe_loads_under_its_own_name(name: str) -> None:
     recipe = load_recipe(name)
@@ -32,7 +36,7 @@ def test_every_shipped_recipe_loads_under_its_own_name(name: str) -> None:
     assert recipe.description
     named = recipe.with_references()
     used = {s for channel in named.channels for s in named.signals_of(channel)}
-    assert used == set(recipe.signals)
+    assert used == set(recipe.signals) - {s for s in OF_A_VEHICLE if name == "sixdof"}
 
 
 def test_shipped_recipes_cover_the_first_pipeline() -> None:

@@ -437,7 +437,7 @@ def test_the_contest_takes_the_hidden_state_of_two_tanks() -> None:
 @pytest.mark.usefixtures("arx_alone")
 def test_where_nothing_bends_no_hidden_state_is_tried(monkeypatch: pytest.MonkeyPatch) -> None:
     """Gusts that last foretell the free run's error, as a hidden state would; rules fit them no closer."""
-    rng = np.random.default_rng(5)
+    rng = np.random.default_rng(8)
     u = np.repeat(rng.uniform(-1.0, 1.0, 80), 15)
     y = np.zeros(1200)
     gust = np.zeros(1200)
