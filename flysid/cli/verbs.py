@@ -248,7 +248,7 @@ VERBS: Mapping[str, Verb] = {
         ),
         Verb(
             "predict",
-            "A rate loop under other gains or filters, beside what it is.",
+            "Predict a rate loop under other gains or filters, beside what it is.",
             (
                 "flysid predict flight.bfl --set 'p_roll=58,d_roll=38'",
                 "flysid predict data --file new.params --axis roll --json",

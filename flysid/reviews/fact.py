@@ -106,6 +106,7 @@ class Finding:
     weight : among findings of one grade, how much it matters, 0 to 1.
     fact : key of the fact that is its evidence.
     more : a few words in small print: the limit, or what the log cannot separate.
+    topic : findings of one topic are about one thing: the first of them stands for all; "" for its own.
     """
 
     text: str
@@ -113,6 +114,7 @@ class Finding:
     weight: float
     fact: str
     more: str = ""
+    topic: str = ""
 
     def to_dict(self) -> dict[str, Any]:
         """For JSON."""
@@ -276,6 +278,12 @@ class Section:
         }
 
 
+OSCILLATION = "oscillation"
+"""The topic of what shakes a vehicle as a loop or a tone."""
+
+
 def order(findings: Sequence[Finding]) -> list[Finding]:
-    """Findings, the gravest first."""
-    return sorted(findings, key=lambda finding: (-finding.grade.rank, -finding.weight))
+    """Findings, the gravest first; of one topic the gravest alone."""
+    ranked = sorted(findings, key=lambda finding: (-finding.grade.rank, -finding.weight))
+    by_topic = {finding.topic or f"{i}": finding for i, finding in reversed(list(enumerate(ranked)))}
+    return [finding for i, finding in enumerate(ranked) if by_topic[finding.topic or f"{i}"] is finding]

@@ -49,7 +49,7 @@ def accelerometer_level(flight: LoggedFlight) -> Iterator[Fact]:
     top = int(highest.values.argmax())
     yield Fact(
         "vibration.accel_peak",
-        "its peak",
+        "highest vibration",
         float(highest.values[top]),
         "m/s2",
         grade=bound.grade(float(highest.values[top])) if flight.family in OF_PEAKS else Grade.PLAIN,

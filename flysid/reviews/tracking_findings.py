@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from flysid.reviews.fact import Finding, Grade
+from flysid.reviews.fact import OSCILLATION, Finding, Grade
 from flysid.reviews.limits import limit, rate_lag_limit
 from flysid.reviews.oscillation import Oscillation
 from flysid.reviews.tracked import MS, PERCENT, Followed, Tracked
@@ -79,7 +79,7 @@ def _oscillating(tracked: Tracked) -> Iterator[Finding]:
         more += f"; motors at their minimum {_span(resting)} % of the time"
     most = 0.5
     grade = Grade.BAD if worst.share >= most else Grade.WATCH
-    yield Finding(words, grade, 1.0, f"tracking.oscillation_{worst_axis}", more)
+    yield Finding(words, grade, 1.0, f"tracking.oscillation_{worst_axis}", more, OSCILLATION)
 
 
 def _span(shares: Sequence[float]) -> str:

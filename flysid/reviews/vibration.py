@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from flysid.reviews.fact import Action, Fact, Finding, Grade, Section
+from flysid.reviews.fact import OSCILLATION, Action, Fact, Finding, Grade, Section
 from flysid.reviews.gyro import UNIT, motors_hz
 from flysid.reviews.gyro_spectra import Shaking
 from flysid.reviews.limits import limit
@@ -106,7 +106,7 @@ def _peak_facts(shaking: Shaking, addresses: tuple[str, ...]) -> Iterator[Fact]:
         fields=(address,),
     )
     grade = limit("vibration.tone").grade(peak.rms) if _is_loud(shaking, axis, peak) else Grade.PLAIN
-    yield Fact("vibration.peak_rms", "its size", peak.rms, UNIT, grade=grade, note="RMS", fields=(address,))
+    yield Fact("vibration.peak_rms", "strongest peak, RMS", peak.rms, UNIT, grade=grade, fields=(address,))
 
 
 def _folded_words(peak: Peak) -> str:
@@ -196,10 +196,11 @@ def _tone_finding(shaking: Shaking, of: dict[str, Fact]) -> Iterator[Finding]:
         more = f"{peak.cause}; logged at {rate} Hz" if peak.cause else ""
         if peak.true_hz is not None:
             at, more = significant(peak.true_hz), f"{more}, where it shows at {at} Hz"
-        yield Finding(f"{text} at {at} Hz", grade, 0.8, "vibration.peak", more)
+        yield Finding(f"{text} at {at} Hz", grade, 0.8, "vibration.peak", more, OSCILLATION)
         return
     more = f"it shows at {at} Hz, {_folded_words(peak)}"
-    yield Finding(f"{text}; a log of {rate} Hz does not show how fast", grade, 0.8, "vibration.peak", more)
+    words = f"{text}; a log of {rate} Hz does not show how fast"
+    yield Finding(words, grade, 0.8, "vibration.peak", more, OSCILLATION)
 
 
 def _motor_facts(shaking: Shaking) -> Iterator[Fact]:

@@ -24,6 +24,7 @@ from flysid.reviews.fact import (
     Picture,
     Section,
     Table,
+    order,
 )
 from flysid.reviews.lines import markdown, terminal_text
 from flysid.reviews.page import render
@@ -197,3 +198,11 @@ def test_no_change_makes_no_file() -> None:
 
 def test_values_are_what_a_condition_compares(tmp_path: Path) -> None:  # noqa: ARG001
     assert some_review().values == {"power": {"hover": 0.66, "sag": None}}
+
+
+def test_of_one_topic_the_gravest_finding_stands_for_all() -> None:
+    loop = Finding("Oscillates in roll", Grade.BAD, 1.0, "a.b", topic="oscillation")
+    tone = Finding("Roll shakes", Grade.BAD, 0.8, "a.c", topic="oscillation")
+    others = [Finding("Sags", Grade.WATCH, 0.9, "a.d"), Finding("Late", Grade.BAD, 0.9, "a.e")]
+    assert order([tone, *others, loop]) == [loop, others[1], others[0]]
+    assert order([tone, *others]) == [others[1], tone, others[0]]
