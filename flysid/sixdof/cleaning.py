@@ -35,6 +35,7 @@ class Damage:
     samples : looked at.
     straight, beyond : samples in straight lines, and with a command beyond full scale.
     straight_runs : how many lines.
+    most : size of the largest command, as a share of full scale.
     clock_sd_s, clock_range_s : of the gyro's clock against the attitude's; None where either is missing.
     """
 
@@ -59,8 +60,8 @@ class Damage:
             )
         if self.beyond:
             said.append(
-                f"motors beyond full scale in {self.beyond} of {self.samples} samples, "
-                f"up to {self.most:.3g} times full scale"
+                f"commands below 0 or beyond full scale in {self.beyond} of {self.samples} samples, "
+                f"as far as {self.most:.3g} times full scale"
             )
         if self.clock_sd_s is not None and self.clock_range_s is not None and self.wanders:
             said.append(

@@ -154,7 +154,7 @@ class _Work:
             self._hold(range(LEAN, INERTIA), "no velocity and attitude are logged, held at 0")
         if not self.has_air and self.flights.records[0].force is None:
             self._hold([THRUST], "nothing tells it but hovering: mean thrust is held at 1 g")
-            self._hold([CURVE], "no velocity and no accelerometer are logged, held at 0")
+            self._hold([CURVE, POWER], "no velocity and no accelerometer are logged, held at 0")
 
     def _hold(self, places: Sequence[int], why: str) -> None:
         self.held.update(dict.fromkeys(places, why))

@@ -287,7 +287,7 @@ LONG_LINES: dict[str, frozenset[str]] = {
             "flysid gains flight.bfl",
             "flysid spectrum flight.bfl",
             "flysid filters flight.bfl --try 'notch 224 60'",
-            "flysid vehicle flight.bin -o vehicle",
+            "flysid vehicle flight.bfl -o vehicle",
             "flysid design flysid-demo/run --limit 12 --old vehicle.params -o gains",
             "flysid fly gains --vehicles 30 --wind 4",
             "flysid ingest s3://inbox -o s3://lake --vehicle-in 'v[0-9]+'",
