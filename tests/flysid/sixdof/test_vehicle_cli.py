@@ -36,6 +36,16 @@ def test_a_table_becomes_a_vehicle(table: Path, tmp_path: Path) -> None:
     assert isinstance(vehicle(table, "-o", tmp_path / "vehicle").exception, UsageError)
 
 
+def test_rates_and_a_voltage_alone_tell_no_thrust(table: Path, tmp_path: Path) -> None:
+    lines = [line.split(",") for line in table.read_text("utf-8").splitlines()]
+    kept = [i for i, name in enumerate(lines[0]) if name.startswith(("time", "motor", "gyro", "voltage"))]
+    bare = tmp_path / "bare.csv"
+    bare.write_text("\n".join(",".join(line[i] for i in kept) for line in lines), "utf-8")
+    done = vehicle(bare, "-o", tmp_path / "vehicle")
+    assert done.exit_code == 0, done.output
+    assert "voltage power: no velocity and no accelerometer are logged" in " ".join(done.stdout.split())
+
+
 def test_two_logs_are_one_vehicle_and_json_holds_it(gusty: Dataset, tmp_path: Path) -> None:
     paths = []
     for i, segment in enumerate(gusty.segments):
