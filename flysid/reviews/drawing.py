@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 from markupsafe import Markup
 
 from flysid.dataset import FloatArray
-from flysid.reviews.fact import HeatMap, MotorPlan, Picture
+from flysid.reviews.fact import HeatMap, Line, MotorPlan, Picture
+from flysid.validate.report.decimate import extremes
 from flysid.validate.report.svg import (
     Axes,
     box,
@@ -34,8 +36,9 @@ SHOWN_DB = 60.0
 
 def draw_picture(drawn: Picture) -> Markup:
     """Lines on two axes, with marks, and a veil over what the log cannot show."""
-    xs = [one.x for one in drawn.lines]
-    ys = [_in_db(one.y) if drawn.log_y else one.y for one in drawn.lines]
+    lines = [_thinned(one) for one in drawn.lines]
+    xs = [one.x for one in lines]
+    ys = [_in_db(one.y) if drawn.log_y else one.y for one in lines]
     x_range = _limits(xs)
     if drawn.hidden_from is not None:
         x_range = (x_range[0], max(x_range[1], 1.05 * drawn.hidden_from))
@@ -51,7 +54,7 @@ def draw_picture(drawn: Picture) -> Markup:
             box((start, axes.right), (axes.top, axes.bottom), "outside"),
             text(axes.right, axes.bottom - 6, "not logged", anchor="end"),
         ]
-    parts += [line(axes, one.x, y, f"line {one.style}") for one, y in zip(drawn.lines, ys, strict=True)]
+    parts += [line(axes, one.x, y, f"line {one.style}") for one, y in zip(lines, ys, strict=True)]
     for row, (x, words) in enumerate(sorted(drawn.marks.items())):
         at = float(axes.px(x))
         is_right = at > axes.left + axes.width / 2.0
@@ -109,6 +112,13 @@ def draw_motors(drawn: MotorPlan) -> Markup:
 
 def _disc(x: float, y: float, radius: float, css: str) -> Markup:
     return Markup('<circle cx="{:.1f}" cy="{:.1f}" r="{:.1f}" class="{}"/>').format(x, y, radius, css)
+
+
+def _thinned(drawn: Line) -> Line:
+    """No more points than the picture is wide: the lowest and the highest of as many samples as it takes."""
+    size = -(-len(drawn.x) // round(WIDTH))
+    kept = extremes(drawn.y, size) if size > 1 else slice(None)
+    return replace(drawn, x=drawn.x[kept], y=drawn.y[kept])
 
 
 def _in_db(values: FloatArray) -> FloatArray:

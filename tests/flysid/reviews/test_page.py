@@ -206,3 +206,15 @@ def test_of_one_topic_the_gravest_finding_stands_for_all() -> None:
     others = [Finding("Sags", Grade.WATCH, 0.9, "a.d"), Finding("Late", Grade.BAD, 0.9, "a.e")]
     assert order([tone, *others, loop]) == [loop, others[1], others[0]]
     assert order([tone, *others]) == [others[1], tone, others[0]]
+
+
+def test_a_long_record_is_drawn_with_its_peaks_and_little_markup() -> None:
+    x = np.linspace(0.0, 100.0, 100_000)
+    y = np.zeros(len(x))
+    y[54_321] = 7.0
+    section = Section("power", "Power", shown=(Picture("Battery", "s", "V", (Line("V", x, y),)),))
+    page = render([some_review(sections=(section,))])
+    peaks = re.findall(r'<path d="(M[^"]*)" class="line measured"/>', page)
+    (heights,) = [[float(pair.split()[1]) for pair in re.split("[ML]", path)[1:]] for path in peaks]
+    assert len(heights) < 1_000
+    assert min(heights) < 0.5 * max(heights)
