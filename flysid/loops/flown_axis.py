@@ -23,6 +23,7 @@ from flysid.loops.blackbox_loops import even_pieces
 from flysid.loops.controller import THOUSANDTHS
 from flysid.loops.stages import sections
 from flysid.loops.stick_response import ComplexArray, StickRecord
+from flysid.spectra.running import filter_sample
 
 MOTORS = 4
 
@@ -220,18 +221,6 @@ def _mixed(wanted, throttle, airmode):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _filter(x, sections, states):  # type: ignore[no-untyped-def]
-    """One value through biquads in transposed form."""
-    for j in range(sections.shape[0]):
-        b0, b1, b2, a1, a2 = sections[j]
-        out = b0 * x + states[j, 0]
-        states[j, 0] = b1 * x - a1 * out + states[j, 1]
-        states[j, 1] = b2 * x - a2 * out
-        x = out
-    return x
-
-
-@njit(cache=True)
 def _step(setpoint, weighed, kept, faster, others, throttle, side, airmode, whole, sections, numbers):  # type: ignore[no-untyped-def]
     """(N,) rate and what the motors are given; `whole`: all of the derivative is filtered, and freely
     integrated."""
@@ -255,11 +244,11 @@ def _step(setpoint, weighed, kept, faster, others, throttle, side, airmode, whol
         more = min(max(more, -largest_i), largest_i)
         if whole or asked < 1.0 or abs(more) < abs(total):
             total = more
-        seen = weighed[k] - (now if whole else _filter(now, sections, states))
+        seen = weighed[k] - (now if whole else filter_sample(now, sections, states))
         slope = (seen - before) / dt
         before = seen
         if whole:
-            slope = _filter(slope, sections, states)
+            slope = filter_sample(slope, sections, states)
         output = kept[k] * (p * error + d * slope) + total
         output = min(max(output, -limit), limit)
         for m in range(side.size):

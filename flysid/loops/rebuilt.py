@@ -18,6 +18,7 @@ from flysid.dataset import FloatArray
 from flysid.loops.betaflight import BetaflightLaw
 from flysid.loops.law_parts import Means
 from flysid.loops.stages import filters_of, sections
+from flysid.spectra.running import filter_sample
 
 LEVELS = 101
 """Of the throttle, at which moving filters are set: the firmware rounds it to hundredths."""
@@ -184,18 +185,6 @@ def _gravity(law: BetaflightLaw) -> FloatArray:
 
 
 @njit(cache=True)
-def _filter(x: Any, rows: Any, states: Any) -> Any:
-    """One value through biquads in transposed form."""
-    for j in range(rows.shape[0]):
-        b0, b1, b2, a1, a2 = rows[j]
-        out = b0 * x + states[j, 0]
-        states[j, 0] = b1 * x - a1 * out + states[j, 1]
-        states[j, 1] = b2 * x - a2 * out
-        x = out
-    return x
-
-
-@njit(cache=True)
 def _settle(x: Any, rows: Any, states: Any) -> None:
     """States of biquads that have seen x for ever."""
     for j in range(rows.shape[0]):
@@ -263,7 +252,7 @@ def _step(  # type: ignore[no-untyped-def]
             quicker += share * (moved - quicker)
             quick += share * (quicker - quick)
         shrunk = kept[k] if tpa_p > 0.0 else 1.0
-        plain = _filter(p * error, p_rows, p_states) if p_rows.shape[0] else p * error
+        plain = filter_sample(p * error, p_rows, p_states) if p_rows.shape[0] else p * error
         lifted = slow if kind == 3.0 else quick
         raised = 1.0 + more_p * lifted / max(abs(setpoint[k]) / FREE_RATE, 1.0)
         terms[0, k] = plain * shrunk * raised
@@ -287,15 +276,17 @@ def _step(  # type: ignore[no-untyped-def]
         total = more
         terms[1, k] = total
         level = int(np.rint(throttle[k] * (levels - 1)))
-        seen = weighed[k] - (rate[k] if whole else _filter(rate[k], d_rows[level], d_states))
+        seen = weighed[k] - (rate[k] if whole else filter_sample(rate[k], d_rows[level], d_states))
         turn = (seen - before) / step_d
         before = seen
         if whole:
-            turn = _filter(turn, d_rows[level], d_states)
+            turn = filter_sample(turn, d_rows[level], d_states)
         grown = 1.0
         if most > 1.0:
-            own = max(abs(_filter(turn, range_rows, range_states)) * by_rate, abs(slope[k]) * by_setpoint)
-            grown = min(_filter(1.0 + (most - 1.0) * own, smooth_rows, smooth_states), most)
+            own = max(
+                abs(filter_sample(turn, range_rows, range_states)) * by_rate, abs(slope[k]) * by_setpoint
+            )
+            grown = min(filter_sample(1.0 + (most - 1.0) * own, smooth_rows, smooth_states), most)
         shrunk = kept[k] if tpa_d > 0.0 else 1.0
         terms[2, k] = d * turn * grown * shrunk
         sums[2, 0] += terms[2, k] * d * turn

@@ -1,6 +1,8 @@
-"""The one loop over samples of a filter whose coefficients may change with every sample."""
+"""The loops over samples of filters: a signal whose filter may change, and one value at a time."""
 
 from __future__ import annotations
+
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -30,3 +32,15 @@ def _run(rows: FloatArray, x: FloatArray) -> FloatArray:
         y1 = now
         y[n] = now
     return y
+
+
+@njit(cache=True)
+def filter_sample(x: Any, rows: Any, states: Any) -> Any:
+    """One value through sections (S, 5) one behind the other, whose `states` (S, 2) go on."""
+    for j in range(rows.shape[0]):
+        b0, b1, b2, a1, a2 = rows[j]
+        out = b0 * x + states[j, 0]
+        states[j, 0] = b1 * x - a1 * out + states[j, 1]
+        states[j, 1] = b2 * x - a2 * out
+        x = out
+    return x
