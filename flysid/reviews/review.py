@@ -6,7 +6,7 @@ from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from flysid.errors import FormatError
+from flysid.errors import FormatError, UsageError
 from flysid.extras import Extra, Missing, extra
 from flysid.progress import tell
 from flysid.reviews.crash import end_at_crash
@@ -28,7 +28,8 @@ def review(path: str | Path, page: str | Path | None = None) -> Review:
 
     Raises
     ------
-    UsageError, FormatError : there is no such file, or nothing of it can be read.
+    UsageError : there is no such file, or it is a folder or archive of several flights.
+    FormatError : nothing of it can be read.
     StoreError : the page cannot be written.
 
     Examples
@@ -47,7 +48,10 @@ def review(path: str | Path, page: str | Path | None = None) -> Review:
         results = list(ingest_logs(find_logs([Path(path)], Bounds()), place, bounds=Bounds()))
         if results[0].skipped:
             raise FormatError(results[0].reason, path=results[0].path)
-        (stored,) = open_lake(place).logs
+        logs = open_lake(place).logs
+        if len(logs) != 1:
+            raise UsageError(f"it holds {len(logs)} flights", path=path, hint=f"flysid review {path}")
+        (stored,) = logs
         flight = LoggedFlight(stored, stored.manifest.damage, stored.manifest.source.name)
         found = review_flight(flight, with_evidence=page is not None)
     if page is not None:

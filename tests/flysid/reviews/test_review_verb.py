@@ -8,7 +8,9 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
+import flysid
 from flysid.cli import root
+from flysid.errors import UsageError
 
 SAMPLES = Path(__file__).resolve().parents[3] / "sample_logs"
 LOG = SAMPLES / "01-multisine-seed1.tlog"
@@ -44,6 +46,11 @@ def test_the_page_is_written_once(tmp_path: Path) -> None:
 def test_a_condition_guards(condition: str, code: int | None) -> None:
     found = run("review", LOG, "--fail-if", condition)[0]
     assert found == code if code else found != 4
+
+
+def test_several_flights_are_no_single_review() -> None:
+    with pytest.raises(UsageError, match="it holds 4 flights"):
+        flysid.review(SAMPLES)
 
 
 def test_a_figure_that_is_not_determined_fails_its_guard() -> None:
