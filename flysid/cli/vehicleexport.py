@@ -11,7 +11,6 @@ from flysid.cli.output import check_target, say
 if TYPE_CHECKING:
     from flysid.sixdof.fitted import FittedVehicle
 
-VEHICLE = "vehicle.json"
 FILES: Mapping[str, str] = {
     "rotorpy": "vehicle_params.py",
     "casadi": "vehicle_model.py",
@@ -24,7 +23,9 @@ FILES: Mapping[str, str] = {
 
 def is_vehicle(source: Path) -> bool:
     """Whether `flysid vehicle -o` wrote it."""
-    return source.name == VEHICLE or (source / VEHICLE).is_file()
+    from flysid.sixdof.fitted import FILE
+
+    return source.name == FILE or (source / FILE).is_file()
 
 
 def write_vehicle(

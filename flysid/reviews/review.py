@@ -83,7 +83,6 @@ def review_flight(flight: LoggedFlight, *, with_evidence: bool = False) -> Revie
         flight.name,
         flight.info,
         flight.clock,
-        flight.air_s,
         tuple(sections),
         tuple(broken.sentences),
         flight.whole_parameters,

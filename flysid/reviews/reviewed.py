@@ -30,7 +30,6 @@ class Review(Shown):
     ----------
     name, info : of the log, and facts about its vehicle.
     clock : the axis of all times.
-    air_s : spans in the air on that clock.
     sections : in the order of the page.
     broken : a sentence for every section that could not be given.
     whole : names of the parameters that are whole numbers.
@@ -46,7 +45,6 @@ class Review(Shown):
     name: str
     info: Mapping[str, str]
     clock: LogClock
-    air_s: tuple[tuple[float, float], ...]
     sections: tuple[Section, ...]
     broken: tuple[str, ...] = ()
     whole: frozenset[str] = frozenset()

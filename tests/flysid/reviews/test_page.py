@@ -91,9 +91,7 @@ def some_review(name: str = "flight.ulg", *, sections: tuple[Section, ...] | Non
     timeline = Timeline(name, ((trace,),), ((0.0, 100.0, HOSTILE),), (Moment(1.0, "message", HOSTILE),))
     clock = log_clock([ClockMap(0, 0, 100_000_000_000)])
     found = (power,) if sections is None else sections
-    return Review(
-        name, {"autopilot": "px4", "firmware": "1.16"}, clock, ((0.0, 100.0),), found, timeline=timeline
-    )
+    return Review(name, {"autopilot": "px4", "firmware": "1.16"}, clock, found, timeline=timeline)
 
 
 def test_the_gravest_finding_is_the_headline() -> None:

@@ -187,7 +187,7 @@ def flown(stored: Lake) -> Series:
     for log in stored.logs:
         flight = LoggedFlight(log, log.manifest.damage, log.manifest.source.name)
         sections = (review_tracking(flight),)
-        pairs.append((Review(flight.name, flight.info, flight.clock, flight.air_s, sections), flight))
+        pairs.append((Review(flight.name, flight.info, flight.clock, sections), flight))
     return series(pairs)
 
 
