@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, fields
 
 import numpy as np
 
-from flysid.facts.repeats import NO_CLOCK, ROUND, BoolArray, CopyFinder, FrameRows, IntArray
+from flysid.facts.repeats import LATELY, NO_CLOCK, ROUND, BoolArray, CopyFinder, FrameRows, IntArray
 
 LATE_WITHIN = ROUND // 4  # places that a frame may be overtaken by
 SILENCE_US = 100_000  # a shorter gap hides no round of numbers: that takes 2,560 frames a second
@@ -164,7 +164,7 @@ class SequenceCounter:
         ----------
         rows : (n,) frames, in the order of their arrival.
         """
-        copies, doubted, taken_back = self._copies.find(rows, self._counts["frames"], self._interval_us)
+        copies, doubted, taken_back = self._copies.find(rows, self._counts["frames"], self._known_pace_us)
         self._add(frames=-taken_back, repeated=taken_back)
         restarts = np.zeros(len(copies), dtype=bool)
         sure = np.flatnonzero(~copies & ~doubted)
@@ -384,6 +384,11 @@ class SequenceCounter:
         """From frame to frame, lately."""
         pace = self._pace if self._pace.steps >= ROUND or not self._older.steps else self._older
         return pace.interval_us
+
+    @property
+    def _known_pace_us(self) -> float:
+        """From frame to frame, once enough of them were timed; 0 before."""
+        return self._interval_us if self._older.steps or self._pace.steps >= LATELY else 0.0
 
     def _is_due(self, gap: int, waited_us: int) -> bool:
         """Whether so many frames can have been sent meanwhile, give or take a half."""

@@ -13,7 +13,7 @@ BoolArray = npt.NDArray[np.bool_]
 
 ROUND = 256  # numbers of the sequence
 HALF = ROUND // 2  # of a round: a copy from further back may be a frame of the round before
-LATELY = 64  # frames among which copies are common where a loop makes them
+LATELY = 64  # frames among which copies are common where a loop makes them; and that show a pace
 COMMON = 8  # frames to a copy, at most, where no copy states a time
 NO_CLOCK = -1
 
@@ -66,7 +66,8 @@ class CopyFinder:
         Parameters
         ----------
         frames : of the sender so far, copies left out.
-        interval_us : from frame to frame; 0 where it is not known.
+        interval_us : from frame to frame; 0 where fewer than `LATELY` steps were timed, for the mean of a
+            few irregular ones may be far too short.
         """
         if not len(rows):
             return np.zeros(0, dtype=bool), np.zeros(0, dtype=bool), 0
@@ -117,7 +118,9 @@ class CopyFinder:
         """(n,) whether a frame of this number and content came a moment ago."""
         known = {key: (at, us) for key, at, us in self._recent}
         at = frames
-        longest_us = HALF * (interval_us or (stamps[-1] - stamps[0]) / len(stamps))
+        if not interval_us and len(stamps) >= LATELY:
+            interval_us = (stamps[-1] - stamps[0]) / len(stamps)
+        longest_us = HALF * interval_us
         again = np.zeros(len(keys), dtype=bool)
         for i, (key, stamp_us) in enumerate(zip(keys, stamps, strict=True)):
             there = known.get(key)
