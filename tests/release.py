@@ -51,15 +51,17 @@ def refuse_unready(root: Path) -> None:
 
 
 def dated(changelog: str, version: str, day: str) -> str:
-    """The changelog with the version's day in place of "unreleased"."""
-    return changelog.replace(f"## {version} (unreleased)", f"## {version} ({day})", 1)
+    """The changelog with what was unreleased under the version and its day, once."""
+    if f"## [{version}] - " in changelog:
+        return changelog
+    return changelog.replace("## [Unreleased]", f"## [Unreleased]\n\n## [{version}] - {day}", 1)
 
 
 def changes(changelog: str, version: str) -> str:
     """What the changelog says of a version."""
-    found = re.search(rf"^## {re.escape(version)} \([^)]*\)\n(.*?)(?=^## |\Z)", changelog, re.M | re.S)
+    found = re.search(rf"^## \[{re.escape(version)}\] - \S+\n(.*?)(?=^## |\Z)", changelog, re.M | re.S)
     if found is None or not found[1].strip():
-        raise Refused(f"CHANGELOG.md says nothing of {version}: add a section '## {version} (unreleased)'")
+        raise Refused(f"CHANGELOG.md says nothing of {version}: write it under '## [Unreleased]'")
     return found[1].strip()
 
 

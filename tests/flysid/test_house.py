@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 import tomllib
@@ -89,7 +90,16 @@ def test_unknown_name_is_an_attribute_error() -> None:
 
 def test_version_stands_once() -> None:
     assert tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"] == flysid.__version__
-    assert f"## {flysid.__version__}" in (ROOT / "CHANGELOG.md").read_text()
+
+
+def test_the_changelog_keeps_its_form() -> None:
+    """Keep a Changelog 1.1: what is unreleased comes first, and six kinds of change."""
+    headings = re.findall(r"^(##+) (.+)$", (ROOT / "CHANGELOG.md").read_text("utf-8"), re.M)
+    versions = [name for depth, name in headings if depth == "##"]
+    assert versions[0] == "[Unreleased]"
+    assert all(re.fullmatch(r"\[\d+\.\d+\.\d+\] - \d{4}-\d\d-\d\d", name) for name in versions[1:])
+    kinds = {name for depth, name in headings if depth == "###"}
+    assert kinds <= {"Added", "Changed", "Deprecated", "Removed", "Fixed", "Security"}
 
 
 @pytest.mark.parametrize(

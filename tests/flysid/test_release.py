@@ -12,7 +12,7 @@ from tests import release
 from tests.release import TAG, Refused, changes, dated, for_an_index, missing, project_urls, refuse_unready
 
 HOME = "https://example.org/team/flysid"
-NEXT = "## 0.1.0 (unreleased)\n\n- Reads logs.\n\n## 0.0.9 (2025-01-01)\n\n- Older.\n"
+NEXT = "## [Unreleased]\n\n### Added\n\n- Reads logs.\n\n## [0.0.9] - 2025-01-01\n\n- Older.\n"
 
 
 def repository(place: Path) -> Path:
@@ -64,8 +64,10 @@ def test_nothing_is_left_behind_where_a_step_fails(tmp_path: Path, monkeypatch: 
 
 
 def test_the_tag_tells_the_changes_of_its_version() -> None:
-    assert changes(dated(NEXT, "0.1.0", "2026-11-23"), "0.1.0") == "- Reads logs."
-    assert "## 0.1.0 (2026-11-23)" in dated(NEXT, "0.1.0", "2026-11-23")
+    released = dated(NEXT, "0.1.0", "2026-11-23")
+    assert changes(released, "0.1.0") == "### Added\n\n- Reads logs."
+    assert released.startswith("## [Unreleased]\n\n## [0.1.0] - 2026-11-23\n")
+    assert dated(released, "0.1.0", "2026-11-24") == released
     with pytest.raises(Refused, match="says nothing of"):
         changes(NEXT, "0.2.0")
 
