@@ -1,7 +1,7 @@
 """Fitted models against each other on held-out data: plain numbers, intervals and verdicts.
 
 The rules of fairness: the test part is only read; all models start from the same measured samples
-(`flysid.validate.trials`); the free run is the headline; errors are in the output's unit; divergence
+(`flysid.validate.compare.trials`); the free run is the headline; errors are in the output's unit; divergence
 is a loss.
 """
 
@@ -19,12 +19,11 @@ from flysid.errors import DataError, UsageError
 from flysid.model.base import Fitted
 from flysid.model.linear_choice import FIRST, best_fitted
 from flysid.model.structures import OWN, kind_of, leaders, row_of
-from flysid.validate.comparison import Comparison, Entry, ModelInfo, ModelScore, Pair, SegmentScore
-from flysid.validate.intervals import Interval, change, distance, holm
-from flysid.validate.metrics import pool, resolution_of, scores
-from flysid.validate.neighbours import flights_began
-from flysid.validate.shown import ShownComparison
-from flysid.validate.trials import (
+from flysid.validate.compare.comparison import Comparison, Entry, ModelInfo, ModelScore, Pair, SegmentScore
+from flysid.validate.compare.intervals import Interval, change, distance, holm
+from flysid.validate.compare.metrics import pool, resolution_of, scores
+from flysid.validate.compare.neighbours import flights_began
+from flysid.validate.compare.trials import (
     FREE_RUN,
     StructureTrial,
     check_models,
@@ -32,7 +31,8 @@ from flysid.validate.trials import (
     run_trials,
     start_of,
 )
-from flysid.validate.verdict import Evidence, Verdict, decide
+from flysid.validate.compare.verdict import Evidence, Verdict, decide
+from flysid.validate.show.shown import ShownComparison
 
 __all__ = [
     "HORIZONS", "Comparison", "Entry", "ModelInfo", "ModelScore", "Pair", "SegmentScore", "across_channels",

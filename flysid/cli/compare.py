@@ -63,10 +63,10 @@ def command(
     form = chosen_form(forms)
     if output is not None:
         check_target(output, force)
-    from flysid.validate.condition import check_condition
-    from flysid.validate.crossrun import RunSource, expected_of_runs, judge_runs
-    from flysid.validate.judge import write_judgement
-    from flysid.validate.run import open_run
+    from flysid.validate.compare.condition import check_condition
+    from flysid.validate.runs.crossrun import RunSource, expected_of_runs, judge_runs
+    from flysid.validate.runs.judge import write_judgement
+    from flysid.validate.runs.run import open_run
 
     a = RunSource(open_run(run_a), data_a)
     b = RunSource(open_run(run_b), data_b)

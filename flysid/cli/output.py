@@ -16,7 +16,7 @@ from flysid.showing import align, counted, first_of, fold
 
 if TYPE_CHECKING:
     from flysid.ingest.lake.finding import PassedOver
-    from flysid.validate.judge import Judgement
+    from flysid.validate.runs.judge import Judgement
 
 F = TypeVar("F", bound=Callable[..., Any])
 REASONS_SHOWN = 5

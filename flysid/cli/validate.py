@@ -16,7 +16,7 @@ from flysid.progress import part
 
 if TYPE_CHECKING:
     from flysid.ingest.lake.chosen_flights import Selection
-    from flysid.validate.run import Beside
+    from flysid.validate.runs.run import Beside
 
 
 @click.command("validate")
@@ -73,11 +73,11 @@ def command(
     a fitted channel could not be judged; 4: --fail-if holds.
     """
     form = chosen_form(forms)
-    from flysid.validate.condition import check_condition
-    from flysid.validate.expected import expected_of_run
-    from flysid.validate.judge import REPORT, judge_run, remember, write_judgement
-    from flysid.validate.paperfigures import require_matplotlib
-    from flysid.validate.run import models_of, open_run
+    from flysid.validate.compare.condition import check_condition
+    from flysid.validate.runs.expected import expected_of_run
+    from flysid.validate.runs.judge import REPORT, judge_run, remember, write_judgement
+    from flysid.validate.runs.run import models_of, open_run
+    from flysid.validate.show.paperfigures import require_matplotlib
 
     target = output if output is not None else run / REPORT
     if figures is not None:
@@ -104,6 +104,6 @@ def command(
 
 def is_own_report(target: Path, run: Path) -> bool:
     """Whether `target` is the report inside the run, which follows from the run and may be made anew."""
-    from flysid.validate.judge import DOCUMENT, REPORT
+    from flysid.validate.runs.judge import DOCUMENT, REPORT
 
     return target == run / REPORT and (target / DOCUMENT).is_file()

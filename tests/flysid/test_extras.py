@@ -25,9 +25,9 @@ from flysid.files import write_atomically
 from flysid.ingest.lake.batch import ingest_logs
 from flysid.ingest.lake.finding import find_logs
 from flysid.ingest.synth.synth import WRITERS, Order, flights
-from flysid.validate import reproduction
-from flysid.validate.paper import LOOPS
-from flysid.validate.runindex import INDEX
+from flysid.validate.paper import reproduction
+from flysid.validate.paper.printed import LOOPS
+from flysid.validate.runs.runindex import INDEX
 from tests.command import call
 from tests.contest import linear_side
 

@@ -15,9 +15,9 @@ from flysid.ingest.lake.batch import ingest_logs
 from flysid.ingest.lake.finding import find_logs
 from flysid.ingest.lake.lake import open as open_lake
 from flysid.ingest.synth.synth import WRITERS, Order, flights
-from flysid.validate.fitting import fit_run
-from flysid.validate.judge import judge_run, write_judgement
-from flysid.validate.run import FitSettings
+from flysid.validate.runs.fitting import fit_run
+from flysid.validate.runs.judge import judge_run, write_judgement
+from flysid.validate.runs.run import FitSettings
 from flysid.version import __version__
 from tests.model_examples import EXAMPLES, data
 from tests.released_files import FOLDER
