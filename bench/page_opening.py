@@ -19,7 +19,8 @@ from typing import Any
 from flysid.model.arx import ARX
 from flysid.model.base import Fitted
 from flysid.model.ts import TS, over_lags
-from flysid.validate.compare_models import across_channels, compare
+from flysid.validate.compare.models import across_channels
+from flysid.validate.compare_models import compare
 from flysid.validate.show.page import ReportContext, write_report
 from tests.fakes import FirstOrder, flown
 

@@ -25,7 +25,7 @@ import numpy as np
 from flysid.dataset import Dataset, Segment
 from flysid.validate.compare_models import compare
 from flysid.validate.diagnose.cautions import cautions
-from flysid.validate.show.document import to_json
+from flysid.validate.diagnose.document import to_json
 from flysid.validate.show.page import ReportContext, render
 from flysid.validate.show.tables import to_csv, to_markdown
 from flysid.validate.show.terminal import summary, table

@@ -191,13 +191,14 @@ def describe_run(run: Run, seconds: float) -> str:
 
 def judge(stages: Stages) -> Judgement:
     """Compare on the held-out part and write the page."""
-    from flysid.validate.runs.judge import judge_run, write_judgement
+    from flysid.validate.runs.judge import judge_run
     from flysid.validate.runs.run import open_run
+    from flysid.validate.show.finish import finish, write_finished
 
     with part(0.0, 0.5):
         judgement = judge_run(open_run(stages.run))
     with part(0.5, 1.0):
-        write_judgement(judgement, stages.report)
+        write_finished(finish(judgement, page=True), stages.report)
     return judgement
 
 

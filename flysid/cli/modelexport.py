@@ -64,7 +64,7 @@ def find_model(wanted: Wanted) -> ChosenModel:
     """
     from flysid.export.csource import identifier
     from flysid.model.base import load
-    from flysid.validate.compare_models import headline
+    from flysid.validate.compare.models import headline
     from flysid.validate.runs.run import models_of, open_run
 
     if not wanted.source.is_dir():

@@ -325,7 +325,7 @@ def test_a_broken_verdict_is_not_swallowed(place: Path, monkeypatch: pytest.Monk
     def broken(*_: object) -> None:
         raise RuntimeError("the verdict")
 
-    monkeypatch.setattr("flysid.validate.compare_models.decide", broken)
+    monkeypatch.setattr("flysid.validate.compare.models.decide", broken)
     with pytest.raises(RuntimeError, match="the verdict"):
         call("validate", "run", "-o", "none", cwd=place)
     assert not (place / "none").exists()

@@ -18,7 +18,7 @@ from flysid.model.base import Estimator, Fitted
 from flysid.model.shared import sharing
 from flysid.progress import part, tell
 from flysid.validate.compare.metrics import scores
-from flysid.validate.compare_models import Comparison, compare
+from flysid.validate.compare.models import Comparison, compare_models
 from flysid.validate.paper.printed import LOOPS, PaperLoop
 
 NOISE_M_S = 0.02
@@ -65,7 +65,7 @@ def _reproduce_loop(loop: PaperLoop) -> LoopResult:
     for i, (label, estimator) in enumerate(estimators.items()):
         tell("fitting", model=label, share=i / (len(estimators) + 1))
         models[label] = estimator.fit(train)
-    comparison = compare(models, test, baseline="arx")
+    comparison = compare_models(models, test, baseline="arx")
     free = {label: from_rest(model, test) for label, model in models.items()}
     tell(f"fitting with {NOISE_M_S} m/s of noise", share=len(estimators) / (len(estimators) + 1))
     return LoopResult(loop, models, free, comparison, _with_noise(loop))

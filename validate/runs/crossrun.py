@@ -25,19 +25,14 @@ from flysid.model.base import Fitted
 from flysid.model.structures import kind_of, leaders
 from flysid.progress import tell
 from flysid.split import Piece, Split, refuse_copies
-from flysid.validate.compare_models import (
-    Comparison,
-    across_channels,
-    compare,
-    headline,
-    sides_of,
-)
+from flysid.validate.compare.models import Comparison, across_channels, compare_models, headline, sides_of
+from flysid.validate.diagnose.context import ReportContext
 from flysid.validate.runs.expected import expected_document
 from flysid.validate.runs.fitone import nothing_done
-from flysid.validate.runs.judge import Judgement, fit_command, split_words
+from flysid.validate.runs.judge import Judgement
 from flysid.validate.runs.judgedparts import chosen_lake, restrict
+from flysid.validate.runs.provenance import fit_command, split_words
 from flysid.validate.runs.run import HeldOut, Run, held_out, models_of
-from flysid.validate.show.page.context import ReportContext
 
 
 @dataclass(frozen=True)
@@ -201,7 +196,7 @@ def _check_alike(a: Dataset, b: Dataset) -> None:
 def _compare(a: HeldOut, b: HeldOut, label: str | None) -> Comparison:
     test = unseen(a, b)
     models, (base, contender) = _both(a.models, b.models, (a.channel.baseline, b.channel.baseline), label)
-    return compare(models, test, baseline=base, contender=contender, seen={*a.seen, *b.seen})
+    return compare_models(models, test, baseline=base, contender=contender, seen={*a.seen, *b.seen})
 
 
 def _both(

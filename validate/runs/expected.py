@@ -16,11 +16,11 @@ from flysid.model.base import Fitted
 from flysid.validate.compare.comparison import Entry, ModelScore, Pair
 from flysid.validate.compare.intervals import ErrorChange, Scope
 from flysid.validate.compare.metrics import Scores
+from flysid.validate.compare.models import HORIZONS, Sides, sides_of
 from flysid.validate.compare.trials import FREE_RUN, horizon_name
 from flysid.validate.compare.verdict import Evidence, Verdict
-from flysid.validate.compare_models import HORIZONS, Sides, sides_of
+from flysid.validate.diagnose.document import channel_documents
 from flysid.validate.runs.run import Beside, Run, asked_for, models_of
-from flysid.validate.show.document import channel_documents
 
 SCORE = ModelScore(Scores(1, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0), ())
 

@@ -23,8 +23,7 @@ from flysid.model.structures import leaders
 from flysid.validate.compare.trials import FREE_RUN
 from flysid.validate.compare.verdict import Verdict
 from flysid.validate.compare.words import named
-from flysid.validate.runs.judge import DOCUMENT, REPORT
-from flysid.validate.runs.run import RUN_FILE, Run, open_run, run_file
+from flysid.validate.runs.run import DOCUMENT, REPORT, RUN_FILE, Run, open_run, run_file
 
 NOT_JUDGED = "not judged"
 

@@ -1,11 +1,8 @@
-"""A run's models against each other on its held-out part: the comparison, its table, JSON and page."""
+"""A run's models against each other on its held-out part."""
 
 from __future__ import annotations
 
-import json
-import shlex
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -13,45 +10,28 @@ from types import MappingProxyType
 from typing import Any
 
 from flysid.catalogue import FlightFacts
-from flysid.errors import DataError, StoreError, UsageError
+from flysid.errors import DataError
 from flysid.extras import Extra, Missing, extra
-from flysid.files import replacing_folder, write_atomically
 from flysid.ingest.lake.chosen_flights import Selection
 from flysid.ingest.lake.lake import open as open_lake
 from flysid.loops.judged import Judged, judge, states_gains
 from flysid.progress import tell
-from flysid.showing import fold
-from flysid.validate.compare.condition import matching_channels
-from flysid.validate.compare.words import one_line, physics_words
-from flysid.validate.compare_models import Comparison, across_channels, compare
+from flysid.validate.compare.models import Comparison, across_channels, compare_models
 from flysid.validate.diagnose.caution import Caution
 from flysid.validate.diagnose.cautions import cautions
+from flysid.validate.diagnose.context import ReportContext
+from flysid.validate.diagnose.document import plain, to_json
 from flysid.validate.runs.fitone import nothing_done
 from flysid.validate.runs.judgedparts import chosen_lake, restrict
+from flysid.validate.runs.provenance import FIT_TIME, fit_command, provenance_of
 from flysid.validate.runs.run import (
     Beside,
-    FitSettings,
     HeldOut,
     Run,
     asked_for,
     held_out,
-    run_file,
     with_models,
 )
-from flysid.validate.show.document import plain, to_json
-from flysid.validate.show.page.context import ReportContext
-from flysid.validate.show.page.html import plain_page
-from flysid.validate.show.page.narrative import worse_than_constant
-from flysid.validate.show.page.page import render
-from flysid.validate.show.paperfigures import require_matplotlib, write_figures
-from flysid.validate.show.tables import to_csv, to_markdown
-from flysid.validate.show.terminal import summary, table
-
-PAGE = "report.html"
-DOCUMENT = "report.json"
-REPORT = "report"
-"""Folder of the report inside a run, where none is named."""
-FIT_TIME = ": fit time"  # on the page only: equal runs give equal documents
 
 
 @dataclass(frozen=True)
@@ -89,66 +69,10 @@ class Judgement:
         return found | context.missing.to_dict()
 
     @property
-    def table(self) -> str:
-        """The comparison for a terminal: every model, channel and horizon, verdicts in words, warnings."""
-        poor = "\n".join(worse_than_constant(self.comparisons))
-        with self.context.missing.gathering():
-            physics = extra(Extra.PHYSICS, self._physics, "")
-            beside = [physics, *self._grave(), *self._simpler()]
-        missing = "\n".join(fold(one_line(words)) for words in self.context.missing.sentences)
-        parts = [table(self.comparisons), poor, summary(self.comparisons), *beside, missing]
-        return "\n\n".join(part for part in parts if part)
-
-    def _physics(self) -> str:
-        return "\n".join(line for c in self.comparisons.values() for line in physics_words(c))
-
-    def _grave(self) -> list[str]:
-        """Dangers and warnings; notes are on the page."""
-        grave = [c for c in self.cautions if c.level in ("danger", "warning")]
-        lines = [f"caution: {c.text} Try: {c.todo}" for c in grave]
-        return ["\n".join(fold(one_line(line)) for line in lines)] if lines else []
-
-    def _simpler(self) -> list[str]:
-        """The cheapest way to fewer words of every channel with several rules."""
-        lines = []
-        for channel, d in self.context.diagnoses.items():
-            checks = d.checks.get(self.comparisons[channel].contender or "")
-            if checks is not None and checks.simpler:
-                lines.append(f"{channel}: simpler rules: {checks.simpler[0]} RMSE on the training flights")
-        return ["\n".join(fold(one_line(line)) for line in lines)] if lines else []
-
-    def text(self, form: str = "table") -> str:
-        """The comparison as "table", "json", "markdown" or "csv", without a line break at the end.
-
-        Raises
-        ------
-        UsageError : another form.
-        """
-        forms: dict[str, Callable[[], str]] = {
-            "table": lambda: self.table,
-            "json": lambda: json.dumps(self.document, indent=1, allow_nan=False),
-            "markdown": self._markdown,
-            "csv": lambda: to_csv(self.comparisons),
-        }
-        if form not in forms:
-            raise UsageError(f"no form {form!r} of a comparison", hint=f"one of {', '.join(forms)}")
-        return forms[form]().rstrip("\n")
-
-    def _markdown(self) -> str:
-        return to_markdown(self.comparisons, self.context.fit_seconds, self.cautions, self.skipped)
-
-    @property
     def cautions(self) -> tuple[Caution, ...]:
         """What to beware of, worst first; as on the page."""
         with self.context.missing.gathering():
             return cautions(self.comparisons, self.context.diagnoses, self.context.doubts)
-
-    def violations(self, condition: str) -> dict[str, str]:
-        """The channels on which a `--fail-if` condition holds, each with why it could not be judged, or "".
-
-        Raises UsageError where it is not understood.
-        """
-        return matching_channels(condition, self.document)
 
 
 def judge_run(
@@ -183,7 +107,7 @@ def judge_run(
         tell("comparing on held-out segments", channel=item.channel.name, share=(i + 1) / (len(held) + 1))
         try:
             judged = item if chosen is None else restrict(item, chosen)
-            comparisons[item.channel.name] = compare(
+            comparisons[item.channel.name] = compare_models(
                 item.models,
                 judged.test,
                 baseline=item.channel.baseline,
@@ -204,58 +128,6 @@ def judge_run(
     return Judgement(run, corrected, skipped, context, tuple(failed))
 
 
-def write_judgement(judgement: Judgement, folder: Path, figures: str | None = None) -> Path:
-    """Write report.html and report.json; returns the page's path. The folder appears whole.
-
-    Parameters
-    ----------
-    figures : "pdf", "svg" or "png": figures for a paper beside the page, one per channel and output.
-
-    Raises
-    ------
-    UsageError : matplotlib is needed and not installed. WriteError : nothing can be written there.
-    """
-    with replacing_folder(folder) as incoming:
-        judgement.document  # noqa: B018 - all but pictures is tried here, and told
-        tell("drawing the page", share=0.9)
-        if figures is not None:
-            require_matplotlib()
-            _draw(judgement, incoming, figures)
-        write_atomically(incoming / PAGE, _page(judgement).encode())
-        write_atomically(incoming / DOCUMENT, _written(judgement))
-    return folder / PAGE
-
-
-def _draw(judgement: Judgement, folder: Path, kind: str) -> None:
-    context = judgement.context
-    with context.missing.gathering():
-        extra(Extra.FIGURES, partial(write_figures, folder, context, kind), ())
-
-
-def _page(judgement: Judgement) -> str:
-    """The page; where it breaks as a whole, the comparison as it is printed."""
-    context = judgement.context
-    with context.missing.gathering():
-        page = extra(Extra.PAGE, partial(render, context), "")
-    return page or plain_page(judgement.table)
-
-
-def remember(judgement: Judgement) -> None:
-    """Leave the document in the run, where `flysid runs` looks; one that cannot be written stays as it is."""
-    extra(Extra.REMEMBERED, partial(_remember, judgement), None)
-
-
-def _remember(judgement: Judgement) -> None:
-    with suppress(OSError, StoreError):
-        place = run_file(judgement.run.folder, REPORT)
-        place.mkdir(exist_ok=True)
-        write_atomically(place / DOCUMENT, _written(judgement))
-
-
-def _written(judgement: Judgement) -> bytes:
-    return (json.dumps(judgement.document, indent=1, allow_nan=False) + "\n").encode()
-
-
 def _context(
     run: Run,
     comparisons: Mapping[str, Comparison],
@@ -267,7 +139,7 @@ def _context(
         comparisons=comparisons,
         train={h.channel.name: h.train for h in held},
         command=f"{fit_command(run)} -o RUN && flysid validate RUN",
-        provenance=_provenance(run, held),
+        provenance=provenance_of(run, held),
         remark=remark,
         fit_seconds={h.channel.name: dict(h.channel.fit_seconds) for h in held},
         flights=extra(Extra.FLIGHTS, partial(_flights, run, data), ()),
@@ -289,61 +161,3 @@ def _loops(run: Run, data: str | Path | None) -> tuple[Judged, ...]:
         tell("measuring the loops of the logged gains")
     found = judge(logs)
     return tuple(found) if any(j.margins is not None for j in found) else ()
-
-
-def fit_command(run: Run) -> str:
-    """The command line that fits the run again, without its folder.
-
-    Every word is quoted: a run may be a stranger's, and the line is there to be copied into a shell.
-    """
-    settings = run.settings
-    words: list[tuple[str, object]] = [("--recipe", run.recipe)] if run.recipe else []
-    words += [("--holdout", part) for part in settings.held] or [("--holdout", f"{settings.holdout:g}")]
-    words += [("--by", settings.by), ("--seed", settings.seed), ("--rules", settings.rules)]
-    words += [("--antecedent", name) for name in settings.antecedents]
-    words += [("--channel", name) for name in settings.channels]
-    more: list[tuple[str, object]] = [("--models", ",".join(settings.models))] if settings.models else []
-    more += [("--effort", settings.effort)] if settings.effort != FitSettings.effort else []
-    own = settings.flight_offsets
-    more += [("--flight-offsets", own)] if own != FitSettings.flight_offsets else []
-    rotates = [] if settings.rotate else ["--no-rotate"]
-    memory = [] if settings.memory_mb == FitSettings.memory_mb else [f"--memory {settings.memory_mb:g}"]
-    return " ".join(
-        ["flysid fit DATA", *_quoted(words), *settings.selection.options, *_quoted(more), *rotates, *memory]
-    )
-
-
-def _quoted(words: Sequence[tuple[str, object]]) -> list[str]:
-    return [f"{option} {shlex.quote(str(value))}" for option, value in words]
-
-
-def split_words(split: Mapping[str, Any]) -> str:
-    """ "by flight, 30 % held out, seed 7"."""
-    return f"by {split['by']}, {100.0 * split['holdout']:.0f} % held out, seed {split['seed']}"
-
-
-def _provenance(run: Run, held: list[HeldOut]) -> dict[str, str]:
-    found = {"recipe": run.recipe, "flights": ", ".join(run.flights)}
-    if options := run.settings.selection.options:
-        found["chosen"] = " ".join(options)
-    for item in held:
-        split = item.channel.split
-        name = item.channel.name
-        found[f"{name}: split"] = split_words(split)
-        if item.turns:
-            found[f"{name}: verdict"] = (
-                f"all flights left out in turn, in {len(item.turns)} folds; models from the split"
-            )
-        found[f"{name}: data sha256"] = str(split["data_sha256"])
-        found[f"{name}: held-out sha256"] = str(split["test_sha256"])
-        aligned = (line.strip().replace("; ", ", ") for line in item.channel.aligned)  # folded line by line
-        found[f"{name}: alignment"] = "; ".join(aligned)
-        found[f"{name}: baseline"] = f"{item.channel.baseline}; {item.channel.chosen}".removesuffix("; ")
-        found[name + FIT_TIME] = ", ".join(f"{k} {v:.2f} s" for k, v in item.channel.fit_seconds.items())
-        if item.channel.dead_times:
-            found[f"{name}: dead time"] = "; ".join(item.channel.dead_times)
-        for label in sorted(set(item.models) - set(item.channel.models)):
-            found[f"{name}: {label}"] = " ".join(item.models[label].notes)
-        for label, why in item.channel.failed.items():
-            found[f"{name}: {label} not fitted"] = why
-    return found | {f"version of {k}": v for k, v in run.versions.items()}

@@ -39,13 +39,17 @@ from flysid.model.structures import leaders, row_of
 from flysid.place import is_address
 from flysid.showing import one_of
 from flysid.split import By, Split
-from flysid.validate.compare_models import Turn
+from flysid.validate.compare.models import Turn
 from flysid.validate.runs.diskparts import LOOK_ROWS, parts_of
 from flysid.version import __version__, check_version
 
 RUN_FORMAT = "flysid-run"
 RUN_VERSION = 1
 RECIPE_FILE = "recipe.toml"
+REPORT = "report"
+"""Folder of the report inside a run, where none is named."""
+DOCUMENT = "report.json"
+PAGE = "report.html"
 SENTENCES = ("aligned", "dead_times", "loops", "nonlinear")
 Constants = Literal["auto", "yes", "no"]
 LIBRARIES = ("numpy", "scipy", "numba", "pyarrow", "pymavlink", "mcap")

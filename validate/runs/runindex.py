@@ -21,8 +21,7 @@ from flysid.extras import Extra, extra
 from flysid.files import write_atomically
 from flysid.foreign import inner_path
 from flysid.validate.runs.history import RunChannel, find_runs, run_channels
-from flysid.validate.runs.judge import DOCUMENT, REPORT
-from flysid.validate.runs.run import RUN_FILE
+from flysid.validate.runs.run import DOCUMENT, REPORT, RUN_FILE
 
 INDEX = ".flysid-runs.parquet"
 VERSION = b"3"

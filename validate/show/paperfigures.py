@@ -19,8 +19,8 @@ from flysid.files import write_atomically
 from flysid.model.capabilities import HasMemberships
 from flysid.validate.compare.comparison import Comparison
 from flysid.validate.compare.trials import FREE_RUN, StructureTrial, run_trials
+from flysid.validate.diagnose.context import ReportContext
 from flysid.validate.diagnose.responses import responses, steady_outputs
-from flysid.validate.show.page.context import ReportContext
 from flysid.validate.show.page.overlay import drawn
 from flysid.validate.show.page.rulefigures import antecedent_range
 from flysid.validate.show.page.svg import BASELINE, CONTENDER
@@ -49,22 +49,19 @@ RULES = ("#5e2b97", "#0e8f85", "#6aa31b", "#dd9a10", "#c2334f", "#2d6cdf", "#8b5
 BESIDE: dict[str, Any] = {"textcoords": "offset points", "ha": "center", "va": "bottom"}
 
 
-def write_figures(folder: str | Path, context: ReportContext, kind: str = "pdf") -> list[Path]:
-    """One figure per channel and output; returns the paths.
+def figure_files(context: ReportContext, kind: str = "pdf") -> dict[str, bytes]:
+    """Name -> content of one figure per channel and output; equal input gives equal bytes.
 
     Raises
     ------
     UsageError : an unknown kind, or matplotlib is not installed.
-    StoreError : a file cannot be written.
     """
     _refuse_unknown(kind)
-    paths = []
-    folder = Path(folder)
-    for number, name in enumerate(context.comparisons):
-        for j in range(len(context.comparisons[name].test.outputs)):
-            path = folder / f"channel-{number + 1}-{j + 1}.{kind}"
-            paths.append(write_figure(path, partial(draw, context, name, j)))
-    return paths
+    return {
+        f"channel-{number + 1}-{j + 1}.{kind}": _render(partial(draw, context, name, j), kind)
+        for number, (name, c) in enumerate(context.comparisons.items())
+        for j in range(len(c.test.outputs))
+    }
 
 
 def write_figure(path: Path, drawing: Callable[[], Figure]) -> Path:

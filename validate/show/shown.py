@@ -5,7 +5,7 @@ What a comparison is (`comparison`) knows nothing of how it is shown; this is wh
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -17,9 +17,14 @@ from flysid.validate.compare.comparison import Comparison
 class ShownComparison(Comparison):
     """A comparison of one channel that renders itself."""
 
+    @classmethod
+    def of(cls, comparison: Comparison) -> ShownComparison:
+        """The same comparison, with all that it holds."""
+        return cls(**{f.name: getattr(comparison, f.name) for f in fields(comparison)})
+
     def to_json(self) -> dict[str, Any]:
         """The JSON document of this comparison alone."""
-        from flysid.validate.show.document import to_json
+        from flysid.validate.diagnose.document import to_json
 
         return to_json(self._alone)
 

@@ -6,8 +6,8 @@ from flysid.ingest.align.doubts import Doubt, doubts, told
 from flysid.ingest.align.recipe import ChannelSpec
 from flysid.ingest.excitation.excitation import Spectrum
 from flysid.validate.diagnose.cautions import cautions
-from flysid.validate.show.document import to_json
-from flysid.validate.show.page.context import ReportContext
+from flysid.validate.diagnose.context import ReportContext
+from flysid.validate.diagnose.document import to_json
 from flysid.validate.show.page.page import render
 from tests.validate.show.page.test_report import compared
 

@@ -16,7 +16,8 @@ from flysid.model.one_rule import linear_rivals
 from flysid.model.persistence import Persistence
 from flysid.progress import listening
 from flysid.validate.compare.intervals import Scope
-from flysid.validate.compare_models import across_channels, compare
+from flysid.validate.compare.models import across_channels
+from flysid.validate.compare_models import compare
 from flysid.validate.diagnose.cautions import cautions
 from flysid.validate.diagnose.diagnostics import diagnose
 from flysid.validate.show.page import ReportContext, render

@@ -13,13 +13,14 @@ from flysid.dataset import Dataset, Segment, Signal
 from flysid.errors import DataError, UsageError
 from flysid.model.start import estimate_start
 from flysid.validate.compare.intervals import Scope
+from flysid.validate.compare.models import Comparison, Turn, across_channels
 from flysid.validate.compare.trials import free_run, run_trials
 from flysid.validate.compare.verdict import Evidence, Verdict, decide
 from flysid.validate.compare.words import scope_words
-from flysid.validate.compare_models import Comparison, Turn, across_channels, compare
+from flysid.validate.compare_models import compare
 from flysid.validate.diagnose.cautions import cautions
 from flysid.validate.diagnose.diagnostics import diagnose
-from flysid.validate.show.document import to_json
+from flysid.validate.diagnose.document import to_json
 from flysid.validate.show.page import ReportContext, render
 from flysid.validate.show.tables import to_markdown
 from flysid.validate.show.terminal import summary, table

@@ -16,7 +16,7 @@ from flysid.model.start import start_window
 from flysid.validate.compare.verdict import Verdict
 from flysid.validate.compare_models import compare
 from flysid.validate.diagnose.diagnostics import diagnose
-from flysid.validate.show.document import to_json
+from flysid.validate.diagnose.document import to_json
 from flysid.validate.show.page import ReportContext, render
 from flysid.validate.show.tables import to_csv, to_markdown
 from flysid.validate.show.terminal import summary, table

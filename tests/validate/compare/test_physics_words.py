@@ -12,7 +12,7 @@ from flysid.model.multirotor import Multirotor
 from flysid.model.rotorcraft.rotor_axis import NAMES, free_run
 from flysid.validate.compare.words import physics_words
 from flysid.validate.compare_models import compare
-from flysid.validate.show.page.context import ReportContext
+from flysid.validate.diagnose.context import ReportContext
 from flysid.validate.show.page.page import render
 
 

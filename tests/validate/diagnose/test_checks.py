@@ -108,7 +108,7 @@ def test_the_page_and_the_document_tell_the_checks() -> None:
         assert words in page
     checks = c.to_json()
     assert "diagnostics" not in checks
-    from flysid.validate.show.document import to_json
+    from flysid.validate.diagnose.document import to_json
 
     found = to_json({"c": c}, {"c": diagnose(c, train)})["diagnostics"]["c"]["checks"]["ts"]
     assert found["long_run"]["limits_s"] is None

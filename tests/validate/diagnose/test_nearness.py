@@ -14,8 +14,8 @@ from flysid.model.line import Line
 from flysid.validate.compare_models import compare
 from flysid.validate.diagnose.cautions import cautions
 from flysid.validate.diagnose.diagnostics import diagnose
+from flysid.validate.diagnose.document import to_json
 from flysid.validate.diagnose.nearness import UNUSUAL, nearness
-from flysid.validate.show.document import to_json
 
 DT = 0.02
 

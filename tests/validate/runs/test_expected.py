@@ -11,9 +11,10 @@ import pytest
 from flysid.dataset import Dataset
 from flysid.model.arx import ARX
 from flysid.model.base import Fitted
-from flysid.validate.compare_models import compare, sides_of, with_references
+from flysid.validate.compare.models import sides_of, with_references
+from flysid.validate.compare_models import compare
+from flysid.validate.diagnose.document import to_json
 from flysid.validate.runs.expected import expected_document
-from flysid.validate.show.document import to_json
 from tests.fakes import FirstOrder, fields_of, flown
 from tests.validate.show.page.test_report_mimo import flights
 

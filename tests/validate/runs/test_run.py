@@ -15,7 +15,7 @@ import pytest
 
 from flysid.cli.demo import meaning
 from flysid.cli.fit import transfer_lines
-from flysid.cli.output import finish
+from flysid.cli.output import end_comparison
 from flysid.dataset import Signal
 from flysid.errors import DataError, StoreError, UsageError
 from flysid.files import replacing_folder, write_atomically
@@ -33,15 +33,17 @@ from flysid.model.oe import OE
 from flysid.model.ts import TS
 from flysid.split import Split
 from flysid.validate.compare.comparison import Comparison, Entry
+from flysid.validate.compare.models import sides_of
 from flysid.validate.compare.words import number
-from flysid.validate.compare_models import compare, sides_of
+from flysid.validate.compare_models import compare
 from flysid.validate.runs import fitting, judge
 from flysid.validate.runs.expected import expected_of_run
 from flysid.validate.runs.fitone import nothing_done
 from flysid.validate.runs.fitting import fit_run
-from flysid.validate.runs.judge import Judgement, judge_run, write_judgement
+from flysid.validate.runs.judge import Judgement, judge_run
 from flysid.validate.runs.run import FitSettings, HeldOut, Run, asked_for, held_out, open_run
 from flysid.validate.runs.wanted_models import estimators
+from flysid.validate.show.finish import finish, write_finished
 from flysid.validate.show.page import render
 from tests.contest import linear_side
 from tests.fakes import FirstOrder, fields_of, flown
@@ -178,7 +180,7 @@ def test_a_model_is_read_once_for_a_condition_and_the_judgement(
 def test_the_report_is_written_whole_and_says_where_it_came_from(
     run: Run, judgement: Judgement, tmp_path: Path
 ) -> None:
-    page = write_judgement(judgement, tmp_path / "report")
+    page = write_finished(finish(judgement, page=True), tmp_path / "report")
     text = page.read_text("utf-8")
     assert "flysid fit DATA --recipe ardrone-synthetic" in text
     assert str(open_run(run.folder).channels[0].split["test_sha256"]) in text
@@ -188,22 +190,23 @@ def test_the_report_is_written_whole_and_says_where_it_came_from(
 
 def test_other_forms_of_the_judgement_tell_the_same_numbers(judgement: Judgement) -> None:
     rmse = judgement.document["channels"][CHANNEL]["free_run"]["models"]["arx"]["rmse"]
-    rows = list(csv.DictReader(judgement.text("csv").splitlines()))
+    finished = finish(judgement)
+    rows = list(csv.DictReader(finished.text("csv").splitlines()))
     arx = [r for r in rows if (r["horizon"], r["model"], r["segment"]) == ("free_run", "arx", "")]
     assert [float(r["rmse"]) for r in arx] == [rmse]
-    assert json.loads(judgement.text("json")) == judgement.document
-    assert f"| arx | {number(rmse)} m/s |" in judgement.text("markdown")
+    assert json.loads(finished.text("json")) == judgement.document
+    assert f"| arx | {number(rmse)} m/s |" in finished.text("markdown")
     grave = [c.text for c in judgement.cautions if c.level in ("danger", "warning")]
-    told = " ".join(judgement.table.split())  # folded to the width of a terminal
+    told = " ".join(finished.table.split())  # folded to the width of a terminal
     assert [text for text in grave if told.count(f"caution: {text} Try: ") != 1] == []
     assert told.count("caution: ") == len(grave)
-    assert all(text in judgement.text("markdown").replace("\\", "") for text in grave)
+    assert all(text in finished.text("markdown").replace("\\", "") for text in grave)
     held = judgement.comparisons[CHANNEL]
     still = replace(held.test, segments=tuple(replace(s, u=0.0 * s.u) for s in held.test.segments))
     quiet = replace(judgement, comparisons={CHANNEL: compare(held.fitted, still, baseline=held.baseline)})
-    assert "caution: No input of" in quiet.table
+    assert "caution: No input of" in finish(quiet).table
     with pytest.raises(UsageError, match="no form 'docx'"):
-        judgement.text("docx")
+        finished.text("docx")
 
 
 def test_channels_that_are_not_judged_are_named_everywhere(
@@ -211,10 +214,10 @@ def test_channels_that_are_not_judged_are_named_everywhere(
 ) -> None:
     skipped = replace(run, skipped={"yaw": "no <yaw> command"})
     judgement = judge_run(skipped)
-    page = write_judgement(judgement, tmp_path / "report").read_text("utf-8")
+    page = write_finished(finish(judgement, page=True), tmp_path / "report").read_text("utf-8")
     assert "<b>Not judged: yaw</b>: no &lt;yaw&gt; command" in page
-    assert "- **yaw**: not judged: no \\<yaw\\> command" in judgement.text("markdown")
-    assert finish(judgement, None, None, quiet=True) == 0  # the data did not serve it, which the fit has said
+    assert "- **yaw**: not judged: no \\<yaw\\> command" in finish(judgement).text("markdown")
+    assert end_comparison(finish(judgement), None, None, quiet=True) == 0  # the fit has spoken of it
     assert "channel yaw not judged: no <yaw> command" in capsys.readouterr().err
 
     def short(*_: object, **__: object) -> Comparison:
@@ -222,12 +225,12 @@ def test_channels_that_are_not_judged_are_named_everywhere(
 
     other = judgement.comparisons[CHANNEL]
     monkeypatch.setattr(judge, "held_out", lambda *_: [*held_out(run), *_renamed(run, "yaw")])
-    monkeypatch.setattr(judge, "compare", lambda _, test, **__: other if test.name else short())
+    monkeypatch.setattr(judge, "compare_models", lambda _, test, **__: other if test.name else short())
     lost = judge_run(run)
     assert (lost.unjudged, lost.skipped) == (("yaw",), {"yaw": "too short"})
-    assert finish(lost, None, None, quiet=True) == 3
-    assert finish(lost, "free_run.models.arx.rmse > 0", None, quiet=True) == 4
-    monkeypatch.setattr(judge, "compare", short)
+    assert end_comparison(finish(lost), None, None, quiet=True) == 3
+    assert end_comparison(finish(lost), "free_run.models.arx.rmse > 0", None, quiet=True) == 4
+    monkeypatch.setattr(judge, "compare_models", short)
     nothing = f"no channel of recipe 'ardrone-synthetic' could be judged: {CHANNEL}, yaw: too short$"
     with pytest.raises(DataError, match=nothing):
         judge_run(run)
@@ -292,7 +295,7 @@ def test_figures_without_matplotlib_name_the_extra_and_leave_nothing(
 ) -> None:
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     with pytest.raises(UsageError, match=r"flysid\[plot\]"):
-        write_judgement(judgement, tmp_path / "report", "pdf")
+        finish(judgement, page=True, figures="pdf")
     assert list(tmp_path.iterdir()) == []
 
 
@@ -423,7 +426,7 @@ def test_other_models_are_fitted_on_request(data: Path, tmp_path: Path) -> None:
     judgement = judge_run(open_run(run.folder))
     free = judgement.document["channels"][CHANNEL]["free_run"]
     assert free["models"]["tf"]["rmse"] < 1.1 * free["models"]["arx"]["rmse"]
-    write_judgement(judgement, tmp_path / "report")
+    write_finished(finish(judgement, page=True), tmp_path / "report")
 
 
 def test_every_label_makes_an_estimator_that_knows_what_was_asked_for() -> None:

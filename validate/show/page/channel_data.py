@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 from flysid.dataset import Dataset
 from flysid.validate.compare.comparison import Comparison
+from flysid.validate.diagnose.context import Sweep
 from flysid.validate.diagnose.diagnostics import Diagnosis
-from flysid.validate.show.page.context import Sweep
 
 if TYPE_CHECKING:
     from flysid.model.rules.rule_uncertainty import Uncertainty

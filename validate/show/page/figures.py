@@ -15,8 +15,8 @@ from flysid.model.polynomials import Z95, ComplexArray
 from flysid.validate.compare.comparison import Pair
 from flysid.validate.compare.words import interval_words
 from flysid.validate.diagnose.bands import BandCurve
+from flysid.validate.diagnose.context import Sweep
 from flysid.validate.diagnose.residuals import ResidualSpectrum
-from flysid.validate.show.page.context import Sweep
 from flysid.validate.show.page.overlay import Role
 from flysid.validate.show.page.svg import (
     BASELINE,

@@ -18,6 +18,7 @@ from flysid.offers import rows
 from flysid.validate.compare.comparison import Comparison
 from flysid.validate.compare.words import number, one_line
 from flysid.validate.diagnose.bands import curves
+from flysid.validate.diagnose.context import Sweep
 from flysid.validate.diagnose.residuals import Correlation
 from flysid.validate.diagnose.responses import (
     LASTING,
@@ -28,7 +29,6 @@ from flysid.validate.diagnose.responses import (
 )
 from flysid.validate.show.page import figures, modelfigures
 from flysid.validate.show.page.channel_data import Source
-from flysid.validate.show.page.context import Sweep
 from flysid.validate.show.page.overlay import Role, drawn, roles
 
 STEP_POINTS = (50, 4000)

@@ -66,8 +66,6 @@ class Section:
     anchor: str
     name: str
     signals: str
-    comparison: Comparison
-    output: int
     badge: Mapping[str, str] | None
     still: Markup
     buttons: tuple[tuple[str, str], ...]
@@ -111,8 +109,6 @@ def _section(source: Source, j: int, anchor: str) -> Section:
         anchor=anchor,
         name=name if len(c.test.outputs) == 1 else f"{name}/{one_line(c.test.outputs[j].name)}",
         signals=f"{', '.join(one_line(s.name) for s in c.test.inputs)} → {one_line(c.test.outputs[j].name)}",
-        comparison=c,
-        output=j,
         badge=badge(c.verdict[c.test.outputs[j].name]) if c.verdict else None,
         still=extra(Extra.STRIPS, partial(_still, shown, titles), Markup(""), of),
         buttons=overlay.buttons(c, pieces, j),

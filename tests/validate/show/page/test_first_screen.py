@@ -14,7 +14,7 @@ from flysid.dataset import Dataset, Segment
 from flysid.manifest import Stamp
 from flysid.validate.compare.segmentnames import BEGIN, segment_names
 from flysid.validate.compare_models import compare
-from flysid.validate.show.page.context import ReportContext
+from flysid.validate.diagnose.context import ReportContext
 from flysid.validate.show.page.masthead import dates, masthead
 from flysid.validate.show.page.most_telling import answer, most_telling
 from flysid.validate.show.page.page import render

@@ -12,7 +12,8 @@ from typing import Any
 
 import pytest
 
-from flysid.validate.compare_models import across_channels, compare
+from flysid.validate.compare.models import across_channels
+from flysid.validate.compare_models import compare
 from flysid.validate.show.page import ReportContext, Sweep, write_report
 from tests.browser import needs_browser, opened
 from tests.fakes import FirstOrder, flown

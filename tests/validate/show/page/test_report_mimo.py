@@ -11,8 +11,9 @@ from flysid.dataset import Dataset
 from flysid.model.arx import ARX
 from flysid.model.start import start_window
 from flysid.validate.compare.condition import matching_channels
-from flysid.validate.compare_models import Comparison, across_channels, compare
-from flysid.validate.show.document import to_json
+from flysid.validate.compare.models import Comparison, across_channels
+from flysid.validate.compare_models import compare
+from flysid.validate.diagnose.document import to_json
 from flysid.validate.show.page import ReportContext, render
 from flysid.validate.show.terminal import summary, table
 
