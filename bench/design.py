@@ -26,8 +26,8 @@ from flysid.design.trialflight import Doubtful, Trial, held_wind_m_s
 from flysid.errors import FlysidError
 from flysid.ingest.lake.lake import open as open_lake
 from flysid.ingest.synth.rigid_body import Vehicle
-from flysid.validate.fitting import fit_run
-from flysid.validate.run import FitSettings, Run, open_run
+from flysid.validate.runs.fitting import fit_run
+from flysid.validate.runs.run import FitSettings, Run, open_run
 
 CHANNELS = ("longitudinal", "lateral")
 TRIALS_FROM = 900_000

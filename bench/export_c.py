@@ -30,7 +30,7 @@ from flysid.model.polynarx import PolyNARX
 from flysid.model.static_ts import StaticTS
 from flysid.model.ts import TS
 from flysid.model.ts_state_space import TSStateSpace
-from flysid.validate.run import models_of, open_run
+from flysid.validate.runs.run import models_of, open_run
 from tests.flysid.export.compiled import run_in_c
 
 ROWS = 1_000_000

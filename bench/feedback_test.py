@@ -28,7 +28,7 @@ from flysid.ingest.align.recipe import load_recipe
 from flysid.ingest.lake.lake import open as open_lake
 from flysid.ingest.lake.suggest import suggest
 from flysid.model.transfer_function import TF
-from flysid.validate.transfers import identify_channel
+from flysid.validate.transfers.identify import identify_channel
 
 KINDS = ("saturation", "dead band", "drag")
 NOISES = (0.002, 0.02, 0.1)

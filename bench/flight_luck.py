@@ -26,8 +26,8 @@ from flysid.model.base import Estimator
 from flysid.model.oe import OE
 from flysid.model.ts import TS
 from flysid.split import plan_folds
-from flysid.validate.intervals import flight_logs
-from flysid.validate.trials import FREE_RUN, run_trials
+from flysid.validate.compare.intervals import flight_logs
+from flysid.validate.compare.trials import FREE_RUN, run_trials
 
 LOGS = Path(__file__).resolve().parents[2] / "shared" / "logs" / "blackbox"
 CHANNELS = ("roll_rate", "pitch_rate", "yaw_rate")

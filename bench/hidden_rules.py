@@ -19,7 +19,7 @@ from flysid.errors import FlysidError
 from flysid.model.base import Fitted
 from flysid.model.statespace import StateSpace
 from flysid.model.ts_state_space import TSStateSpace
-from flysid.validate.trials import free_run
+from flysid.validate.compare.trials import free_run
 
 SETTINGS = ((1024, 0.02), (512, 0.1))
 """Samples to learn from, and noise in spreads of the output."""

@@ -22,9 +22,9 @@ from flysid.dataset import Dataset, FloatArray, Segment, Signal
 from flysid.model.base import Fitted, load
 from flysid.model.selection import free_run_errors
 from flysid.split import Split
-from flysid.validate.channeljob import ChannelJob
-from flysid.validate.fitting import MemoryJob
-from flysid.validate.run import ChannelRun, FitSettings
+from flysid.validate.runs.channeljob import ChannelJob
+from flysid.validate.runs.fitting import MemoryJob
+from flysid.validate.runs.run import ChannelRun, FitSettings
 
 SUBSTEPS = 4
 EVERY = (

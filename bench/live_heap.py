@@ -20,7 +20,7 @@ from flysid.live.links import open_link
 from flysid.live.recording import Recording
 from flysid.live.session import Session
 from flysid.studio.live_server import serve_live
-from flysid.validate.run import held_out, open_run
+from flysid.validate.runs.run import held_out, open_run
 from tests.browser import launch
 from tests.link_trials import free_port
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from flysid.dataset import Dataset, FloatArray, Segment, Signal
 from flysid.model.transfer_function import TF
-from flysid.validate.transfers import identify_channel
+from flysid.validate.transfers.identify import identify_channel
 
 DT_S = 0.05
 DELAY = 2

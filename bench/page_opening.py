@@ -19,8 +19,9 @@ from typing import Any
 from flysid.model.arx import ARX
 from flysid.model.base import Fitted
 from flysid.model.ts import TS, over_lags
-from flysid.validate.compare_models import across_channels, compare
-from flysid.validate.report import ReportContext, write_report
+from flysid.validate.compare.models import across_channels
+from flysid.validate.compare_models import compare
+from flysid.validate.show.page import ReportContext, write_report
 from tests.fakes import FirstOrder, flown
 
 GOAL_MS = 500.0

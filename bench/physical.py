@@ -34,8 +34,8 @@ from flysid.model.base import Estimator, Fitted
 from flysid.model.multirotor import FittedMultirotor, Multirotor
 from flysid.model.rotorcraft.rotor_axis import DAMPING, FIRST, LAG, TRIM
 from flysid.model.ts import TS
+from flysid.validate.compare.trials import FREE_RUN
 from flysid.validate.compare_models import compare
-from flysid.validate.trials import FREE_RUN
 
 DT_S = 0.004
 LATE_S = 0.010

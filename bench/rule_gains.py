@@ -36,7 +36,7 @@ from flysid.errors import FlysidError
 from flysid.ingest.synth.rigid_body import Vehicle
 from flysid.model.rules.consequents import refit_consequents
 from flysid.model.rules.rule_model import RuleModel
-from flysid.validate.run import held_out
+from flysid.validate.runs.run import held_out
 
 CHANNELS = ("longitudinal", "lateral")
 LIMIT = math.degrees(Vehicle().loop.tilt_max_rad)

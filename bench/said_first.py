@@ -15,8 +15,8 @@ from flysid.dataset import FloatArray
 from flysid.model.arx import ARX
 from flysid.model.ts import TS
 from flysid.validate.compare_models import compare
-from flysid.validate.report.narrative import worse_than_constant
-from flysid.validate.terminal import summary
+from flysid.validate.show.page.narrative import worse_than_constant
+from flysid.validate.show.terminal import summary
 
 POLE = 0.9
 NOISE = 0.05

@@ -3,9 +3,9 @@
 Plants of `ts_plants` with fresh seeds, the settings in turn. Every fitted model runs 10,000 steps on random
 inputs over the range of its training, with a seed unlike any used while fitting, then over fresh test records
 from their measured first outputs; and two runs from the ends of the training range must come together
-(`flysid.validate.robustness`). It has diverged where more than 2 % of the samples of a run lie on its output
-limits or are not finite, or where it ends in two places; announced where the fit raised an error or said that
-the process integrates.
+(`flysid.validate.diagnose.robustness`). It has diverged where more than 2 % of the samples of a run lie on
+its output limits or are not finite, or where it ends in two places; announced where the fit raised an error
+or said that the process integrates.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from flysid.model.base import Estimator, Fitted
 from flysid.model.rules.judging import INTEGRATES
 from flysid.model.ts import TS
 from flysid.model.ts_state_space import TSStateSpace
-from flysid.validate.robustness import robustness
+from flysid.validate.diagnose.robustness import robustness
 
 SETTINGS: dict[str, Estimator] = {
     "best": TS(),

@@ -25,8 +25,8 @@ from flysid.model.rules.contest import parts_to_compare_on, unproven
 from flysid.model.rules.learning import over_lags
 from flysid.model.rules.search_settings import EFFORTS
 from flysid.model.ts import TS
+from flysid.validate.compare.trials import FREE_RUN
 from flysid.validate.compare_models import compare
-from flysid.validate.trials import FREE_RUN
 
 DT_S = 0.05
 ROWS = 150

@@ -4,8 +4,8 @@ Errors of two models are drawn as AR(1) processes whose change is known, in flig
 and each model has its own luck in every flight. `python -m bench.verdict_coverage [repetitions [seed
 [kind]]]` prints one line per case, of one kind or of all: flights first, then single flights. The truth is
 the change on a typical flight (geometric mean), or of the process of the one flight there is. The numbers of
-`validate/intervals.py` were chosen on draws of another program; docs/measured/verdicts.md names the seeds
-that its figures rest on.
+`validate/compare/intervals.py` were chosen on draws of another program; docs/measured/verdicts.md names the
+seeds that its figures rest on.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ import numpy as np
 from scipy.signal import lfilter
 
 from flysid.dataset import FloatArray
-from flysid.validate.intervals import change
-from flysid.validate.verdict import Evidence, Verdict, decide
+from flysid.validate.compare.intervals import change
+from flysid.validate.compare.verdict import Evidence, Verdict, decide
 
 FLIGHTS = (2, 3, 4, 5, 6, 8, 12, 30)
 LUCK = (0.0, 0.15, 0.3)

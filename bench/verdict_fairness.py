@@ -34,8 +34,8 @@ from flysid.model.linear_choice import choose_baseline, confirm
 from flysid.model.one_rule import linear_rivals
 from flysid.model.shared import sharing
 from flysid.model.ts import TS
+from flysid.validate.compare.trials import FREE_RUN
 from flysid.validate.compare_models import compare
-from flysid.validate.trials import FREE_RUN
 
 DT_S = 0.05
 TRAIN = 4

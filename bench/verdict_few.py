@@ -35,11 +35,12 @@ from flysid.model.arx import ARX
 from flysid.model.base import Fitted
 from flysid.model.ts import TS, over_lags
 from flysid.split import plan_folds, plan_split
-from flysid.validate.compare_models import Turn, compare
-from flysid.validate.comparison import Pair
-from flysid.validate.intervals import Scope, change
-from flysid.validate.trials import FREE_RUN
-from flysid.validate.verdict import Evidence, Verdict, decide
+from flysid.validate.compare.comparison import Pair
+from flysid.validate.compare.intervals import Scope, change
+from flysid.validate.compare.models import Turn
+from flysid.validate.compare.trials import FREE_RUN
+from flysid.validate.compare.verdict import Evidence, Verdict, decide
+from flysid.validate.compare_models import compare
 from tests.fakes import FirstOrder
 
 POLE = 0.9

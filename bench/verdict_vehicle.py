@@ -23,8 +23,8 @@ from flysid.model.base import Fitted
 from flysid.model.linear_choice import choose_baseline, confirm
 from flysid.model.one_rule import linear_rivals
 from flysid.model.ts import TS
+from flysid.validate.compare.trials import FREE_RUN
 from flysid.validate.compare_models import compare
-from flysid.validate.trials import FREE_RUN
 
 NOISE = 0.02
 FLIGHTS = 6

@@ -24,7 +24,7 @@ from flysid.ingest.synth.plans import GENTLE, MULTISINE, PILOT, STEPS
 from flysid.ingest.synth.rigid_body import Vehicle, fly_vehicle
 from flysid.live.watching import ChannelWatch, known_inputs
 from flysid.model.base import Fitted
-from flysid.validate.detect import DETECTORS, calibrate
+from flysid.validate.diagnose.detect import DETECTORS, calibrate
 
 PERIOD_S = 0.02
 ALTITUDE_M = 60.0

@@ -16,7 +16,7 @@ from bench.flight_luck import CHANNELS, real_flights
 from flysid.dataset import Dataset, Segment
 from flysid.live.watching import ChannelWatch, Event, known_inputs
 from flysid.model.arx import ARX
-from flysid.validate.detect import DETECTORS, calibrate, one_step
+from flysid.validate.diagnose.detect import DETECTORS, calibrate, one_step
 
 FALSE_ALARMS_1_H = 0.1
 TRAINING = 3

@@ -29,7 +29,7 @@ _HOME = {
     "load": "flysid.model.base",
     "compare": "flysid.validate.compare_models",
     "measure_response": "flysid.model.frequency.response",
-    "draw_rules": "flysid.validate.rulesfigure",
+    "draw_rules": "flysid.validate.show.rulesfigure",
     "update": "flysid.model.rules.update",
     "with_stable_rules": "flysid.model.rules.stabilise",
     "refit_consequents": "flysid.model.rules.consequents",
@@ -101,7 +101,7 @@ if TYPE_CHECKING:
     from flysid.sixdof.fitted import load_vehicle as load_vehicle
     from flysid.sixdof.vehicle import Vehicle as Vehicle
     from flysid.validate.compare_models import compare as compare
-    from flysid.validate.rulesfigure import draw_rules as draw_rules
+    from flysid.validate.show.rulesfigure import draw_rules as draw_rules
 
 
 def __getattr__(name: str) -> Any:

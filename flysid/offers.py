@@ -6,7 +6,7 @@
 | `flysid.formats` | a `flysid.ingest.formats.base.Format` |
 | `flysid.verbs` | a `flysid.cli.verbs.Verb` |
 | `flysid.recipes` | the module beside which the file NAME.toml lies |
-| `flysid.figures` | a `flysid.validate.report.modelpanels.Figure` |
+| `flysid.figures` | a `flysid.validate.show.page.modelpanels.Figure` |
 
 Packages are looked for where Python imports from, except in folders that are named relative to the working
 folder: that one may be a stranger's.

@@ -41,7 +41,7 @@ class Structure:
     fitted : whether a run fits it "always", "usually" (where `--models` is not given) or "on request".
     competes : stands among the candidates for the baseline.
     leads : the headline speaks of it where it was fitted; the first such row wins.
-    streams : its settings' `fit` reads a `flysid.validate.diskparts.FilePart`, block by block.
+    streams : its settings' `fit` reads a `flysid.validate.runs.diskparts.FilePart`, block by block.
     has_memory : its output depends on the past.
     cost : of a fit, in fits of an ARX model. It only times the progress bar.
     words : what sentences call it: "fuzzy model"; its name where "".

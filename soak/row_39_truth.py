@@ -16,7 +16,7 @@ from scipy.special import bdtr
 from bench.truth.records import draw_record
 from bench.truth.verbs import scores
 from bench.verdict_few import IN_ORDER, claim, draw_gains
-from flysid.validate.intervals import Scope
+from flysid.validate.compare.intervals import Scope
 from soak import Budget, Campaign, Outcome
 
 FLIGHTS = (2, 3, 4, 6, 10, 20)

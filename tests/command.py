@@ -15,7 +15,7 @@ import pytest
 from click.testing import CliRunner
 
 from flysid.cli import main
-from flysid.validate import fitting
+from flysid.validate.runs import fitting
 from tests import quick_flysid
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -1,7 +1,7 @@
 """Fewer linear structures in the contest, where a test is of rules, of data or of a way to a verdict.
 
 The contest of all linear structures, which every fit of rules and every run begins with, takes seconds; it is
-tried in tests/model/rules/test_one_rule.py, tests/validate/test_baseline.py and in the benches.
+tried in tests/model/rules/test_one_rule.py, tests/validate/compare/test_baseline.py and in the benches.
 """
 
 from __future__ import annotations
@@ -13,9 +13,9 @@ import pytest
 
 from flysid.model import one_rule, ts_choice
 from flysid.model.base import Estimator
-from flysid.validate import fitting
-from flysid.validate.fitdisk import DiskJob
-from flysid.validate.run import ChannelRun
+from flysid.validate.runs import fitting
+from flysid.validate.runs.fitdisk import DiskJob
+from flysid.validate.runs.run import ChannelRun
 
 RIVALS = one_rule.linear_rivals
 

@@ -23,12 +23,12 @@ from pathlib import Path
 import numpy as np
 
 from flysid.dataset import Dataset, Segment
-from flysid.validate.cautions import cautions
 from flysid.validate.compare_models import compare
-from flysid.validate.document import to_json
-from flysid.validate.report import ReportContext, render
-from flysid.validate.tables import to_csv, to_markdown
-from flysid.validate.terminal import summary, table
+from flysid.validate.diagnose.cautions import cautions
+from flysid.validate.diagnose.document import to_json
+from flysid.validate.show.page import ReportContext, render
+from flysid.validate.show.tables import to_csv, to_markdown
+from flysid.validate.show.terminal import summary, table
 from soak import Outcome
 from tests.fakes import FirstOrder
 from tests.input_trials import GoesOn, always

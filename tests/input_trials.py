@@ -17,9 +17,9 @@ import numpy as np
 from flysid.dataset import Dataset, FloatArray, Segment
 from flysid.errors import DataError, FitError, FlysidError, StoreError
 from flysid.model.base import Fitted, load
+from flysid.validate.compare.verdict import Verdict
 from flysid.validate.compare_models import compare
-from flysid.validate.document import to_json
-from flysid.validate.verdict import Verdict
+from flysid.validate.diagnose.document import to_json
 from soak import Outcome
 from tests.released_files import released
 

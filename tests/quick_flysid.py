@@ -10,7 +10,7 @@ from flysid.model.arx import ARX
 from flysid.model.base import Estimator
 from flysid.model.line import Line
 from flysid.model.mean import Mean
-from flysid.validate import fitting
+from flysid.validate.runs import fitting
 
 
 def linear(*_: object) -> dict[str, Estimator]:

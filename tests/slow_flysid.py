@@ -14,7 +14,7 @@ from flysid.cli import main
 from flysid.dataset import Dataset
 from flysid.model.arx import ARX
 from flysid.model.base import Estimator, Fitted
-from flysid.validate import fitting
+from flysid.validate.runs import fitting
 from tests import quick_flysid
 
 

@@ -18,7 +18,7 @@ from flysid.model.frequency.sampling import sample
 from flysid.model.polynomials import DB, Z95, ComplexArray
 from flysid.model.step_response import step_response
 from flysid.model.transfer_function import TF
-from flysid.validate.transfers import ChannelTransfers, identify_channel
+from flysid.validate.transfers.identify import ChannelTransfers, identify_channel
 
 PRINTED = 1e-3
 """Last digit of the table of responses, 0.01 dB and 0.1 degrees, as a relative error."""

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from flysid.cli.display import Display, progress_options
-from flysid.cli.output import check_target, chosen_form, comparison_forms, finish
+from flysid.cli.output import check_target, chosen_form, comparison_forms, end_comparison
 from flysid.cli.source import given, selection_options
 from flysid.cli.trust import Own, Setting
 from flysid.manifest import check_data_folder
@@ -63,10 +63,10 @@ def command(
     form = chosen_form(forms)
     if output is not None:
         check_target(output, force)
-    from flysid.validate.condition import check_condition
-    from flysid.validate.crossrun import RunSource, expected_of_runs, judge_runs
-    from flysid.validate.judge import write_judgement
-    from flysid.validate.run import open_run
+    from flysid.validate.compare.condition import check_condition
+    from flysid.validate.runs.crossrun import RunSource, expected_of_runs, judge_runs
+    from flysid.validate.runs.run import open_run
+    from flysid.validate.show.finish import finish, write_finished
 
     a = RunSource(open_run(run_a), data_a)
     b = RunSource(open_run(run_b), data_b)
@@ -80,6 +80,7 @@ def command(
         with part(0.0, 0.5):
             judgement = judge_runs(a, b, label=label, only=given(selection))
         with part(0.5, 1.0):
-            page = None if output is None else write_judgement(judgement, output)
-    click.echo(judgement.text(form))
-    return finish(judgement, condition, page, quiet)
+            finished = finish(judgement, page=output is not None)
+            page = None if output is None else write_finished(finished, output)
+    click.echo(finished.text(form))
+    return end_comparison(finished, condition, page, quiet)

@@ -19,8 +19,8 @@ from flysid.errors import UsageError
 from flysid.progress import part, tell
 
 if TYPE_CHECKING:
-    from flysid.validate.judge import Judgement
-    from flysid.validate.run import Run
+    from flysid.validate.runs.judge import Judgement
+    from flysid.validate.runs.run import Run
 
 PLANS = {"ardrone": "demo", "ardrone-linear": "mixed"}
 FLOWN = {
@@ -103,7 +103,7 @@ def command(output: Path, plant: str, seed: int, force: bool, quiet: bool, displ
         with part(0.8, 1.0):
             judgement = judge(stages)
     say(f"  validate    {describe_judgement(judgement)}", quiet)
-    from flysid.validate.terminal import summary
+    from flysid.validate.show.terminal import summary
 
     for line in summary(judgement.comparisons).splitlines():
         say(f"  {line}", quiet)
@@ -175,8 +175,8 @@ def take_in(stages: Stages) -> str:
 def fit(stages: Stages, seed: int) -> Run:
     """Fit all models to all channels."""
     from flysid.ingest.lake.lake import open as open_lake
-    from flysid.validate.fitting import fit_run
-    from flysid.validate.run import FitSettings
+    from flysid.validate.runs.fitting import fit_run
+    from flysid.validate.runs.run import FitSettings
 
     settings = FitSettings(seed=seed, holdout=HOLDOUT, effort=EFFORT, remark="simulated flights")
     return fit_run(open_lake(stages.data), RECIPE, stages.run, settings, jobs=cores())
@@ -191,13 +191,14 @@ def describe_run(run: Run, seconds: float) -> str:
 
 def judge(stages: Stages) -> Judgement:
     """Compare on the held-out part and write the page."""
-    from flysid.validate.judge import judge_run, write_judgement
-    from flysid.validate.run import open_run
+    from flysid.validate.runs.judge import judge_run
+    from flysid.validate.runs.run import open_run
+    from flysid.validate.show.finish import finish, write_finished
 
     with part(0.0, 0.5):
         judgement = judge_run(open_run(stages.run))
     with part(0.5, 1.0):
-        write_judgement(judgement, stages.report)
+        write_finished(finish(judgement, page=True), stages.report)
     return judgement
 
 

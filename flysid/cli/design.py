@@ -126,7 +126,7 @@ def command(
     from flysid.design.designing import Wish, design_run
     from flysid.design.drawn_plants import Spread
     from flysid.design.rule_design import design_rules
-    from flysid.validate.run import open_run
+    from flysid.validate.runs.run import open_run
 
     of_rules = method == "pdc"
     if of_rules and (firmware != "pid" or old is not None or feed_forward):

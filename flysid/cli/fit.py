@@ -33,7 +33,7 @@ from flysid.progress import part
 if TYPE_CHECKING:
     from flysid.ingest.lake.chosen_flights import Selection
     from flysid.split import By
-    from flysid.validate.run import ChannelRun, Constants, Run
+    from flysid.validate.runs.run import ChannelRun, Constants, Run
 
 DATASET = ".parquet"
 SHARE = 0.3
@@ -211,9 +211,9 @@ def command(
     asked = Asked(words, selection, channels, holdout.parts)
     if not is_dataset:
         check_source(data, asked)
-    from flysid.validate.fitting import fit_file, fit_run
-    from flysid.validate.run import FitSettings
-    from flysid.validate.wanted_models import check_settings
+    from flysid.validate.runs.fitting import fit_file, fit_run
+    from flysid.validate.runs.run import FitSettings
+    from flysid.validate.runs.wanted_models import check_settings
 
     labels = labels_of(models)
     settings = FitSettings(
@@ -260,7 +260,7 @@ def command(
 
 def _say_what_was_fitted(run: Run, quiet: bool) -> None:
     from flysid.ingest.align.doubts import told
-    from flysid.validate.fitting import FROM_DISK
+    from flysid.validate.runs.fitting import FROM_DISK
 
     for channel in run.channels:
         if channel.on_disk:
@@ -326,7 +326,7 @@ def check_antecedents(antecedents: Sequence[str], words: Words, channels: Sequen
     """Raise UsageError where a recipe is named, and antecedents that none of its channels has."""
     if words.recipe and antecedents:
         from flysid.ingest.align.recipe import load_recipe
-        from flysid.validate.fit_checks import refused_antecedents
+        from flysid.validate.runs.fit_checks import refused_antecedents
 
         recipe = load_recipe(words.recipe)
         refused_antecedents(antecedents, recipe, recipe.chosen(channels))

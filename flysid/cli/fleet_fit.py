@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from flysid.fleet.cluster import Cluster
     from flysid.fleet.models.group_models import FleetFit
     from flysid.ingest.lake.lake import Lake
-    from flysid.validate.run import FitSettings
+    from flysid.validate.runs.run import FitSettings
 
 MODELS = "fleet.json"
 HEADINGS = ("GROUP", "CHANNEL", "FLIGHTS", "SAMPLES", "RMSE", "GAIN", "AT")
@@ -79,7 +79,7 @@ def command(
     from flysid.fleet.models.group_models import check_keys, fit_groups
     from flysid.ingest.align.recipe import load_recipe
     from flysid.ingest.lake.lake import open as open_lake
-    from flysid.validate.wanted_models import check_settings
+    from flysid.validate.runs.wanted_models import check_settings
 
     opened = open_lake(data.folder)
     asked = load_recipe(data.recipe)
@@ -141,7 +141,7 @@ def name_of(key: object) -> str:
 def settings_of(data: FleetData, models: str, effort: str) -> FitSettings:
     """How the vehicles' own runs are fitted."""
     from flysid.cli.fit import labels_of
-    from flysid.validate.run import FitSettings
+    from flysid.validate.runs.run import FitSettings
 
     return FitSettings(channels=data.channels, models=labels_of(models), effort=effort)
 

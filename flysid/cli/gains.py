@@ -62,8 +62,8 @@ def command(
     from flysid.ingest.lake.chosen_flights import require_one_vehicle, select
     from flysid.loops.judged import CAUTION, judge
     from flysid.progress import part
-    from flysid.validate.pictures import check_picture
-    from flysid.validate.run import RUN_FILE
+    from flysid.validate.runs.run import RUN_FILE
+    from flysid.validate.show.pictures import check_picture
 
     if plot is not None:
         check_picture(plot)
@@ -135,9 +135,9 @@ def _of_run(folder: Path) -> tuple[Path, tuple[str, ...]]:
     """
     from flysid.errors import DataError
     from flysid.place import is_address
-    from flysid.validate.history import run_channels
-    from flysid.validate.run import open_run
-    from flysid.validate.verdict import Verdict
+    from flysid.validate.compare.verdict import Verdict
+    from flysid.validate.runs.history import run_channels
+    from flysid.validate.runs.run import open_run
 
     run = open_run(folder)
     verdicts = {channel.channel: channel.verdict for channel in run_channels(folder)}

@@ -31,7 +31,7 @@ def command(source: Path, run: Path, channel: str, out: Path, force: bool) -> No
     from flysid.outside.bring import bring
     from flysid.outside.like import Like
     from flysid.outside.simulator import Simulated
-    from flysid.validate.run import models_of, open_run
+    from flysid.validate.runs.run import models_of, open_run
 
     check_target(out, force)
     opened = open_run(run)

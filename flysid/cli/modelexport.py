@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from flysid.export.fmu import FMIVersion
     from flysid.export.pysource import Dialect
     from flysid.model.base import Fitted
-    from flysid.validate.run import ChannelRun, Run
+    from flysid.validate.runs.run import ChannelRun, Run
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ class ChosenModel:
         ------
         UsageError : a model file has no run, or its data are gone.
         """
-        from flysid.validate.run import held_out
+        from flysid.validate.runs.run import held_out
 
         if self.run is None or self.channel is None:
             raise UsageError(
@@ -64,8 +64,8 @@ def find_model(wanted: Wanted) -> ChosenModel:
     """
     from flysid.export.csource import identifier
     from flysid.model.base import load
-    from flysid.validate.compare_models import headline
-    from flysid.validate.run import models_of, open_run
+    from flysid.validate.compare.models import headline
+    from flysid.validate.runs.run import models_of, open_run
 
     if not wanted.source.is_dir():
         if not wanted.source.exists():

@@ -16,7 +16,7 @@ from flysid.showing import align, counted, first_of, fold
 
 if TYPE_CHECKING:
     from flysid.ingest.lake.finding import PassedOver
-    from flysid.validate.judge import Judgement
+    from flysid.validate.show.finish import Finished
 
 F = TypeVar("F", bound=Callable[..., Any])
 REASONS_SHOWN = 5
@@ -145,18 +145,18 @@ def chosen_form(flags: Mapping[str, bool]) -> str:
     return asked[0] if asked else "table"
 
 
-def finish(judgement: Judgement, condition: str | None, report: Path | None, quiet: bool) -> int:
+def end_comparison(finished: Finished, condition: str | None, report: Path | None, quiet: bool) -> int:
     """The words that end a comparison, and the exit code: 4 a check failed, 3 a channel was not judged."""
-    for name, why in judgement.skipped.items():
+    for name, why in finished.found["skipped"].items():
         say_left_out(name, why, "not judged")
     if report is not None:
         say(f"report: {report}", quiet)
-    failed = judgement.violations(condition) if condition is not None else {}
+    failed = finished.violations(condition) if condition is not None else {}
     if failed:
-        where = f" on {', '.join(failed)}" if len(failed) < len(judgement.document["channels"]) else ""
+        where = f" on {', '.join(failed)}" if len(failed) < len(finished.found["channels"]) else ""
         say(f"check failed{where}: {condition}")
         for name, why in failed.items():
             if why:
                 say(f"{name}: {why}: a channel that cannot be judged counts as failed")
         return ExitCode.CHECK_FAILED
-    return 3 if judgement.unjudged else 0
+    return 3 if finished.unjudged else 0

@@ -165,7 +165,7 @@ def command(
 def _commanded(source: Path | None, words: Words, channels: tuple[str, ...]) -> list[str]:
     """Inputs of the channels that are meant, as far as a recipe tells before anything is read."""
     from flysid.ingest.align.recipe import load_recipe
-    from flysid.validate.run import RECIPE_FILE, open_run
+    from flysid.validate.runs.run import RECIPE_FILE, open_run
 
     name: str | Path = words.recipe
     if source is not None and is_run(source):
@@ -224,7 +224,7 @@ def _begun(
 def _of_run(folder: Path, channels: tuple[str, ...], data: Path | None) -> Beginning:
     from flysid.plan.briefing import axes_of_last_flight
     from flysid.plan.precision import band_of_models, known_of_channel
-    from flysid.validate.run import RECIPE_FILE, held_out, open_run, run_file
+    from flysid.validate.runs.run import RECIPE_FILE, held_out, open_run, run_file
 
     run = open_run(folder)
     run.check_channels(channels)

@@ -72,7 +72,7 @@ def command(
     if not term:
         check_target(target, force, makes_folders=is_page(target))
         if not is_page(target):
-            from flysid.validate.pictures import check_picture
+            from flysid.validate.show.pictures import check_picture
 
             check_picture(target)
     if recipe:
@@ -84,18 +84,18 @@ def command(
             for log in select(lake, replace(selection, stretches=shown)).logs
         ]
     if term:
-        from flysid.validate.flightplot import flights_as_text
+        from flysid.validate.show.flightplot import flights_as_text
 
         click.echo(flights_as_text(timelines, shutil.get_terminal_size().columns))
         return
     title = first_of([t.name for t in timelines], 3)
     if is_page(target):
-        from flysid.validate.report.flight_page import render_flights
-        from flysid.validate.report.html import write_page
+        from flysid.validate.show.page.flight_page import render_flights
+        from flysid.validate.show.page.html import write_page
 
         write_page(target, render_flights(timelines, title))
     else:
-        from flysid.validate.flightplot import draw_flights
+        from flysid.validate.show.flightplot import draw_flights
 
         draw_flights(timelines, target, title)
     click.echo(str(target))

@@ -72,7 +72,7 @@ def command(
     from flysid.loops.forecast import forecast
     from flysid.loops.new_settings import read_settings, settings_in
     from flysid.progress import part
-    from flysid.validate.pictures import check_picture
+    from flysid.validate.show.pictures import check_picture
 
     changes = (read_settings(file) if file is not None else {}) | settings_in(words)
     if not changes:

@@ -16,7 +16,7 @@ from flysid.cli.display import Display, progress_options
 from flysid.extras import Extra, extra
 
 if TYPE_CHECKING:
-    from flysid.validate.reproduction import LoopResult
+    from flysid.validate.paper.reproduction import LoopResult
 
 LABELS = {
     "static_ts_7": "static TS, 7 rules",
@@ -53,9 +53,9 @@ def command(paper: str, as_json: bool, figures: Path | None, quiet: bool, displa
 
     ardrone-ts: Takagi-Sugeno identification of the AR.Drone's longitudinal, lateral and vertical loops.
     """
-    from flysid.validate.paper import CANNOT_REPRODUCE
-    from flysid.validate.paperfigures import require_matplotlib
-    from flysid.validate.reproduction import draw_figures, reproduce_ardrone_ts, to_document
+    from flysid.validate.paper.printed import CANNOT_REPRODUCE
+    from flysid.validate.paper.reproduction import draw_figures, reproduce_ardrone_ts, to_document
+    from flysid.validate.show.paperfigures import require_matplotlib
 
     if figures is not None:
         require_matplotlib()

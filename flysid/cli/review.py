@@ -70,7 +70,7 @@ def command(
     Exit code 3: nothing in a log could be judged; 4: --fail-if holds.
     """
     from flysid.errors import UsageError
-    from flysid.validate.condition import check_grammar
+    from flysid.validate.compare.condition import check_grammar
 
     if as_json and as_markdown:
         raise UsageError("--json and --markdown each say what to print", hint="give one of them")
@@ -164,7 +164,7 @@ def _write(output: Path, found: Sequence[Review], series: Series, sources: Seque
 
 def _holds(condition: str, found: Sequence[Review]) -> bool:
     """Whether it holds of any log; which, and why, is printed."""
-    from flysid.validate.condition import matching_channels
+    from flysid.validate.compare.condition import matching_channels
 
     names = [review.name for review in found]
     called = [f"{name} ({i})" if names.count(name) > 1 else name for i, name in enumerate(names, 1)]

@@ -11,7 +11,7 @@ import click
 from flysid.cli.output import align_columns, say
 
 if TYPE_CHECKING:
-    from flysid.validate.history import RunChannel
+    from flysid.validate.runs.history import RunChannel
 
 HEADINGS = ("RECIPE", "CHANNEL", "HELD OUT", "RANK", "RUN", "LINEAR", "TS", "UNIT", "VERDICT", "FITTED (UTC)")
 
@@ -26,8 +26,8 @@ def command(folders: tuple[Path, ...], as_json: bool) -> int:
     held-out data. A run that cannot be read is named and left out (exit code 3). Results are cached in
     .flysid-runs.parquet in the folder; a run is read again only if it has changed.
     """
-    from flysid.validate.history import ranked
-    from flysid.validate.runindex import list_runs
+    from flysid.validate.runs.history import ranked
+    from flysid.validate.runs.runindex import list_runs
 
     channels, damaged = list_runs(folders or (Path(),))
     order = ranked(channels)
@@ -42,7 +42,7 @@ def command(folders: tuple[Path, ...], as_json: bool) -> int:
 
 def linear_text(channel: RunChannel) -> str:
     """ "0.163 arx": the baseline's error and its name."""
-    from flysid.validate.words import number
+    from flysid.validate.compare.words import number
 
     rmse = channel.rmse.get(channel.baseline)
     return number(rmse) if rmse is None else f"{number(rmse)} {channel.baseline}"
@@ -51,7 +51,7 @@ def linear_text(channel: RunChannel) -> str:
 def fuzzy_text(channel: RunChannel) -> str:
     """ "0.035", or "0.035 ts_ss" where it is not the usual one."""
     from flysid.model.structures import leaders
-    from flysid.validate.words import number
+    from flysid.validate.compare.words import number
 
     label = channel.fuzzy
     return number(channel.rmse.get(label or "")) + (f" {label}" if label not in (None, leaders()[0]) else "")

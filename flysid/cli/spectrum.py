@@ -71,7 +71,7 @@ def command(
     from flysid.reviews.field_spectra import field_spectra, quantity_over
 
     if plot is not None:
-        from flysid.validate.pictures import check_picture
+        from flysid.validate.show.pictures import check_picture
 
         check_picture(plot)
         check_target(plot, force, makes_folders=False)

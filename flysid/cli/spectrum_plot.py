@@ -14,7 +14,7 @@ from flysid.reviews.gyro import throttle_of
 from flysid.reviews.logged import LoggedFlight
 from flysid.reviews.spectrum_pictures import decibels, heat_map
 from flysid.spectra.spectrum import spread_over
-from flysid.validate.pictures import save_picture
+from flysid.validate.show.pictures import save_picture
 
 
 def draw_spectra(

@@ -21,7 +21,7 @@ from flysid.cli.trust import Own, Setting
 
 if TYPE_CHECKING:
     from flysid.ingest.lake.chosen_flights import Selection
-    from flysid.validate.steps import ChannelStep
+    from flysid.validate.transfers.steps import ChannelStep
 
 
 @click.command("step")
@@ -78,7 +78,7 @@ def command(
     Exit code 3: --channel named such a channel.
     """
     if plot is not None:
-        from flysid.validate.pictures import check_picture
+        from flysid.validate.show.pictures import check_picture
 
         check_picture(plot)
         check_target(plot, force, makes_folders=False)
@@ -88,7 +88,7 @@ def command(
         check_source(place, asked)
     from flysid.ingest.align.recipe import load_recipe
     from flysid.ingest.lake.recipe_choice import commands_of
-    from flysid.validate.steps import channel_steps, draw_steps
+    from flysid.validate.transfers.steps import channel_steps, draw_steps
 
     found: list[ChannelStep] = []
     skipped: dict[str, str] = {}

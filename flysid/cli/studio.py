@@ -139,7 +139,7 @@ def open_session(links: tuple[str, ...], run: Path | None, false_alarms: float, 
     from flysid.live.receiving import warm_up
     from flysid.live.recording import Recording
     from flysid.live.session import Session
-    from flysid.validate.run import open_run
+    from flysid.validate.runs.run import open_run
 
     watches = []
     recipe = None

@@ -30,7 +30,7 @@ from flysid.showing import fold
 
 if TYPE_CHECKING:
     from flysid.ingest.lake.chosen_flights import Selection
-    from flysid.validate.transfers import ChannelTransfers
+    from flysid.validate.transfers.identify import ChannelTransfers
 
 
 def _auto_or(kind: type, words: str) -> Any:
@@ -162,7 +162,7 @@ def command(
     them; 4: --fail-if holds.
     """
     if plot is not None:
-        from flysid.validate.pictures import check_picture
+        from flysid.validate.show.pictures import check_picture
 
         check_picture(plot)
         check_target(plot, force, makes_folders=False)
@@ -171,8 +171,8 @@ def command(
     from flysid.ingest.align.recipe import load_recipe
     from flysid.ingest.lake.recipe_choice import commands_of
     from flysid.model.transfer_function import TF
-    from flysid.validate.expected_figures import Figures
-    from flysid.validate.transfers import identify
+    from flysid.validate.transfers.expected_figures import Figures
+    from flysid.validate.transfers.identify import identify
 
     estimator = TF(
         poles=settings["poles"],
@@ -211,7 +211,7 @@ def command(
     else:
         click.echo("\n\n".join(text_of(c, table) for c in found))
     if plot is not None:
-        from flysid.validate.bodeplot import draw_bode
+        from flysid.validate.transfers.bodeplot import draw_bode
 
         say_drawn("Bode plot", plot, partial(draw_bode, found, plot), quiet)
     for sentence in missing.sentences:
@@ -219,8 +219,8 @@ def command(
     for name, why in skipped.items():
         say_left_out(name, why)
     if condition is not None:
-        from flysid.validate.condition import matching_channels
-        from flysid.validate.transfers import figures_document
+        from flysid.validate.compare.condition import matching_channels
+        from flysid.validate.transfers.identify import figures_document
 
         held = matching_channels(condition, figures_document(found))
         for name, why in held.items():

@@ -9,14 +9,14 @@ import click
 
 from flysid.cli.addresses import SOURCE
 from flysid.cli.display import Display, progress_options
-from flysid.cli.output import check_target, chosen_form, comparison_forms, finish
+from flysid.cli.output import check_target, chosen_form, comparison_forms, end_comparison
 from flysid.cli.source import given, selection_options
 from flysid.cli.trust import Own, Setting
 from flysid.progress import part
 
 if TYPE_CHECKING:
     from flysid.ingest.lake.chosen_flights import Selection
-    from flysid.validate.run import Beside
+    from flysid.validate.runs.run import Beside
 
 
 @click.command("validate")
@@ -73,11 +73,12 @@ def command(
     a fitted channel could not be judged; 4: --fail-if holds.
     """
     form = chosen_form(forms)
-    from flysid.validate.condition import check_condition
-    from flysid.validate.expected import expected_of_run
-    from flysid.validate.judge import REPORT, judge_run, remember, write_judgement
-    from flysid.validate.paperfigures import require_matplotlib
-    from flysid.validate.run import models_of, open_run
+    from flysid.validate.compare.condition import check_condition
+    from flysid.validate.runs.expected import expected_of_run
+    from flysid.validate.runs.judge import judge_run
+    from flysid.validate.runs.run import REPORT, models_of, open_run
+    from flysid.validate.show.finish import finish, remember, write_finished
+    from flysid.validate.show.paperfigures import require_matplotlib
 
     target = output if output is not None else run / REPORT
     if figures is not None:
@@ -95,15 +96,16 @@ def command(
         with part(0.0, 0.5):
             judgement = judge_run(opened, data, only=given(selection), beside=beside)
         with part(0.5, 1.0):
-            page = write_judgement(judgement, target, figures)
+            finished = finish(judgement, page=True, figures=figures)
+            page = write_finished(finished, target)
     if target != run / REPORT and not beside and given(selection) is None:
-        remember(judgement)
-    click.echo(judgement.text(form))
-    return finish(judgement, condition, page, quiet)
+        remember(finished, opened)
+    click.echo(finished.text(form))
+    return end_comparison(finished, condition, page, quiet)
 
 
 def is_own_report(target: Path, run: Path) -> bool:
     """Whether `target` is the report inside the run, which follows from the run and may be made anew."""
-    from flysid.validate.judge import DOCUMENT, REPORT
+    from flysid.validate.runs.run import DOCUMENT, REPORT
 
     return target == run / REPORT and (target / DOCUMENT).is_file()

@@ -26,7 +26,7 @@ from flysid.surroundings import environment_of_the_user
 if TYPE_CHECKING:
     from flysid.ingest.align.recipe import Recipe
     from flysid.live.watching import ChannelWatch, Event
-    from flysid.validate.run import Run
+    from flysid.validate.runs.run import Run
 
 KINDS = ("udp:", "udpout:", "tcp:", "serial:")
 
@@ -78,7 +78,7 @@ def command(
     Thresholds come from the run's held-out flights. An input outside the training range is shown, but is
     not an alarm. The vehicle is never commanded.
     """
-    from flysid.validate.run import open_run
+    from flysid.validate.runs.run import open_run
 
     opened = open_run(run)
     check_watch(opened, source, channels, label, hook)
@@ -142,7 +142,7 @@ def calibrate(
 ) -> list[ChannelWatch]:
     """The watches of the chosen channels; says which cannot be watched. Raises where none can."""
     from flysid.live.watching import watches_of
-    from flysid.validate.run import held_out
+    from flysid.validate.runs.run import held_out
 
     held = [h for h in held_out(run, data) if not channels or h.channel.name in channels]
     watches, skipped = watches_of(held, label, false_alarms)
@@ -158,7 +158,7 @@ def calibrate(
 def recipe_of(run: Run, source: str) -> Recipe:
     """How a run's channels are read from a log or a link; raises UsageError where the run does not say."""
     from flysid.ingest.align.recipe import load_recipe
-    from flysid.validate.run import RECIPE_FILE, run_file
+    from flysid.validate.runs.run import RECIPE_FILE, run_file
 
     if not run.recipe:
         raise UsageError(

@@ -17,7 +17,7 @@ from flysid.design.identified import Identified, identify
 from flysid.design.law import Gains
 from flysid.errors import DataError, UsageError
 from flysid.progress import tell
-from flysid.validate.run import HeldOut, Run, held_out
+from flysid.validate.runs.run import HeldOut, Run, held_out
 
 
 @dataclass(frozen=True)

@@ -15,11 +15,11 @@ from flysid.model.capabilities import LinearModel
 from flysid.model.frequency.response import measure_response
 from flysid.model.structures import row_of
 from flysid.showing import counted
-from flysid.validate.agreement import agree
+from flysid.validate.compare.trials import FREE_RUN
+from flysid.validate.compare.verdict import Verdict
 from flysid.validate.compare_models import compare
-from flysid.validate.run import HeldOut
-from flysid.validate.trials import FREE_RUN
-from flysid.validate.verdict import Verdict
+from flysid.validate.runs.run import HeldOut
+from flysid.validate.transfers.agreement import agree
 
 SPEED = "m/s"
 

@@ -17,7 +17,7 @@ from flysid.errors import DataError, UsageError
 from flysid.model.structures import kind_of, leaders
 from flysid.progress import tell
 from flysid.showing import counted
-from flysid.validate.run import Run, held_out
+from flysid.validate.runs.run import Run, held_out
 
 FORMAT = "flysid-rule-gains"
 FILE = "rule_gains.json"

@@ -12,8 +12,8 @@ from markupsafe import Markup
 from flysid.design.campaign import BETTER, Campaign
 from flysid.design.designed import SAID
 from flysid.design.firmware import SAFETY
-from flysid.validate.report.html import environment, load_asset
-from flysid.validate.report.svg import Axes, frame, legend, line, picture, segment
+from flysid.validate.show.page.html import environment, load_asset
+from flysid.validate.show.page.svg import Axes, frame, legend, line, picture, segment
 from flysid.version import __version__
 
 UNITS = {"delay_s": "s", "wind_m_s": "m/s", "position_noise_m": "m", "velocity_noise_m_s": "m/s"}

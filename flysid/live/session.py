@@ -11,7 +11,7 @@ from flysid.live.following import Follower
 from flysid.live.recording import Recording
 from flysid.live.traces import Trace
 from flysid.live.watching import ChannelWatch, Event
-from flysid.validate.detect import LEVEL_EVERY_S
+from flysid.validate.diagnose.detect import LEVEL_EVERY_S
 
 
 class Session:

@@ -14,7 +14,7 @@ from flysid.live.causes import likely, likely_of_effort, meaning_of, visibility
 from flysid.live.traces import Trace
 from flysid.model.base import Fitted
 from flysid.model.in_pieces import in_pieces
-from flysid.validate.detect import (
+from flysid.validate.diagnose.detect import (
     DETECTORS,
     GLR_S,
     LEVEL_EVERY_S,
@@ -27,7 +27,7 @@ from flysid.validate.detect import (
     run_samples,
     shortest_run,
 )
-from flysid.validate.run import HeldOut
+from flysid.validate.runs.run import HeldOut
 
 # An alarm ends when all statistics were below half their thresholds for so long; what was outside is judged
 # again when it was inside for so long.
@@ -87,7 +87,7 @@ class ChannelWatch:
     ----------
     name : the channel.
     model : predicts one step ahead and runs freely.
-    thresholds : one per output (`flysid.validate.detect.calibrate`).
+    thresholds : one per output (`flysid.validate.diagnose.detect.calibrate`).
     known : (2, n_u) lowest and highest inputs that are judged (`known_inputs`).
     trace : keeps what was seen, for a page; None where nobody looks.
     """

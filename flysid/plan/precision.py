@@ -21,7 +21,7 @@ from flysid.model.base import Fitted
 from flysid.model.capabilities import HasIntervals, HasTransferFunctions, LinearModel
 from flysid.model.polynomials import Z95
 from flysid.model.structures import leaders
-from flysid.validate.run import HeldOut
+from flysid.validate.runs.run import HeldOut
 
 UNDETERMINED = 0.5
 """Of the figure: beyond, 1 / x and the like are no straight lines within the interval any more."""

@@ -11,8 +11,8 @@ from markupsafe import Markup
 
 from flysid.dataset import FloatArray
 from flysid.reviews.fact import HeatMap, Line, MotorPlan, Picture
-from flysid.validate.report.decimate import extremes
-from flysid.validate.report.svg import (
+from flysid.validate.show.page.decimate import extremes
+from flysid.validate.show.page.svg import (
     Axes,
     box,
     frame,

@@ -17,9 +17,9 @@ from flysid.reviews.drawing import draw_heat_map, draw_motors, draw_picture
 from flysid.reviews.fact import Fact, Grade, HeatMap, MotorPlan, Picture, Section, Table
 from flysid.reviews.lines import capital, head
 from flysid.reviews.reviewed import Review
-from flysid.validate.report.flight_page import timeline_document
-from flysid.validate.report.html import environment, load_asset, script_json, security_policy, write_page
-from flysid.validate.words import one_line
+from flysid.validate.compare.words import one_line
+from flysid.validate.show.page.flight_page import timeline_document
+from flysid.validate.show.page.html import environment, load_asset, script_json, security_policy, write_page
 from flysid.version import __version__
 
 FEW = 6

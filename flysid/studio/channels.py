@@ -23,7 +23,7 @@ from flysid.model.structures import table
 from flysid.studio.flights import lake_of
 from flysid.studio.folders import NotThere, Workspace
 from flysid.studio.forms import Aligned, Draft
-from flysid.validate.report.decimate import decimate, round_for_json
+from flysid.validate.show.page.decimate import decimate, round_for_json
 
 INFINITE = ("inf", "-inf")
 POINTS = 1500  # of a signal: more than a page is wide

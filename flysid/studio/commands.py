@@ -123,7 +123,7 @@ def compare(workspace: Workspace, asked: Compare) -> tuple[list[str], Path]:
 
 def comparison_page(workspace: Workspace, name: str) -> Path:
     """The page of a comparison; raises NotThere."""
-    from flysid.validate.judge import PAGE
+    from flysid.validate.runs.run import PAGE
 
     path = inner_path(workspace.folder, f"comparisons/{name}/{PAGE}", workspace.folder)
     if slug(name) != name or not path.is_file():

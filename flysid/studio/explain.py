@@ -29,8 +29,8 @@ from flysid.model.structures import leaders
 from flysid.studio.flights import RUN, SIGNAL
 from flysid.studio.folders import NotThere, Workspace, is_name, short_id
 from flysid.studio.forms import Explained
-from flysid.validate.run import RECIPE_FILE, RUN_FILE, HeldOut, held_out, open_run
-from flysid.validate.trials import MIN_SCORED, free_run, start_of
+from flysid.validate.compare.trials import MIN_SCORED, free_run, start_of
+from flysid.validate.runs.run import RECIPE_FILE, RUN_FILE, HeldOut, held_out, open_run
 
 KEPT = 4  # runs whose held-out data stay in memory
 MOST_ROWS = 20_000  # of a segment in one answer

@@ -55,8 +55,8 @@ class Workspace:
 
     def run_folders(self) -> dict[str, Path]:
         """Runs by a short id of their place: the studio's own, those beside the data, and further ones."""
-        from flysid.validate.history import walk
-        from flysid.validate.run import RUN_FILE
+        from flysid.validate.runs.history import walk
+        from flysid.validate.runs.run import RUN_FILE
 
         beside = (p.parent for p in self.data.absolute().parent.glob(f"*/{RUN_FILE}"))
         further = (run for folder in (self.runs, *self.more_runs) for run in walk(folder))
@@ -71,7 +71,7 @@ class Workspace:
 
     def recipe_of_run(self, run_id: str) -> Path:
         """The recipe that a run was fitted by, as it was; raises NotThere."""
-        from flysid.validate.run import RECIPE_FILE, run_file
+        from flysid.validate.runs.run import RECIPE_FILE, run_file
 
         path = run_file(self.run(run_id), RECIPE_FILE)
         if not path.is_file():

@@ -10,10 +10,9 @@ from typing import Any
 from flysid.errors import FlysidError, StoreError
 from flysid.extras import Extra, Missing, extra
 from flysid.studio.folders import NotThere, Workspace
-from flysid.validate.history import RunChannel, run_channels
-from flysid.validate.judge import DOCUMENT, PAGE, REPORT
-from flysid.validate.run import RUN_FILE, open_run, run_file
-from flysid.validate.trials import FREE_RUN
+from flysid.validate.compare.trials import FREE_RUN
+from flysid.validate.runs.history import RunChannel, run_channels
+from flysid.validate.runs.run import DOCUMENT, PAGE, REPORT, RUN_FILE, open_run, run_file
 
 _JUDGED = f"{REPORT}/{DOCUMENT}"
 

@@ -11,7 +11,7 @@ from functools import cache
 from pathlib import Path
 
 from flysid.cli import main
-from flysid.validate import reproduction
+from flysid.validate.paper import reproduction
 
 FORMS = {"text": (), "json": ("--json",), "figures": ("--figures", "figures")}
 

@@ -1,6 +1,6 @@
 """`flysid reproduce ardrone-ts`, whole: 400 s, every rival of the linear side, all three loops.
 
-tests/validate/test_reproduction.py asks more of a quarter of the record.
+tests/validate/paper/test_reproduction.py asks more of a quarter of the record.
 """
 
 from __future__ import annotations

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from flysid.ingest.lake.stretches import Stretches
-from flysid.validate.run import open_run
+from flysid.validate.runs.run import open_run
 from tests.command import call, call_quick
 
 
@@ -79,7 +79,7 @@ def test_a_verdict_on_some_of_what_was_held_out(place: Path) -> None:
 
 def judged(place: Path, *options: str) -> set[str]:
     """Flights that the verdict rests on."""
-    from flysid.validate.judge import judge_run
+    from flysid.validate.runs.judge import judge_run
 
     selection = None
     if options:

@@ -13,8 +13,8 @@ from click.testing import CliRunner
 from flysid.cli import complete, root
 from flysid.cli.verbs import FLEET_VERBS, VERBS
 from flysid.errors import FlysidError, RecipeError, UsageError
-from flysid.validate.run import FitSettings
-from flysid.validate.wanted_models import estimators
+from flysid.validate.runs.run import FitSettings
+from flysid.validate.runs.wanted_models import estimators
 from tests.command import call
 
 EXAMPLES = {verb: row.examples for verb, row in VERBS.items()} | {

@@ -19,9 +19,9 @@ from flysid.cli.verbs import VERBS
 from flysid.errors import FlysidError
 from flysid.ingest.lake.batch import ingest_logs
 from flysid.ingest.lake.finding import find_logs
+from flysid.validate.compare.condition import check_condition
 from flysid.validate.compare_models import compare
-from flysid.validate.condition import check_condition
-from flysid.validate.document import to_json
+from flysid.validate.diagnose.document import to_json
 from tests.fakes import FirstOrder, flown
 
 ROOT = Path(__file__).resolve().parents[2]

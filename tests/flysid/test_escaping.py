@@ -22,8 +22,8 @@ from flysid.export.programs import program_of
 from flysid.ingest.lake.chosen_flights import Selection
 from flysid.ingest.lake.stretches import Stretches
 from flysid.plan.flightplan import CommandedAxis, make_plan
-from flysid.validate.judge import fit_command
-from flysid.validate.run import open_run
+from flysid.validate.runs.provenance import fit_command
+from flysid.validate.runs.run import open_run
 from tests.command import call
 from tests.model_examples import fitted
 from tests.released_files import released

@@ -25,9 +25,9 @@ from flysid.files import write_atomically
 from flysid.ingest.lake.batch import ingest_logs
 from flysid.ingest.lake.finding import find_logs
 from flysid.ingest.synth.synth import WRITERS, Order, flights
-from flysid.validate import reproduction
-from flysid.validate.paper import LOOPS
-from flysid.validate.runindex import INDEX
+from flysid.validate.paper import reproduction
+from flysid.validate.paper.printed import LOOPS
+from flysid.validate.runs.runindex import INDEX
 from tests.command import call
 from tests.contest import linear_side
 
@@ -325,7 +325,7 @@ def test_a_broken_verdict_is_not_swallowed(place: Path, monkeypatch: pytest.Monk
     def broken(*_: object) -> None:
         raise RuntimeError("the verdict")
 
-    monkeypatch.setattr("flysid.validate.compare_models.decide", broken)
+    monkeypatch.setattr("flysid.validate.compare.models.decide", broken)
     with pytest.raises(RuntimeError, match="the verdict"):
         call("validate", "run", "-o", "none", cwd=place)
     assert not (place / "none").exists()

@@ -17,11 +17,11 @@ from flysid.ingest.lake.lake import Lake
 from flysid.ingest.lake.lake import open as open_lake
 from flysid.model.arx import ARX
 from flysid.model.base import Fitted
-from flysid.validate import fitting
-from flysid.validate.diskparts import FilePart
-from flysid.validate.fitting import MemoryJob, _fit, fit_run
-from flysid.validate.judge import judge_run
-from flysid.validate.run import FitSettings
+from flysid.validate.runs import fitting
+from flysid.validate.runs.diskparts import FilePart
+from flysid.validate.runs.fitting import MemoryJob, _fit, fit_run
+from flysid.validate.runs.judge import judge_run
+from flysid.validate.runs.run import FitSettings
 from soak import Outcome
 from tests.contest import fit_beside_arx
 from tests.fault_trials import (
@@ -155,8 +155,8 @@ def test_no_memory_to_align_costs_that_channel_only(
         return align(self, recipe, channel)
 
     monkeypatch.setattr(Lake, "align", greedy)
-    monkeypatch.setattr("flysid.validate.fitting.linear_rivals", lambda *_: {"arx": Greedy(())})
-    monkeypatch.setattr("flysid.validate.fitting.estimators", lambda *_: {"arx": Greedy(())})
+    monkeypatch.setattr("flysid.validate.runs.fitting.linear_rivals", lambda *_: {"arx": Greedy(())})
+    monkeypatch.setattr("flysid.validate.runs.fitting.estimators", lambda *_: {"arx": Greedy(())})
     settings = FitSettings(channels=("vertical", "lateral"), rotate=False)
     run = fit_run(lake, "ardrone-synthetic", tmp_path / "run", settings)
     assert [channel.name for channel in run.channels] == ["lateral"]

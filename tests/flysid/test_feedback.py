@@ -9,9 +9,9 @@ from scipy.signal import lfilter
 from flysid.dataset import Dataset, FloatArray
 from flysid.feedback import feedback
 from flysid.model.oe import OE
-from flysid.validate.cautions import cautions
 from flysid.validate.compare_models import compare
-from flysid.validate.diagnostics import diagnose
+from flysid.validate.diagnose.cautions import cautions
+from flysid.validate.diagnose.diagnostics import diagnose
 from tests.fakes import FirstOrder
 from tests.model.linear.test_frequency_response import DT_S, A, B, chirp, steps
 

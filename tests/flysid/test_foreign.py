@@ -14,7 +14,7 @@ from flysid import mirror, store
 from flysid.errors import FlysidError, StoreError
 from flysid.foreign import inner_path, why_outside
 from flysid.manifest import read_manifest
-from flysid.validate.run import open_run
+from flysid.validate.runs.run import open_run
 from tests.command import call
 from tests.released_files import released
 

@@ -38,3 +38,10 @@ def test_a_folder_that_is_new_gets_a_contract() -> None:
     graph.add_import(importer="flysid.a", imported="flysid.b")
     assert layers.floors(graph, "flysid") == [["a"], ["b"]]
     assert 'containers = ["flysid"]' in layers.contract(graph, "flysid")
+
+
+def test_the_folders_of_validate_are_small_and_low(graph: grimp.ImportGraph) -> None:
+    found = [name for name in layers.folders(graph) if name.startswith("flysid.validate")]
+    assert len(found) >= 7
+    assert {name: n for name in found if (n := len(graph.find_children(name))) > 20} == {}
+    assert {name: n for name in found if (n := len(layers.floors(graph, name))) > 8} == {}

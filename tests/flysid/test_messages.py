@@ -23,7 +23,7 @@ from flysid.ingest.align.align import _too_short
 from flysid.ingest.align.recipe import load_recipe
 from flysid.ingest.align.report import AlignReport, FlightReport
 from flysid.store import create_data_folder
-from flysid.validate.fitone import nothing_done
+from flysid.validate.runs.fitone import nothing_done
 
 SOURCES = Path(__file__).parents[2]
 OF_OTHERS = {"--upgrade", "--nthreads", "--no-nanny", "--help"}

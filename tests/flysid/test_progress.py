@@ -19,7 +19,7 @@ from flysid.cli import display
 from flysid.cli.display import Display, State, drawn
 from flysid.ingest.lake.workers import Bounds, run_bounded
 from flysid.progress import Step, listening, part, tell
-from flysid.validate.fitplan import FitPlan
+from flysid.validate.runs.fitplan import FitPlan
 from tests.command import ROOT, call
 
 CHANNELS = ("lateral", "vertical")

@@ -15,8 +15,8 @@ from flysid.errors import StoreError
 from flysid.ingest.lake.lake import open as open_lake
 from flysid.model.base import MODEL_VERSION, load
 from flysid.model.structures import all_structures
-from flysid.validate.judge import judge_run
-from flysid.validate.run import RUN_VERSION, open_run
+from flysid.validate.runs.judge import judge_run
+from flysid.validate.runs.run import RUN_VERSION, open_run
 from flysid.version import check_version
 from tests.released_files import released
 

@@ -16,7 +16,7 @@ from flysid.manifest import Manifest, StreamEntry
 from flysid.model.plots import bode
 from flysid.showing import MOST_LINES, Table, as_html, as_text, significant
 from tests.ingest.align.test_align import T50, table
-from tests.validate.test_first_screen import facts
+from tests.validate.show.page.test_first_screen import facts
 
 N = 600
 

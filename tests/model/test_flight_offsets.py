@@ -18,7 +18,7 @@ from flysid.errors import StoreError, UsageError
 from flysid.model.flight_offsets import Piece, differ, find_offsets
 from flysid.model.selection import free_run_errors
 from flysid.model.start import as_modelled
-from flysid.validate.cautions import cautions
+from flysid.validate.diagnose.cautions import cautions
 
 DT_S = 0.05
 LAG_S = 2.85

@@ -22,7 +22,7 @@ from flysid.model.rules.growth import split
 from flysid.model.rules.stages import Stage
 from flysid.model.selection import free_run_errors
 from flysid.model.ts import TS, over_lags
-from flysid.validate.fitone import fit_one, fitted
+from flysid.validate.runs.fitone import fit_one, fitted
 from tests.model_examples import data
 
 

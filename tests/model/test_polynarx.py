@@ -17,8 +17,8 @@ from flysid.model.narx.polynomial_terms import Factor, Term, depth_of, meaning, 
 from flysid.model.narx.simulation_fit import TermFit
 from flysid.model.narx.term_search import linear_terms, spread
 from flysid.model.polynarx import PolyNARX
-from flysid.validate.run import FitSettings
-from flysid.validate.wanted_models import estimators
+from flysid.validate.runs.run import FitSettings
+from flysid.validate.runs.wanted_models import estimators
 from tests.model_examples import data, fitted
 
 V = Signal("v", "m/s")

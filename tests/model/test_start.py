@@ -94,7 +94,7 @@ def test_every_structure_runs_freely_as_the_comparison_starts_it() -> None:
     """From the window, not from the first noisy samples; the function that scores is the same one."""
     from flysid.dataset import Dataset
     from flysid.model.arx import ARX
-    from flysid.validate.trials import free_run
+    from flysid.validate.compare.trials import free_run
 
     rng = np.random.default_rng(5)
     u = np.repeat(rng.normal(size=60), 20)[:, None]

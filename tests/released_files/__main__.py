@@ -15,9 +15,10 @@ from flysid.ingest.lake.batch import ingest_logs
 from flysid.ingest.lake.finding import find_logs
 from flysid.ingest.lake.lake import open as open_lake
 from flysid.ingest.synth.synth import WRITERS, Order, flights
-from flysid.validate.fitting import fit_run
-from flysid.validate.judge import judge_run, write_judgement
-from flysid.validate.run import FitSettings
+from flysid.validate.runs.fitting import fit_run
+from flysid.validate.runs.judge import judge_run
+from flysid.validate.runs.run import FitSettings
+from flysid.validate.show.finish import finish, write_finished
 from flysid.version import __version__
 from tests.model_examples import EXAMPLES, data
 from tests.released_files import FOLDER
@@ -56,7 +57,7 @@ def _write_run(folder: Path) -> None:
     list(ingest_logs(find_logs(kept), folder / "data", bounds=None))
     settings = FitSettings(channels=("vertical",), rules=1, by="time")
     run = fit_run(open_lake(folder / "data"), "ardrone-synthetic", folder / "run", settings)
-    write_judgement(judge_run(run), folder / "run" / "report")
+    write_finished(finish(judge_run(run), page=True), folder / "run" / "report")
     (folder / "run" / "report" / "report.html").unlink()
     document = json.loads((folder / "run" / "run.json").read_text())
     text = json.dumps(document | {"data": "data"}, indent=1) + "\n"  # no path of this machine

@@ -15,11 +15,11 @@ from flysid.fleet.models.differences import JudgedChannel, Test
 from flysid.fleet.models.flag_words import Finding, date_of
 from flysid.model.polynomials import Z95
 from flysid.showing import first_of
-from flysid.validate.report.html import environment, load_asset, security_policy, write_page
-from flysid.validate.report.masthead import dates
-from flysid.validate.report.narrative import duration
-from flysid.validate.report.svg import Axes, dots, frame, picture, segment, span, text
-from flysid.validate.words import one_line
+from flysid.validate.compare.words import one_line
+from flysid.validate.show.page.html import environment, load_asset, security_policy, write_page
+from flysid.validate.show.page.masthead import dates
+from flysid.validate.show.page.narrative import duration
+from flysid.validate.show.page.svg import Axes, dots, frame, picture, segment, span, text
 from flysid.version import __version__
 
 SHOWN = 8

@@ -20,8 +20,8 @@ from flysid.ingest.align.recipe import recipe_text
 from flysid.ingest.lake.chosen_flights import Selection, select
 from flysid.ingest.lake.lake import Lake, mirror
 from flysid.progress import part, tell
-from flysid.validate.fitting import fit_run
-from flysid.validate.run import FitSettings, Run, open_run
+from flysid.validate.runs.fitting import fit_run
+from flysid.validate.runs.run import FitSettings, Run, open_run
 
 if TYPE_CHECKING:
     from flysid.fleet.cluster import Cluster

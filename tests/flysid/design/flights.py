@@ -12,7 +12,7 @@ from flysid.ingest.align.doubts import Doubt
 from flysid.ingest.synth.plants import LOOPS, fly
 from flysid.model.arx import ARX
 from flysid.model.mean import Mean
-from flysid.validate.run import ChannelRun, HeldOut
+from flysid.validate.runs.run import ChannelRun, HeldOut
 
 DT_S = 0.02
 LIMIT = 12.0

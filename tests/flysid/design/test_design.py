@@ -26,7 +26,7 @@ from flysid.errors import DataError, StoreError, UsageError
 from flysid.ingest.align.doubts import Doubt
 from flysid.ingest.synth.manoeuvres import chirp
 from flysid.ingest.synth.plants import LOOPS
-from flysid.validate.run import HeldOut
+from flysid.validate.runs.run import HeldOut
 from tests.flysid.design.flights import DT_S, LIMIT, answer, channel, good, steps
 from tests.model_examples import EXAMPLES
 

@@ -14,7 +14,7 @@ from flysid.design.certificate import proves
 from flysid.design.rule_design import RuleAxis, RuleDesign
 from flysid.design.rule_gains import certified_gains
 from flysid.design.rule_plants import RuleLaw, RulePlant, blend, packed_rules
-from flysid.validate import run
+from flysid.validate.runs import run
 from tests.command import call
 
 DT = 0.02

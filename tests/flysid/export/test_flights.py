@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from flysid.model.start import estimate_start, start_window
-from flysid.validate.run import held_out, open_run
+from flysid.validate.runs.run import held_out, open_run
 from tests.command import ROOT, call
 from tests.doors.pages import check_answer, lines_of, scripts_of
 from tests.flysid.export.callers import SCRIPT, require, run_python

@@ -29,7 +29,7 @@ from flysid.ingest.align.recipe import load_recipe
 from flysid.ingest.lake.chosen_flights import vehicles
 from flysid.ingest.synth.synth import WRITERS, Order, fly_one
 from flysid.place import Place
-from flysid.validate.run import FitSettings
+from flysid.validate.runs.run import FitSettings
 from tests.contest import linear_side
 from tests.flysid.fleet.fleet_logs import fill, run
 from tests.flysid.test_house import modules_after

@@ -31,8 +31,8 @@ from flysid.ingest.lake.chosen_flights import Selection, select
 from flysid.ingest.lake.finding import find_logs
 from flysid.ingest.lake.lake import Lake
 from flysid.ingest.synth.synth import WRITERS, Change, Order, fly_one
-from flysid.validate.fitting import fit_run
-from flysid.validate.run import FitSettings
+from flysid.validate.runs.fitting import fit_run
+from flysid.validate.runs.run import FitSettings
 
 RECIPE = load_recipe("px4-effort")
 CHANNEL = "throttle_climb"

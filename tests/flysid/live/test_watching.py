@@ -21,11 +21,11 @@ from flysid.live.causes import likely, likely_of_effort, meaning_of, visibility
 from flysid.live.following import Follower
 from flysid.live.spool import SpoolPiece, whole_records
 from flysid.live.watching import ChannelWatch, known_inputs
-from flysid.validate.detect import LEVEL_EVERY_S, LEVEL_S, Thresholds, calibrate
+from flysid.validate.diagnose.detect import LEVEL_EVERY_S, LEVEL_S, Thresholds, calibrate
 from tests.command import ROOT, call, shell
 from tests.flysid.live.flown import FAULT_S, play
 from tests.link_trials import free_port
-from tests.validate.test_detect import MODEL, flown
+from tests.validate.diagnose.test_detect import MODEL, flown
 
 
 @cache

@@ -18,8 +18,8 @@ from flysid.loops.controller import Controller
 from flysid.loops.judged import judge
 from flysid.loops.parameter_laws import ardupilot, px4
 from flysid.loops.parameterlogs import px4_parameters
-from flysid.validate import history, run
-from flysid.validate.run import RUN_FILE
+from flysid.validate.runs import history, run
+from flysid.validate.runs.run import RUN_FILE
 from tests.flysid.loops.autopilots import ARDUPILOT, PX4, Log, ardupilot_log, px4_log
 from tests.flysid.loops.simulated import Vehicle, truth
 

@@ -19,9 +19,9 @@ from flysid.ingest.synth.synth import WRITERS, Order, flights
 from flysid.model.arx import ARX
 from flysid.model.base import Estimator, load
 from flysid.model.oe import OE
-from flysid.validate import fitting
-from flysid.validate.fitting import fit_run
-from flysid.validate.run import FitSettings, Run
+from flysid.validate.runs import fitting
+from flysid.validate.runs.fitting import fit_run
+from flysid.validate.runs.run import FitSettings, Run
 from tests.command import ROOT, call
 
 CHANNEL = "longitudinal"

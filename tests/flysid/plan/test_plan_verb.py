@@ -18,8 +18,8 @@ from flysid.ingest.lake.batch import ingest_logs
 from flysid.ingest.lake.finding import find_logs
 from flysid.ingest.lake.lake import open as open_lake
 from flysid.ingest.synth.synth import WRITERS, Order, flights
-from flysid.validate.fitting import fit_run
-from flysid.validate.run import FitSettings, Run
+from flysid.validate.runs.fitting import fit_run
+from flysid.validate.runs.run import FitSettings, Run
 from tests.contest import linear_side
 
 

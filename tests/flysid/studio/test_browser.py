@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from flysid.model.start import run_from_window
-from flysid.validate.run import held_out, open_run
+from flysid.validate.runs.run import held_out, open_run
 from tests.browser import launch, needs_browser
 from tests.flysid.studio.page import Page, until
 from tests.flysid.studio.server import SAMPLES, Server, studio

@@ -5,11 +5,11 @@ from flysid.dataset import Dataset, Segment, Signal
 from flysid.ingest.align.doubts import Doubt, doubts, told
 from flysid.ingest.align.recipe import ChannelSpec
 from flysid.ingest.excitation.excitation import Spectrum
-from flysid.validate.cautions import cautions
-from flysid.validate.document import to_json
-from flysid.validate.report.context import ReportContext
-from flysid.validate.report.page import render
-from tests.validate.test_report import compared
+from flysid.validate.diagnose.cautions import cautions
+from flysid.validate.diagnose.context import ReportContext
+from flysid.validate.diagnose.document import to_json
+from flysid.validate.show.page.page import render
+from tests.validate.show.page.test_report import compared
 
 SPEC = ChannelSpec(("u",), ("y",), min_rate_hz=20.0, remedy="log faster")
 RNG = np.random.default_rng(3)

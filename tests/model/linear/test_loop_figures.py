@@ -17,8 +17,8 @@ from flysid.model.frequency.rational import Rational
 from flysid.model.frequency.response import measure_response
 from flysid.model.frequency.sampling import sample
 from flysid.model.transfer_function import TF
-from flysid.validate.condition import matching_channels
-from flysid.validate.transfers import figures_document, identify_channel
+from flysid.validate.compare.condition import matching_channels
+from flysid.validate.transfers.identify import figures_document, identify_channel
 
 
 def test_margins_of_an_integrator_with_dead_time() -> None:

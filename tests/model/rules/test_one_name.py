@@ -14,8 +14,8 @@ from flysid.model import ts_best
 from flysid.model.last_gates import LINEAR_ENOUGH
 from flysid.model.rules.search_settings import EFFORTS
 from flysid.model.ts import TS, FittedTS, over_lags
-from flysid.validate.run import FitSettings
-from flysid.validate.wanted_models import estimators
+from flysid.validate.runs.run import FitSettings
+from flysid.validate.runs.wanted_models import estimators
 
 QUICK = replace(EFFORTS["quick"], highest_order=2)
 

@@ -28,7 +28,7 @@ from flysid.model.statespace import StateSpace
 from flysid.model.subspace.fitted_model import FittedStateSpace
 from flysid.model.ts import TS, over_lags
 from flysid.validate.compare_models import compare
-from flysid.validate.report.narrative import heads, subtitle, title
+from flysid.validate.show.page.narrative import heads, subtitle, title
 
 DT = 0.05
 

@@ -17,8 +17,8 @@ from flysid.model.rules.search import different
 from flysid.model.rules.search_settings import EFFORTS, NORMAL, SearchSettings
 from flysid.model.ts import TS, over_lags
 from flysid.model.ts_choice import contest
-from flysid.validate.run import FitSettings
-from flysid.validate.wanted_models import estimators
+from flysid.validate.runs.run import FitSettings
+from flysid.validate.runs.wanted_models import estimators
 
 
 def _data() -> Dataset:

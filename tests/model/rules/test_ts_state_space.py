@@ -34,7 +34,7 @@ from flysid.model.statespace import StateSpace
 from flysid.model.ts import TS, over_lags
 from flysid.model.ts_choice import contest
 from flysid.model.ts_state_space import TSStateSpace
-from flysid.validate.trials import free_run
+from flysid.validate.compare.trials import free_run
 from tests.model_examples import data
 
 VEHICLE = PLANTS["vehicle with drag and a lagging actuator"]

@@ -6,9 +6,9 @@ import numpy as np
 
 from flysid.cli.verbs import Verb
 from flysid.model.structures import Structure
-from flysid.validate.report.channel_data import Source
-from flysid.validate.report.modelpanels import Figure, Panel
-from flysid.validate.report.svg import Axes, frame, line, picture
+from flysid.validate.show.page.channel_data import Source
+from flysid.validate.show.page.modelpanels import Figure, Panel
+from flysid.validate.show.page.svg import Axes, frame, line, picture
 
 BOUNCE = Structure(
     "bounce",

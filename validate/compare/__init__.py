@@ -1,0 +1,1 @@
+"""Which model errs less: scores, intervals and verdicts of a comparison, and conditions on them."""

@@ -1,0 +1,1 @@
+"""The paper's experiment: what it prints, and the same run again."""

@@ -1,0 +1,1 @@
+"""Runs of fitted models: fitted, kept in a folder, judged, listed, held against each other."""

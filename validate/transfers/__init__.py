@@ -1,0 +1,1 @@
+"""Channels as transfer functions and step responses: identification, not judgement."""
