@@ -25,7 +25,7 @@ SAME_SHARE = 0.5  # of a flight whose outputs agree so well
 SAME_INPUT = 0.5  # of its spread: steps fall between the samples of the other recorder
 SIGMAS = 3.5  # of a correlation beyond the largest that chance makes over all lags
 COLUMNS = 2 * NEIGHBOURS + 3  # a sample and its neighbours, a constant, and what they are to explain
-FIRST_ROWS = 4 * (COLUMNS - 1)  # samples that are asked first: four for each number that is fitted to them
+FIRST_ROWS = 4 * (COLUMNS - 1)  # samples that are compared first: four for each number that is fitted to them
 ROUNDING = 1e-12  # of a column's squares: less than this left of it is rounding
 
 Indices = npt.NDArray[np.int64]
@@ -127,7 +127,7 @@ def _apart(x: FloatArray, z: FloatArray, limit: float) -> bool:
 
     Another recorder has its own zero and rounds its factors, samples at other times, and smooths: a constant
     and five neighbours of each sample take all that out. Which of them it did that to is not known. What few
-    samples leave of a best fit is never more than what all of them leave: these are asked first.
+    samples leave of a best fit is never more than what all of them leave: these are compared first.
     """
     rows = len(x) - 2 * NEIGHBOURS
     squares = limit**2 * max(rows - COLUMNS + 1, 1)

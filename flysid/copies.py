@@ -87,7 +87,7 @@ def _same_samples(train: Sequence[Stretch], test: Sequence[Stretch]) -> Copy | N
     """Windows of a held-out flight that stand in one training flight, all moved by the same number of rows.
 
     A window may be alike by chance, where signals are coarse or the vehicle stands; many at one lag are
-    not. What stands still in both says nothing: some outputs must change, or all of the flight must agree.
+    not. What stands still in both shows nothing: some outputs must change, or all of the flight must agree.
     """
     names = list(dict.fromkeys(s.flight for s in (*train, *test)))
     both = [*train, *test]

@@ -41,7 +41,7 @@ class Extra(Enum):
     LOOP = "the test for a closed loop"
     NONLINEARITY = "the share that no linear model explains"
     BEYOND = "the note on the band that the flights explain"
-    MODEL_TEXT = "the file that tells the model in words"
+    MODEL_TEXT = "the file that explains the model in words"
     TRANSFER_TEXT = "the transfer functions in words"
     GAIN_SETS = "the note on the logged gains"
     # of a model of rules

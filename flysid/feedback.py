@@ -2,10 +2,10 @@
 
 The test of Sims (1972, American Economic Review 62; Caines & Chan, 1975, IEEE Trans. Automatic Control 20):
 an output is regressed on its own past and on past and present inputs, with and without the inputs of the next
-second. In open loop later inputs explain nothing, whatever the input looks like; an F test tells. Where a
+second. In open loop later inputs explain nothing, whatever the input looks like; an F test decides. Where a
 pilot or a controller answers the output, later inputs hold what was new in it. Long regressions stand for any
 plant and any colour of the noise (Ljung, 1999, 13.4); what they miss of a nonlinear plant can fake a little,
-so that a share of the variance is asked for too.
+so that a share of the variance is required, too.
 
 The very next input counts as known: a vehicle moves between the samples of a log, too, and what is logged
 next helps to tell what its input did there. So a controller of no memory that answers within a sample goes

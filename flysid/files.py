@@ -84,7 +84,7 @@ def writing_to(path: Path) -> Iterator[None]:
 
 
 def check_place(path: Path, *, makes_folders: bool = True) -> None:
-    """Raise WriteError where nothing can be written to `path`: asked of the system, not of permissions.
+    """Raise WriteError where nothing can be written to `path`: tried, not read off permissions.
 
     Parameters
     ----------
@@ -301,7 +301,7 @@ def filling(folder: Path) -> Iterator[None]:
     """
     with writing_to(folder):
         handle = os.open(folder, os.O_RDONLY) if syncs_whole(folder) else None
-    try:  # opened before anything is written: it is told of all that goes wrong from then on
+    try:  # opened before anything is written: it learns of every failure from then on
         yield
         with writing_to(folder):
             if handle is not None:

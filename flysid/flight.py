@@ -1,6 +1,6 @@
 """Flight: one typed table per message stream, as recorded, with what was lost.
 
-A stream key says where a message came from and what it is: `1.1/ATTITUDE` (MAVLink system 1,
+A stream key names a message and its sender: `1.1/ATTITUDE` (MAVLink system 1,
 component 1), `/ardrone/navdata` (MCAP topic), `vehicle_attitude#1` (ULog instance 1), `ATT` (DataFlash).
 Where rows of one message belong to several things, each has a stream of its own: `IMU[0]`,
 `1.1/NAMED_VALUE_FLOAT[alt_err]`.
@@ -9,7 +9,7 @@ Every table begins with `time_ns` (int64, vehicle clock, nanoseconds) and `boot`
 boot in the file). Where arrival at the ground was recorded too, `recv_ns` (int64, UTC) follows. The
 remaining columns are the message's fields with their raw values. Field metadata (`field_metadata`)
 carries unit, scale and enumeration; schema metadata carries `time_source`, system and component, and `key`:
-the field that tells to which of several things a row belongs (several fields: joined by commas). Where no
+the field that names the thing to which a row belongs (several fields: joined by commas). Where no
 definition declares such a field and its name suggests one, as `header.frame_id` does, it is `key_if_several`.
 """
 
@@ -35,7 +35,7 @@ OTHERS = " (others)"
 """Stands behind a message for rows that stay together, as a log has more things than are kept apart. Not in
 brackets, where any text may stand."""
 ROW_NUMBER = "row number"
-"""The `time_source` of a table without a time: rows stand a second apart until a recipe says how far."""
+"""The `time_source` of a table without a time: rows stand a second apart until a recipe sets the step."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ class Damage:
     silence_gaps : the same in multiples of 256, likely lost in silences: the number has eight bits.
     repeats : messages that came again byte for byte, per source, as a router's loop sends them; one of each
         is kept.
-    dropouts : what the recorder itself says it lost, e.g. {"records": 12, "ms": 140}.
+    dropouts : what the recorder itself counted as lost, e.g. {"records": 12, "ms": 140}.
     out_of_order : records per stream whose time runs backwards; kept.
     reasons : why records of a stream in `undecoded` could not be decoded, where the reader knows.
 

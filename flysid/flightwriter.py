@@ -3,7 +3,7 @@
 Rows arrive in parts, in any interleaving. They wait in memory until `BUFFER_BYTES` are reached in all;
 then the stream that holds most is written as a row group. A stream whose row groups turn out to overlap
 in time is merged at the end, row group by row group; where more than `SORT_BYTES` would have to wait for
-earlier rows behind them, its manifest entry says that it is not sorted, and readers sort it. So memory stays
+earlier rows behind them, its manifest entry marks it as not sorted, and readers sort it. So memory stays
 bounded whatever the log's size.
 """
 
@@ -281,7 +281,7 @@ def _entry(stream: _Stream) -> StreamEntry:
 
 @lru_cache(maxsize=1 << 10)
 def _columns(schema: bytes) -> tuple[Column, ...]:
-    """What a manifest says about the columns of a schema: logs of one kind share theirs."""
+    """A manifest's entry for the columns of a schema: logs of one kind share theirs."""
     return tuple(_describe(column) for column in pa.ipc.read_schema(pa.py_buffer(schema)))
 
 

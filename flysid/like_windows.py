@@ -74,15 +74,15 @@ def pairs_alike(
     """
     if not len(theirs) or not len(mine):
         return
-    asked = _join([_choose(y, i) for i, y in enumerate(mine)])
-    spread = np.array([np.std(y) for y in mine])[asked.flight]
-    reach = np.minimum(apart * spread / np.maximum(asked.size, 1e-300), farthest)
+    sought = _join([_choose(y, i) for i, y in enumerate(mine)])
+    spread = np.array([np.std(y) for y in mine])[sought.flight]
+    reach = np.minimum(apart * spread / np.maximum(sought.size, 1e-300), farthest)
     for first, last in _batches([len(y) for y in theirs]):
         known = _join([_known(y, k) for k, y in enumerate(theirs[first:last], start=first)])
         tree = cKDTree(known.points, balanced_tree=False)
-        found = tree.query_ball_point(asked.points, reach)
+        found = tree.query_ball_point(sought.points, reach)
         near = [known.flight[np.array(hits, dtype=np.int64)] for hits in found]
-        flights = np.repeat(asked.flight, [len(hits) for hits in near])
+        flights = np.repeat(sought.flight, [len(hits) for hits in near])
         both = np.unique(np.stack([flights, np.concatenate(near)], axis=1), axis=0)
         yield from ((int(i), int(k)) for i, k in both)
 

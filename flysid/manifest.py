@@ -223,7 +223,7 @@ def check_lake(document: bytes, address: str) -> None:
 def list_flights(data: str | Path) -> list[Manifest]:
     """Manifests of all flights of an ingested folder, by id. Unfinished flights do not show.
 
-    Each is read; `flysid.catalogue` tells most of it without.
+    Each is read; `flysid.catalogue` has most of it without.
 
     Raises
     ------
@@ -301,13 +301,13 @@ def find_named(flight: str, ids: Collection[str], path: str | Path) -> str:
 
 
 class _RunHead(msgspec.Struct):
-    """What tells of a run where its flights are."""
+    """The part of a run that locates its flights."""
 
     data: str = ""
 
 
 class _Head(msgspec.Struct):
-    """What tells whether the rest of a document can be understood."""
+    """The part that decides whether the rest of a document can be understood."""
 
     format: Any = None
     version: Any = None

@@ -1,6 +1,6 @@
 """The part of a lake in an object store that has been read, as a data folder on this machine.
 
-A mirror is an ordinary data folder in the user's cache with a file that says what it mirrors. A manifest or
+A mirror is an ordinary data folder in the user's cache with a file that names what it mirrors. A manifest or
 a table that is not there yet is fetched when it is first read, whole; so everything that reads data folders
 reads lakes, and the second reading costs nothing. It may be removed at any time.
 
@@ -114,7 +114,7 @@ def fetch(path: Path) -> Path:
         key = f"{home}/{_generation(fetch(manifest))}/{path.name}"
     with writing_to(path):
         path.parent.mkdir(parents=True, exist_ok=True)
-    with suppress(FileNotFoundError):  # whoever reads it says what is missing
+    with suppress(FileNotFoundError):  # whoever reads it names what is missing
         _bring(Place(address), key, path)
     return path
 

@@ -52,7 +52,7 @@ class Offer:
             raise self.refusal(f"it cannot be imported ({type(error).__name__}: {error})") from error
 
     def refusal(self, why: str) -> UsageError:
-        """The error that says why it is of no use."""
+        """The error that explains why it is of no use."""
         kind = self.group.removeprefix("flysid.").removesuffix("s")
         return UsageError(
             f"the entry point {self.name!r} of {self.group} is not a new {kind}: {why}",

@@ -4,8 +4,8 @@ A place is an address and nothing else. Its client is made when it is first used
 with the provider's own chain of credentials (environment, instance, workload identity): a place that is
 pickled, shown or logged holds no secret, and an address that does is refused.
 
-`create` is what commits rest on: of all who create one key, one succeeds. Not every server that speaks S3
-keeps that promise, so `require_conditions` asks it.
+`create` is what commits rest on: of all who create one key, one succeeds. Not every server of the S3 protocol
+keeps that promise, so `require_conditions` tries it.
 """
 
 from __future__ import annotations
@@ -341,7 +341,7 @@ def _no_bucket(where: str) -> UsageError:
 def _found(meta: Any) -> StoredObject:
     etag = str(meta["e_tag"] or "")
     if etag and not etag.endswith('"'):
-        etag = f'"{etag}"'  # Azure leaves the marks out where it lists, not where it is asked for one object
+        etag = f'"{etag}"'  # Azure leaves the marks out where it lists, not where one object is fetched
     return StoredObject(str(meta["path"]), int(meta["size"]), etag, meta["last_modified"])
 
 

@@ -1,7 +1,7 @@
-"""What long work tells of itself while it runs: one small record a step, to whoever listens.
+"""Progress of long work: one small record a step, handed to whoever listens.
 
 Whoever does the work calls `tell` and knows nothing of who listens: a table on a terminal, lines in a pipe, a
-program that reads JSON. Where nobody listens it costs next to nothing. Whoever calls the work says in a
+program that reads JSON. Where nobody listens it costs next to nothing. Whoever calls the work states in a
 `part` what it is about, and which part of the whole.
 
 >>> with listening(lambda step: print(step.channel, step.model, step.stage, step.share)):
@@ -59,7 +59,7 @@ def tell(
 
 
 def relay(step: Step) -> None:
-    """Hand a step to the listener, if there is one: one that was told in another process, say."""
+    """Hand a step to the listener, if there is one: one from another process, say."""
     listener = _listener.get()
     if listener is not None:
         listener(step)
@@ -67,7 +67,7 @@ def relay(step: Step) -> None:
 
 @contextmanager
 def listening(listener: Listener) -> Iterator[None]:
-    """Hand every step that is told in the block to `listener`, and to no other."""
+    """Hand every step of the block to `listener`, and to no other."""
     before = _listener.set(listener)
     try:
         yield
@@ -77,7 +77,7 @@ def listening(listener: Listener) -> Iterator[None]:
 
 @contextmanager
 def through(change: Callable[[Step], Step]) -> Iterator[None]:
-    """Hand every step that is told in the block to `change` first, and what it returns to the listener."""
+    """Hand every step of the block to `change` first, and what it returns to the listener."""
     outer = _listener.get()
 
     def changed(step: Step) -> None:
@@ -91,7 +91,7 @@ def through(change: Callable[[Step], Step]) -> Iterator[None]:
 
 @contextmanager
 def part(begin: float = 0.0, end: float = 1.0, **about: str) -> Iterator[None]:
-    """Steps told in the block are `about` this, and of the work's part from `begin` to `end`."""
+    """Steps of the block are `about` this, and of the work's part from `begin` to `end`."""
 
     def placed(step: Step) -> Step:
         share = None if step.share is None else begin + (end - begin) * step.share

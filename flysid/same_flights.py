@@ -59,10 +59,10 @@ def same_flights(
         yield from _same(theirs, some, mine, np.array([i]))
 
 
-def _same(theirs: _Part, known: Indices, mine: _Part, asked: Indices) -> Iterator[tuple[int, int, str]]:
+def _same(theirs: _Part, known: Indices, mine: _Part, sought: Indices) -> Iterator[tuple[int, int, str]]:
     """Of all pairs of these flights, those that are the same."""
     for some in theirs.batches(known):
-        for others in mine.batches(asked):
+        for others in mine.batches(sought):
             size = _transform_size(theirs, some, mine, others)
             rows = max(1, BATCH // size)
             for a in np.array_split(some, -(-len(some) // rows)):
@@ -84,15 +84,15 @@ def _how(mine: _Part, flight: int, overlap: int, rho: float) -> str:
     return f"its outputs are the same to within {100.0 * SAME_OUTPUT:.0f} % over {share:.0f} % of it"
 
 
-def _with_common_windows(theirs: _Part, mine: _Part, asked: Indices) -> Iterator[tuple[int, Indices]]:
+def _with_common_windows(theirs: _Part, mine: _Part, sought: Indices) -> Iterator[tuple[int, Indices]]:
     """Each of these flights with the training flights that share a window with it, or that have gaps."""
     whole = np.array([theirs.is_whole(k) for k in range(len(theirs.flown))], dtype=np.bool_)
     known = np.flatnonzero(whole)
-    found: dict[int, set[int]] = {int(i): set(np.flatnonzero(~whole).tolist()) for i in asked}
+    found: dict[int, set[int]] = {int(i): set(np.flatnonzero(~whole).tolist()) for i in sought}
     for j in range(len(theirs.y)):
-        outputs = ([part.output(k, j) for k in some] for part, some in ((theirs, known), (mine, asked)))
+        outputs = ([part.output(k, j) for k in some] for part, some in ((theirs, known), (mine, sought)))
         for i, k in pairs_alike(*outputs):
-            found[int(asked[i])].add(int(known[k]))
+            found[int(sought[i])].add(int(known[k]))
     for i, some in found.items():
         yield i, np.array(sorted(some), dtype=np.int64)
 

@@ -54,7 +54,7 @@ class Table:
 
 
 class Shown:
-    """An object that shows itself as a table; it says in `_table` which."""
+    """An object that shows itself as a table; `_table` names it."""
 
     def _table(self) -> Table:
         raise NotImplementedError

@@ -60,7 +60,7 @@ class Split:
     Attributes
     ----------
     by : "flight" or "time".
-    seed, holdout, guard_s : what was asked for; the guard applies to "time".
+    seed, holdout, guard_s : as given by the caller; the guard applies to "time".
     train, test : pieces of the dataset's segments.
     data_sha256 : hash of the dataset that was split.
     test_sha256 : hash of the held-out part.

@@ -249,7 +249,7 @@ TELL_EVERY_S = 1.0
 
 
 class _Told:
-    """Hands parts to a writer, and tells now and then how many records that were."""
+    """Hands parts to a writer, and reports now and then how many records those were."""
 
     def __init__(self, writer: FlightWriter) -> None:
         self._writer = writer

@@ -1,6 +1,6 @@
 """The time axis of a log: seconds since it began, boot after boot, on the vehicle's clock.
 
-Plots, lists of events, tracks, exported tables, the studio and pages count on it. What is said of one boot
+Plots, lists of events, tracks, exported tables, the studio and pages count on it. What concerns one boot
 (`--between`, the times in a report) counts from that boot's beginning, which is the same in a log of one.
 """
 

@@ -18,10 +18,10 @@ from flysid.facts.repeats import LATELY, NO_CLOCK, ROUND, BoolArray, CopyFinder,
 LATE_WITHIN = ROUND // 4  # places that a frame may be overtaken by
 SILENCE_US = 100_000  # a shorter gap hides no round of numbers: that takes 2,560 frames a second
 STEP_MS = 5_000  # of a vehicle's clock against the arrivals: less is jitter of the link
-AWAKE_US = 2_000_000  # within so long, a vehicle that was started anew tells its time
+AWAKE_US = 2_000_000  # within so long, a vehicle that was started anew states its time
 STRANGE_FRAMES = 8 * ROUND  # of others, after which a second counter is forgotten
 COUNTERS = 8  # of one sender that are followed
-NEAR = 8  # frames ago, a counter may have spoken that a late frame came after
+NEAR = 8  # frames ago, a counter may have sent the frame that a late one follows
 CONVINCING = 3  # frames in order that return to a counter: it goes on
 RARE = 200  # frames to a pause, from which on pauses are no part of a sender's rate
 
@@ -151,7 +151,7 @@ class SequenceCounter:
 
     _counts: dict[str, int] = field(default_factory=lambda: dict.fromkeys(COUNTED, 0))
     _copies: CopyFinder = field(default_factory=CopyFinder)
-    _counters: list[_Counter] = field(default_factory=list)  # the one that spoke last at the end
+    _counters: list[_Counter] = field(default_factory=list)  # the latest one at the end
     _pace: _Pace = field(default_factory=_Pace)  # since a while
     _older: _Pace = field(default_factory=_Pace)  # the while before
     _pause_us: int = 0
@@ -209,9 +209,9 @@ class SequenceCounter:
         stamps = rows.stamp_us if rows.stamp_us is not None else np.zeros(len(rows), np.int64)
         begins = np.flatnonzero(np.diff(numbers, prepend=numbers[:1]) % ROUND != 1)
         ends = np.append(begins[1:], len(rows))
-        told = np.flatnonzero(rows.clock_ms != NO_CLOCK)
-        clocks = list(zip(told.tolist(), rows.clock_ms[told].tolist(), stamps[told].tolist(), strict=True))
-        edges = np.searchsorted(told, ends).tolist()
+        dated = np.flatnonzero(rows.clock_ms != NO_CLOCK)
+        clocks = list(zip(dated.tolist(), rows.clock_ms[dated].tolist(), stamps[dated].tolist(), strict=True))
+        edges = np.searchsorted(dated, ends).tolist()
         restarts = np.zeros(len(rows), dtype=bool)
         first = 0
         for begin, end, edge in zip(begins.tolist(), ends.tolist(), edges, strict=True):
@@ -267,7 +267,7 @@ class SequenceCounter:
         return False
 
     def _continued(self, number: int, size: int) -> _Counter | None:
-        """The counter whose next number this is: the one that spoke last, else another that still may."""
+        """The counter whose next number this is: the latest one, else another that may go on."""
         for counter in reversed(self._counters):
             if counter.following != number:
                 continue
@@ -279,7 +279,7 @@ class SequenceCounter:
         return None
 
     def _is_next(self, number: int) -> bool:
-        """Whether a counter that spoke a moment ago, or one that goes on beside it, is at this number."""
+        """Whether a counter that sent a moment ago, or one that goes on beside it, is at this number."""
         at_it = (c for c in self._counters if c.following == number)
         return any(c.is_second or self._silent(c, 0) <= NEAR for c in at_it)
 

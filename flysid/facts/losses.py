@@ -104,7 +104,7 @@ def _in_silences(hidden: int) -> str:
 
 
 def _dropped(damage: Damage) -> Sequence[str]:
-    """What the recorder itself says that it lost."""
+    """What the recorder itself counted as lost."""
     return [
         f"{count:,} ms dropped" if kind == "ms" else f"{counted(count, kind.removesuffix('s'))} dropped"
         for kind, count in sorted(damage.dropouts.items(), key=lambda item: item[0] == "ms")

@@ -51,7 +51,7 @@ class CopyFinder:
     _recent: deque[tuple[int, int, int]] = field(default_factory=lambda: deque(maxlen=ROUND))
     _last_key: int = -1  # number and content of the frame before
     _lately: BoolArray = field(default_factory=lambda: np.zeros(0, dtype=bool))  # what seemed to come again
-    _told: BoolArray = field(default_factory=lambda: np.zeros(0, dtype=bool))  # frames with a time
+    _dated: BoolArray = field(default_factory=lambda: np.zeros(0, dtype=bool))  # frames with a time
     _doubted: BoolArray = field(default_factory=lambda: np.zeros(0, dtype=bool))  # and was taken for new
     _advances: int = 0
     _standing: int = 0  # frames of other content under the number before
@@ -92,7 +92,7 @@ class CopyFinder:
         self._last_key = int(keys[-1])
         return copies, again & ~copies, taken_back
 
-    def _confirmed(self, again: BoolArray, tells_time: BoolArray) -> tuple[BoolArray, int]:
+    def _confirmed(self, again: BoolArray, states_time: BoolArray) -> tuple[BoolArray, int]:
         """(n,) which of what seems to come again does; and how many copies earlier batches took for new.
 
         Two radios send equal heartbeats, by chance under one number, but never one time of the vehicle. So a
@@ -100,14 +100,14 @@ class CopyFinder:
         """
         size = len(self._lately)
         all_again = np.concatenate([self._lately, again])
-        all_told = np.concatenate([self._told, tells_time])
-        sure = _near(all_again & all_told) > 0
+        all_dated = np.concatenate([self._dated, states_time])
+        sure = _near(all_again & all_dated) > 0
         near = _near(all_again)
         common = (
             (self._advances > self._standing) & (near > 1) & (COMMON * near >= _near(np.ones_like(all_again)))
         )
         copies = again & (sure | common)[size:]
-        self._lately, self._told = all_again[-LATELY:], all_told[-LATELY:]
+        self._lately, self._dated = all_again[-LATELY:], all_dated[-LATELY:]
         self._doubted = np.concatenate([self._doubted, again & ~copies])[-LATELY:]
         taken_back = int(self._doubted.sum()) if copies.any() else 0
         if taken_back:

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from flysid.facts.modes import family_of
 
 NAME = "vehicle_name"
-"""The fact that names the vehicle: whoever ingested the log said so."""
+"""The fact that names the vehicle: set by whoever ingested the log."""
 SERIALS = ("sys_uuid", "board")
 """Facts that are a board's own number."""
 TELEMETERED = "uid2"
@@ -29,10 +29,10 @@ def vehicle_named(path: str, pattern: str) -> dict[str, str]:
 
 
 def vehicle_of(info: Mapping[str, str]) -> str:
-    """A name that tells vehicles apart: the board's own number, else autopilot and kind of vehicle.
+    """A name that no two vehicles share: the board's own number, else autopilot and kind of vehicle.
 
     Telemetry and the log on board name one vehicle differently ("ardupilotmega quadrotor" and "ardupilot
-    copter"), so autopilots and kinds are brought to one word. "" where a log says nothing of it.
+    copter"), so autopilots and kinds are brought to one word. "" where a log does not state it.
     A name that was given when the log was ingested stands for all of this.
     """
     if info.get(NAME):

@@ -1,6 +1,6 @@
 """A Dask cluster for an ingest and for a fleet's models: one that runs somewhere, or processes here.
 
-A task of an ingest is a batch of addresses and the settings; a result says what became of each log. Neither
+A task of an ingest is a batch of addresses and the settings; a result states what became of each log. Neither
 holds a secret nor a table: workers reach the store by their own credentials. Dask may do a task twice; what
 is committed is committed once.
 """
@@ -127,7 +127,7 @@ class Cluster:
 
     def _results(self, futures: Sequence[Any]) -> list[Any]:
         """Of tasks that have ended, in one question to the workers; an exception where one raised it."""
-        with suppress(Exception):  # of one of them: the others are asked for one by one
+        with suppress(Exception):  # one of them failed: the others are fetched one by one
             return list(self.client.gather(list(futures)))
         results: list[Any] = []
         for future in futures:
@@ -216,12 +216,12 @@ def _client(client_of: Callable[..., Any], address: str) -> Iterator[Any]:
     try:
         yield client
     finally:
-        with suppress(Exception):  # a scheduler that is gone cannot be told good-bye
+        with suppress(Exception):  # a scheduler that is gone needs no good-bye
             client.close(timeout=5)
 
 
 def worker_facts() -> tuple[str, str, bool]:
-    """Of the process that asks: flysid's version, Python's, whether it may start processes."""
+    """Return flysid's version, Python's, and whether this process may start others."""
     return __version__, sys.version.partition(" ")[0], not multiprocessing.current_process().daemon
 
 

@@ -2,8 +2,8 @@
 
 The flights' own tables stay as they are. Beside them a message's rows of a month lie in parts of about
 128 MB, with columns that say whose rows they are, sorted by vehicle and start. One object lists the parts: it
-is replaced as a whole, so a reader sees all new ones or the old. It says which commit of the catalogue the
-parts hold all flights of: where that is still the newest, no row of the catalogue has to be read. A month
+is replaced as a whole, so a reader sees all new ones or the old. It names the commit of the catalogue whose
+flights the parts hold: where that is still the newest, no row of the catalogue has to be read. A month
 is written again where its flights are not the same as before: late flights cost their month alone.
 """
 
@@ -131,7 +131,7 @@ def _groups(flights: Sequence[FlightFacts]) -> dict[tuple[str, str], list[Flight
 
 
 def _message(stream: str) -> str:
-    """A message without its sender and its thing: all of them lie in one part, whose column says which."""
+    """A message without its sender and its thing: all of them lie in one part, whose column names it."""
     return stem_of(message_of(stream))
 
 
@@ -210,7 +210,7 @@ class _Writer:
 
 
 def _with_owner(table: pa.Table, facts: FlightFacts, manifest: Manifest, name: str) -> pa.Table:
-    """The table with columns that say whose rows these are; what a flight alone says of its columns goes."""
+    """The table with columns for the owner of each row, without the flight's own notes on columns."""
     stream = next(entry.stream for entry in manifest.streams if name.endswith(f"/{entry.file}"))
     values = {"flight": facts.id, "vehicle": vehicle_of(facts.info), "stream": stream}
     for column in reversed(OWN):

@@ -21,7 +21,7 @@ DOCUMENT = json.dumps({"format": DATA_FORMAT, "version": LAKE_VERSION}).encode()
 
 
 def create_lake(address: str) -> Place:
-    """A lake to write to: made where there is none, and its store asked whether it keeps conditions.
+    """A lake to write to: made where there is none, once its store has shown that it keeps conditions.
 
     Raises
     ------

@@ -2,7 +2,7 @@
 
 The names of the tables follow from their bytes: equal logs read by equal versions give equal objects, so
 that two writers at once overwrite each other with the same. Another version's tables have another generation
-beside them, and the manifest says which one counts.
+beside them, and the manifest names the one that counts.
 """
 
 from __future__ import annotations

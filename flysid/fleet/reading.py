@@ -1,7 +1,7 @@
 """Logs of one task, each from its place to the lake: fetched, hashed, read in a child process, published.
 
 The child is bounded in memory and time, and its end costs one log (`flysid.ingest.lake.workers`). It sees
-files on this machine alone; the store is asked by its parent.
+files on this machine alone; its parent speaks to the store.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ TRIES = 2
 
 
 class Log(msgspec.Struct, frozen=True):
-    """A log to ingest: an address or a path, and for an address what the store says of its content."""
+    """A log to ingest: an address or a path, and for an address the store's mark of its content."""
 
     url: str
     size: int
@@ -102,7 +102,7 @@ def ingest_batch(
 ) -> list[LogOutcome]:
     """Ingest some logs, one after another; what was committed before, by whomever, is not read again.
 
-    `stopped` is asked before each log; those that are left out have no outcome.
+    `stopped` is called before each log; logs that are left out have no outcome.
     """
     place = Place(settings.lake)
     outcomes = []

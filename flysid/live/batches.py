@@ -31,7 +31,7 @@ SO_TIMESTAMPNS = 35
 SO_MEMINFO = 55
 MEMINFO_WORDS = 9
 MEMINFO_DROPS = 8
-# Nothing there, a signal, and what a `udpout:` link is told of a server that is not there.
+# Nothing there, a signal, and the error of a `udpout:` link whose server is not there.
 NO_FAULTS = (errno.EAGAIN, errno.EINTR, errno.ECONNREFUSED)
 STAMPED = SO_TIMESTAMPNS << 32 | socket.SOL_SOCKET  # cmsg_level and cmsg_type as one little-endian word
 
@@ -159,8 +159,8 @@ def gather(slots: ByteArray, sizes: IntArray, addresses: ByteArray, raw: ByteArr
 def dropped_by_kernel(udp: socket.socket) -> int | None:
     """Datagrams that this host received and had no room for since the socket was opened; None where unknown.
 
-    It is the counter of SO_RXQ_OVFL, asked for by SO_MEMINFO (Linux 4.12): the former travels with the next
-    datagram, so that what is dropped last would never be told.
+    It is the counter of SO_RXQ_OVFL, read by SO_MEMINFO (Linux 4.12): the former travels with the next
+    datagram, so that the last drops would never be counted.
     """
     try:
         words = udp.getsockopt(socket.SOL_SOCKET, SO_MEMINFO, 4 * MEMINFO_WORDS)

@@ -1,4 +1,4 @@
-"""A tlog's records, as they come, to rows of the streams that are asked for; each row with its vehicle time.
+"""Decode a tlog's records, as they come, into rows of the wanted streams; each row has its vehicle time.
 
 What a log's reader knows only at the end is not waited for: a message that states no time of its own is
 placed by its arrival behind the vehicle's latest time, where the reader of a log puts it between its
@@ -100,10 +100,10 @@ class Decoder:
 
     Parameters
     ----------
-    asked : messages, by name or by key of a stream.
+    wanted : messages, by name or by key of a stream.
     """
 
-    asked: Collection[str]
+    wanted: Collection[str]
     info: dict[str, str] = field(default_factory=dict)
     name: str = "live"
 
@@ -134,7 +134,7 @@ class Decoder:
         return names
 
     def keys(self, stream: str) -> Sequence[str]:
-        """The field that tells to which of several things a stream's rows belong."""
+        """The field that names the thing to which each of a stream's rows belongs."""
         return keys_in({KEY: self._by_name[stream].key_field})
 
     def table(self, stream: str, columns: Sequence[str]) -> pa.Table:
@@ -215,7 +215,7 @@ class Decoder:
     def _note(self, stream: _MessageStream) -> _MessageStream:
         """A stream that rows have come of."""
         stream.is_asked = stream.is_heartbeat or any(
-            matching_streams(word, {stream.name: 0}) for word in self.asked
+            matching_streams(word, {stream.name: 0}) for word in self.wanted
         )
         self._by_name[stream.name] = stream
         return stream

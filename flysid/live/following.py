@@ -17,7 +17,7 @@ from flysid.live.watching import ChannelWatch, Event
 EVERY_S = 0.06  # at most so often; else as soon as something has come
 LOOK_S = 0.5
 WATCH_NAP_S = 0.08  # of a receiver that only watches: each pass costs as much for one datagram as for many
-MISSING_S = 5.0  # a channel whose samples do not come for so long is said to be silent
+MISSING_S = 5.0  # a channel whose samples do not come for so long counts as silent
 
 
 @dataclass
@@ -87,7 +87,7 @@ class Follower:
         try:
             pieces = self._grids[watch.name].take(rows)
         except (RecipeError, DataError):
-            return  # the grid says so while the channel is silent
+            return  # the grid reports it while the channel is silent
         for piece in pieces:
             if not piece.follows:
                 watch.restart()

@@ -162,7 +162,7 @@ class RunningGrid:
 
         Raises
         ------
-        RecipeError : a signal cannot be read as the recipe says; nothing is given out.
+        RecipeError : a signal cannot be read as the recipe defines it; nothing is given out.
         """
         try:
             given = self._taken(rows)
@@ -273,7 +273,7 @@ class RunningGrid:
     def _certain_ns(self, segment: _Segment) -> int:
         """No grid point up to here is changed by what is still to come.
 
-        Behind a signal's last sample nothing is: a pause, too, is told by the sample that ends it.
+        Behind a signal's last sample nothing is: a pause, too, shows by the sample that ends it.
         """
         newest = self._log.newest_ns(self._signals[self._spec.outputs[0]].found[1])
         found = newest - 1 if self._conditions else newest

@@ -1,7 +1,7 @@
-"""Links to vehicles: UDP, TCP, serial. They receive; they send only when asked to.
+"""Links to vehicles: UDP, TCP, serial. They receive; they send only on request.
 
     udp:HOST:PORT      listens there (0.0.0.0 for all interfaces)
-    udpout:HOST:PORT   speaks to a server there, which answers whom it has heard
+    udpout:HOST:PORT   sends to a server there first, which then answers
     tcp:HOST:PORT      connects, again and again where it must
     serial:DEVICE:BAUD a serial port (57600 where BAUD is left out)
 
@@ -46,7 +46,7 @@ class Target:
 
 
 def parse_link(text: str) -> Target:
-    """What a link's name says; raises UsageError where it is not understood."""
+    """Read a link's name; raises UsageError where it is not understood."""
     kind, _, rest = text.partition(":")
     if kind in ("udp", "udpout", "tcp"):
         host, _, port = rest.rpartition(":")
@@ -107,7 +107,7 @@ class Link(ABC):
 
 
 class UdpLink(Link):
-    """A UDP socket that listens (`udp:`) or speaks first (`udpout:`)."""
+    """A UDP socket that listens (`udp:`) or sends first (`udpout:`)."""
 
     keeps_datagrams = True
 
@@ -150,7 +150,7 @@ class UdpLink(Link):
         return [_arrival(content, peer)], True
 
     def _know(self, peer: bytes, address: tuple[Any, ...]) -> None:
-        """Whom to answer, should heartbeats be asked for; a flood of addresses is not."""
+        """Addresses to answer with heartbeats; a flood of addresses is not kept."""
         if len(self._peers) < PEERS_ANSWERED:
             self._peers.setdefault(peer, address)
 

@@ -25,7 +25,7 @@ LOOK_S = 0.2
 TEND_S = 1.0
 PEERS = 256  # of one link; a flood from made-up addresses shares one more
 HOST_STEP_S = 0.5
-SILENT_S = 5.0  # a link from which nothing comes for so long is said to be silent
+SILENT_S = 5.0  # a link from which nothing comes for so long counts as silent
 
 
 @dataclass
@@ -210,19 +210,19 @@ class Receiver:
 
     def warnings(self) -> list[str]:
         """What a person should know: links that are down or silent, clocks that were set, and the like."""
-        said = [text for text in map(buffer_advice, self.links) if text]
-        said += [f"{link.target.text}: {link.state}" for link in self.links if link.state != "open"]
+        notices = [text for text in map(buffer_advice, self.links) if text]
+        notices += [f"{link.target.text}: {link.state}" for link in self.links if link.state != "open"]
         for number, link in enumerate(self.links):
             silent_s = self._silent_s(number)
             if silent_s is not None and silent_s > SILENT_S:
                 since = time.strftime("%H:%M:%S", time.localtime(self._heard[number][1]))
-                said.append(f"{link.target.text}: silent since {since}")
+                notices.append(f"{link.target.text}: silent since {since}")
         names = {p.number: p.name for p in list(self._peers.values())}
         senders = self.ledger.senders[1:]
-        said += [
+        notices += [
             f"the clock of this host was set by {step['step_s']:+.3g} s" for step in list(self.clock_steps)
         ]
-        return said + stepped_clocks(self.ledger) + doubled_systems(senders, names)
+        return notices + stepped_clocks(self.ledger) + doubled_systems(senders, names)
 
 
 def warm_up() -> None:
@@ -239,20 +239,20 @@ def warm_up() -> None:
 
 def stepped_clocks(ledger: Ledger) -> list[str]:
     """Vehicles that were started anew, or whose clock jumped."""
-    said = []
+    notices = []
     for row, sender in enumerate(ledger.senders[1:], 1):
         loss = ledger.loss(row)
         name = f"system {sender['system']}.{sender['component']}"
         for count, what in ((loss.boots, "was started anew"), (loss.clock_steps, "set its clock")):
             if count:
                 times = "" if count == 1 else f", {count} times"
-                said.append(f"{name} {what}{times}")
-    return said
+                notices.append(f"{name} {what}{times}")
+    return notices
 
 
 def doubled_systems(senders: Any, names: dict[int, str]) -> list[str]:
     """Systems that came from several addresses at the same time."""
-    said = []
+    notices = []
     for system in np.unique(senders["system"]).tolist():
         mine = senders[senders["system"] == system]
         spans = {}
@@ -266,8 +266,8 @@ def doubled_systems(senders: Any, names: dict[int, str]) -> list[str]:
         )
         if at_once:
             where = " and ".join(at_once)
-            said.append(f"system {system} comes from {where}: two vehicles with one number, or one twice")
-    return said
+            notices.append(f"system {system} comes from {where}: two vehicles with one number, or one twice")
+    return notices
 
 
 def _peer_facts(peer: Peer, ledger: Ledger, refused: dict[tuple[int, str], int]) -> dict[str, Any]:

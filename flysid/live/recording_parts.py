@@ -57,13 +57,13 @@ def parse_rotation(words: Sequence[str]) -> Rotation:
 
 
 class RecordingParts:
-    """Writes records, syncs them, begins new parts; stops writing, and says so, where the disk refuses.
+    """Writes records, syncs them, begins new parts; stops writing, with a notice, where the disk refuses.
 
     Parameters
     ----------
     target : the file, ending in .tlog; with a rotation, NAME-0001.tlog and so on.
     rotation : when a new part begins.
-    facts : what the sidecar says of the links, asked for whenever it is written.
+    facts : returns the sidecar's account of the links, called whenever it is written.
 
     Attributes
     ----------
@@ -194,7 +194,7 @@ class RecordingParts:
         self.frames += frames
 
     def _refuse(self, error: OSError) -> None:
-        """Stop writing; make room for the sidecar, which says why."""
+        """Stop writing; make room for the sidecar, which states the reason."""
         full = error.errno in (errno.ENOSPC, errno.EDQUOT)
         self.refusal = "the disk is full" if full else f"the disk refuses: {error.strerror}"
         with suppress(OSError):

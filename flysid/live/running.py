@@ -74,7 +74,7 @@ class RunningSource:
         if source.time:
             self._time_factor = factor(field_unit(schema_of(table, source.time)) or "us", "ns")
         if source.row_period_s is not None:
-            raise RecipeError("a link tells the time", hint="leave out row_period_s in the recipe")
+            raise RecipeError("a link has its own times", hint="leave out row_period_s in the recipe")
         self._columns = [(name, field_scale(schema_of(table, name))) for name in source.fields]
         self._turn = 2 * np.pi * factor("rad", unit) if self.transform.wraps else 0.0
         self._turns = Turns(self._turn)
@@ -130,9 +130,9 @@ class RunningSource:
             t_ns = t_ns[held]
         if self.source.time:
             own = values_of(records, self.source.time).astype(np.float64)
-            told = np.isfinite(own)
-            records = records[told]
-            t_ns = np.round(own[told] * self._time_factor).astype(np.int64)
+            timed = np.isfinite(own)
+            records = records[timed]
+            t_ns = np.round(own[timed] * self._time_factor).astype(np.int64)
         t_ns = t_ns - round(self.source.lag_s * 1e9)
         is_later = np.diff(t_ns, prepend=self._t[-1:] if len(self._t) else t_ns[:1] - 1) > 0
         if not is_later.all():

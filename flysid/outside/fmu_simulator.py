@@ -96,9 +96,9 @@ def fmu_model(path: Path, like: Like, starts: Sequence[str] = ()) -> Simulated:
     ------
     UsageError : no FMPy, not an FMU for co-simulation on this machine, other signals, units or sample time.
     """
-    told = _description(path)
-    _refuse_other_steps(told, like.dt_s, path)
-    floats = [v for v in told.modelVariables if v.type in ("Real", "Float64") and not v.dimensions]
+    described = _description(path)
+    _refuse_other_steps(described, like.dt_s, path)
+    floats = [v for v in described.modelVariables if v.type in ("Real", "Float64") and not v.dimensions]
     ins, u_places = _side(floats, like.inputs, "input", path)
     outs, y_places = _side(floats, like.outputs, "output", path)
     begins = [v for v in floats if _starts(v) or v.name in starts]
@@ -115,7 +115,7 @@ def fmu_model(path: Path, like: Like, starts: Sequence[str] = ()) -> Simulated:
     extract(str(path), folder)
     simulator = FmuSimulator(
         name=path.name,
-        description=told,
+        description=described,
         folder=folder,
         dt_s=like.dt_s,
         start=np.array([float(v.start or 0.0) for v in begins]),
@@ -142,32 +142,32 @@ def fmu_model(path: Path, like: Like, starts: Sequence[str] = ()) -> Simulated:
 
 
 def _description(path: Path) -> Any:
-    """What the FMU says of itself; UsageError where it cannot be run here."""
+    """Read the FMU's description; UsageError where it cannot be run here."""
     try:
         import fmpy
     except ImportError as error:
         raise UsageError("FMPy is needed for FMUs", hint="pip install 'flysid[fmu]'") from error
     try:
-        told = fmpy.read_model_description(str(path))
+        described = fmpy.read_model_description(str(path))
         platforms = fmpy.supported_platforms(str(path))
     except Exception as error:  # somebody else's archive
         raise UsageError(f"not an FMU: {error}"[:200], path=path) from error
-    if told.coSimulation is None:
+    if described.coSimulation is None:
         raise UsageError("an FMU for model exchange", path=path, hint="export it for co-simulation")
-    here = fmpy.platform if told.fmiVersion.startswith("2") else fmpy.platform_tuple
+    here = fmpy.platform if described.fmiVersion.startswith("2") else fmpy.platform_tuple
     if here not in platforms and fmpy.platform not in platforms:
         raise UsageError(
             f"it holds no binary for {here}, but for {', '.join(platforms) or 'none'}",
             path=path,
             hint="build it for this machine, from its sources if it has them",
         )
-    return told
+    return described
 
 
-def _refuse_other_steps(told: Any, dt_s: float, path: Path) -> None:
+def _refuse_other_steps(described: Any, dt_s: float, path: Path) -> None:
     """UsageError unless the data's sample time is a whole number of the FMU's steps, or it takes any."""
-    step = told.defaultExperiment.stepSize if told.defaultExperiment is not None else None
-    if step is None or told.coSimulation.canHandleVariableCommunicationStepSize is True:
+    step = described.defaultExperiment.stepSize if described.defaultExperiment is not None else None
+    if step is None or described.coSimulation.canHandleVariableCommunicationStepSize is True:
         return
     ratio = dt_s / float(step)
     if abs(ratio - round(ratio)) > 1e-6 or round(ratio) < 1:

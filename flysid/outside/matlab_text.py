@@ -256,5 +256,7 @@ class _Reader:
             self._fail(token)
 
     def _fail(self, token: Token) -> NoReturn:
-        said = "the statement ends early" if token.kind == "end" else f"{token.text!r} is not understood here"
-        raise FormatError(f"line {token.line}: {said}", hint=HINT)
+        fault = (
+            "the statement ends early" if token.kind == "end" else f"{token.text!r} is not understood"
+        )
+        raise FormatError(f"line {token.line}: {fault}", hint=HINT)

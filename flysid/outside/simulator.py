@@ -127,7 +127,7 @@ class Simulated(FreeRuns):
         return out
 
     def rules(self) -> tuple[Rule, ...]:
-        """One that always holds and says what it is."""
+        """A description that always holds."""
         unknown = np.full((len(self.outputs), len(self.inputs)), np.nan)
         return (Rule("R1", "always", self.simulator.words, unknown, np.nan, np.nan, 1.0),)
 

@@ -67,8 +67,8 @@ def read_stored(path: Path) -> dict[str, Any]:
     except FormatError as error:
         raise FormatError(error.message, hint=error.hint, path=path) from error
     except Exception as error:  # whatever a damaged file breaks is the file's fault
-        told = "not JSON" if isinstance(error, json.JSONDecodeError) else str(error)[:200]
-        raise FormatError(f"damaged: {told}", path=path, hint="write it again") from error
+        fault = "not JSON" if isinstance(error, json.JSONDecodeError) else str(error)[:200]
+        raise FormatError(f"damaged: {fault}", path=path, hint="write it again") from error
     return {str(name).lower(): value for name, value in fields.items()}
 
 

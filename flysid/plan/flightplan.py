@@ -28,12 +28,12 @@ from flysid.showing import counted
 Kind = Literal["multisine", "chirp", "doublets"]
 
 LINES_AN_AXIS = 5
-"""Each tells a gain and a phase; the largest transfer function of `flysid tf` (4 poles, 4 zeros and a dead
+"""Each gives a gain and a phase; the largest transfer function of `flysid tf` (4 poles, 4 zeros and a dead
 time for every input) has nine numbers."""
 CYCLES = 2
 LONGEST_S = 3600.0
 """An hour: no longer flight is proposed."""
-"""Of the lowest frequency: what `flysid tf` asks of a record before it speaks of one."""
+"""Of the lowest frequency: what `flysid tf` requires of a record before it states one."""
 MOST_SAMPLES = 10_000_000
 _AXIS = re.compile(
     r"(?P<name>[^=\s]+)=(?P<peak>[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?)\s*(?P<unit>[a-zA-Z%\u00b0].*)?"
@@ -150,7 +150,7 @@ def make_plan(
 
     Raises
     ------
-    UsageError : axes, band, rate or duration make no sense together; the hint says what does.
+    UsageError : axes, band, rate or duration make no sense together; the hint names values that do.
 
     Examples
     --------

@@ -21,7 +21,7 @@ Lines = npt.NDArray[np.int64]
 NORMS = (4, 16, 64, 256)
 """The largest value rules in the end."""
 LOW = 1.08
-"""A relative peak factor with which the search is content; 1.12 is what flight-test practice asks for."""
+"""A relative peak factor with which the search is content; 1.12 is the practice of flight tests."""
 
 
 def shared_out(lines: Lines, axes: int) -> list[Lines]:

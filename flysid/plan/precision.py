@@ -3,7 +3,7 @@
 The information that records hold of a model's parameters adds up: twice as long a flight of the same kind,
 with the same disturbance, halves the covariance (Ljung, System Identification, 1999, 9.4). An interval
 therefore shrinks with the square root of the time flown. That holds for intervals that are small beside
-their figure: a wider one says that the record does not determine it, and is not carried further.
+their figure: a wider one means that the record does not determine it, and is not carried further.
 """
 
 from __future__ import annotations
@@ -84,8 +84,8 @@ class Known:
 def known_of_channel(held: HeldOut) -> Iterator[Known]:
     """What the baseline knows, and transfer functions and rules where they were fitted.
 
-    Where a search found no rules worth having, it gave a linear model beside the baseline, which says nothing
-    here.
+    Where a search found no rules worth having, it gave a linear model beside the baseline, which adds
+    nothing here.
     """
     seconds = _seconds(held.train) + _seconds(held.test)
     transfers = (label for label, model in held.models.items() if isinstance(model, HasTransferFunctions))
@@ -123,7 +123,7 @@ def known_of_model(
 
 
 def _gains_of_rules(model: Any, train: Dataset, seconds: float, channel: str, label: str) -> Iterator[Known]:
-    """Steady gains of every rule; more of the same is as often where the rule speaks."""
+    """Steady gains of every rule; more of the same is as often where the rule holds."""
     try:
         low, high = model.uncertainty(train).gain_interval
     except (FlysidError, np.linalg.LinAlgError):

@@ -50,7 +50,7 @@ def band_of(
 ) -> Band:
     """The widest run of frequencies (in octaves) that are coherent.
 
-    `least_cycles`: in a window: a frequency below is not told apart from a drift.
+    `least_cycles`: in a window: a lower frequency looks like a drift.
 
     Raises
     ------

@@ -188,7 +188,7 @@ def strip(tests: Sequence[Test], names: Mapping[str, str], at: int) -> Markup:
 
 def _unseen(compared: Comparison) -> list[tuple[str, str]]:
     """Channels and vehicles that were not judged, and why."""
-    told = [(f"Channel {one_line(name)}", one_line(why)) for name, why in compared.skipped.items()]
+    notes = [(f"Channel {one_line(name)}", one_line(why)) for name, why in compared.skipped.items()]
     reasons: dict[str, dict[str, list[str]]] = {}
     for judged in compared.channels:
         for vehicle, why in judged.too_few.items():
@@ -202,7 +202,7 @@ def _unseen(compared: Comparison) -> list[tuple[str, str]]:
         )
         channels = sorted({c for own in vehicles.values() for c in own})
         whom = "themselves" if count > 1 else "itself"
-        told.append((what, f"not compared with {whom} in {', '.join(channels)}: {one_line(why)}"))
+        notes.append((what, f"not compared with {whom} in {', '.join(channels)}: {one_line(why)}"))
     if not any(t.question == "unlike" for j in compared.channels for t in j.tests):
-        told.append(("The fleet", "too few vehicles to say which of them is unlike the others"))
-    return told
+        notes.append(("The fleet", "too few vehicles to find one that is unlike the others"))
+    return notes

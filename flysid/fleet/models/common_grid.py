@@ -60,7 +60,7 @@ def choose_sampling(data: Dataset, rate_hz: float | None = None, *, lags: int = 
 
     Parameters
     ----------
-    rate_hz : what the user asks for; None: from the coherence.
+    rate_hz : the user's choice; None: from the coherence.
     lags : so that the history is one such period.
 
     Raises

@@ -207,7 +207,7 @@ def _unlike(judged: JudgedChannel, changed: set[str]) -> list[Test]:
 
 
 def _ordinary(p_values: Mapping[str, float], *, suspect: float = 0.05) -> list[str]:
-    """Vehicles that no test of them alone would flag: what has changed tells nothing of how others stray.
+    """Vehicles that no test of them alone would flag: one that has changed is no measure of how others stray.
 
     `suspect`: adjusted p below which a vehicle does not count among those that tell how far T² strays.
     """
@@ -252,7 +252,7 @@ def _common(shifts: Sequence[FloatArray], size: int) -> tuple[FloatArray, FloatA
 
 
 def since(judged: JudgedChannel, vehicle: str) -> str:
-    """The first flight after the split of a vehicle's flights that tells its parts apart best."""
+    """The first flight after the split of a vehicle's flights that separates its parts best."""
     own = judged.flown[vehicle]
     common = np.zeros(2 * len(judged.band.frequencies)) if judged.common is None else judged.common
     best = ("", -1.0)

@@ -98,20 +98,20 @@ def finding(
 
 
 def _compare(gain: Size, delay: Size, effect: str, other: str) -> str:
-    """The sure parts, or that no single number tells."""
+    """The sure parts, or that no single number is sure."""
     if not (gain.is_sure or delay.is_sure):
-        return f"another {effect} than {other}, though neither gain nor delay alone tells how"
-    said = []
+        return f"another {effect} than {other}, though neither gain nor delay alone shows how"
+    parts = []
     if gain.is_sure:
         word = "less" if gain.value < 0.0 else "more"
-        said.append(
+        parts.append(
             f"{abs(gain.value):.0f} % {word} {effect} than {other} at {gain.hz:.2g} Hz ({_range(gain, '%')})"
         )
     if delay.is_sure:
         word = "later" if delay.value > 0.0 else "earlier"
-        what = "" if said else f"{effect} "
-        said.append(f"{what}{abs(delay.value):.0f} ms {word} at {delay.hz:.2g} Hz ({_range(delay, 'ms')})")
-    return ", and ".join(said)
+        what = "" if parts else f"{effect} "
+        parts.append(f"{what}{abs(delay.value):.0f} ms {word} at {delay.hz:.2g} Hz ({_range(delay, 'ms')})")
+    return ", and ".join(parts)
 
 
 def _range(size: Size, unit: str) -> str:

@@ -176,7 +176,7 @@ def part_of_log(log: StoredLog, recipe: Recipe, channel: str, sampling: Sampling
 def _sampling(
     lake: Lake, recipe: Recipe, channel: str, store: TriangleStore, rate_hz: float | None
 ) -> Sampling | Unfit:
-    """The channel's grid: as it is kept, else from a few flights; asked again where the fleet has grown."""
+    """The channel's grid: as it is kept, else from a few flights; chosen again where the fleet has grown."""
     kept = store.sampling(channel)
     if isinstance(kept, Sampling) or (kept is not None and kept.flights == len(lake)):
         return kept

@@ -37,7 +37,7 @@ class Group:
     ----------
     key : what the group is, e.g. {"vehicle": "px4 0042", "firmware": "1.15.2"}.
     flights : their ids.
-    models : by output; empty where `reason` says why there are none.
+    models : by output; empty where `reason` explains why there are none.
     response : of a channel with one input and one output.
     """
 
@@ -88,11 +88,15 @@ class FleetFit:
         }
 
     def _group(self, group: Group) -> dict[str, Any]:
-        said: dict[str, Any] = {"group": dict(group.key), "channel": group.channel, "flights": group.flights}
+        document: dict[str, Any] = {
+            "group": dict(group.key),
+            "channel": group.channel,
+            "flights": group.flights,
+        }
         if group.reason:
-            return said | {"reason": group.reason}
+            return document | {"reason": group.reason}
         sampling = self.samplings[group.channel]
-        said["models"] = [
+        document["models"] = [
             {
                 "output": sampling.outputs[i],
                 "theta": m.theta.tolist(),
@@ -103,8 +107,8 @@ class FleetFit:
             }
             for i, m in enumerate(group.models)
         ]
-        said["response"] = self._response(group)
-        return said
+        document["response"] = self._response(group)
+        return document
 
     def _response(self, group: Group) -> dict[str, Any] | None:
         """Gain and phase, with 95 % intervals where the scatter between flights is known."""

@@ -94,8 +94,8 @@ def fit_group(triangles: Sequence[FloatArray], rows: int, sampling: Sampling, ta
 def _influence(phi: FloatArray, y: FloatArray, theta: FloatArray, root: FloatArray) -> FloatArray:
     """(n,) how far one flight moves theta; its score is divided by the root of what the others tell."""
     own = solve_triangular(root, phi.T, trans="T").T  # its part of the identity is ownᵀ own
-    told, directions = np.linalg.eigh(own.T @ own)
-    left = np.maximum(1.0 - told, EPSILON)
+    explained, directions = np.linalg.eigh(own.T @ own)
+    left = np.maximum(1.0 - explained, EPSILON)
     score = (directions / np.sqrt(left)) @ (directions.T @ (own.T @ (y - phi @ theta)))
     return np.asarray(solve_triangular(root, score))
 

@@ -89,7 +89,7 @@ class Unfit(msgspec.Struct, frozen=True):
 
 
 class TriangleRow(msgspec.Struct, frozen=True):
-    """One flight and channel; `reason` says why there is no triangle."""
+    """One flight and channel; `reason` explains why there is no triangle."""
 
     flight: str
     sha256: str
@@ -105,7 +105,7 @@ class TriangleRow(msgspec.Struct, frozen=True):
 
 
 def _without_words(value: Any) -> Any:
-    """A recipe less what is said in it to people, which makes no triangle."""
+    """A recipe without its notes for people, which make no triangle."""
     if isinstance(value, Mapping):
         return {k: _without_words(v) for k, v in value.items() if k not in WORDS}
     return [_without_words(v) for v in value] if isinstance(value, list | tuple) else value
@@ -149,18 +149,18 @@ class TriangleStore:
     Parameters
     ----------
     objects : the fleet's place.
-    recipe : its content, not its name, tells stores apart.
-    rate_hz : a grid that the user asked for; None: chosen from the coherence.
+    recipe : stores differ by its content, not by its name.
+    rate_hz : the grid that the user chose; None: chosen from the coherence.
     """
 
     def __init__(self, objects: Objects, recipe: Recipe, rate_hz: float | None = None) -> None:
         content = _without_words(dataclasses.asdict(recipe))
-        said = json.dumps((VERSION, content, rate_hz), sort_keys=True).encode()
+        identity = json.dumps((VERSION, content, rate_hz), sort_keys=True).encode()
         self._objects = objects
-        self.prefix = f"{TRIANGLES}/{hashlib.sha256(said).hexdigest()[:16]}"
+        self.prefix = f"{TRIANGLES}/{hashlib.sha256(identity).hexdigest()[:16]}"
 
     def sampling(self, channel: str) -> Sampling | Unfit | None:
-        """The channel's grid, or why it had none; None where that was not asked yet.
+        """The channel's grid, or why it had none; None before the first look.
 
         Raises
         ------

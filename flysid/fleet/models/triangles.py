@@ -1,4 +1,4 @@
-"""What a flight says of a channel, small enough to keep: the triangle of its lagged samples, and its spectra.
+"""A flight's contribution to a channel: the triangle of its lagged samples, and its spectra.
 
 The triangle R is that of [1 Phi Y], RᵀR = [1 Phi Y]ᵀ[1 Phi Y], with the constant first: R[1:, 1:] is then the
 triangle of the same columns less their means, so that wind and trim, which are constant in a flight and

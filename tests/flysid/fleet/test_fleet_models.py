@@ -120,7 +120,7 @@ def test_vehicles_with_too_few_flights_are_named(lake: Lake) -> None:
     page = render(compared, "flysid fleet changed")
     assert "Vehicle 000002" in page
     assert "compare the torques" in page  # what the channel cannot show
-    assert "too few vehicles to say" in page
+    assert "too few vehicles to find one" in page
     levels = [int(level) for level in re.findall("<h([1-6])", page)]
     assert all(below - above <= 1 for above, below in pairwise(levels))  # what axe-core calls heading-order
 

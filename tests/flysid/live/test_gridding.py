@@ -291,4 +291,4 @@ def test_a_channel_says_why_it_gives_nothing() -> None:
         except RecipeError as error:
             told.append(error)
     assert told
-    assert "a link tells the time" in grid.lack
+    assert "a link has its own times" in grid.lack
