@@ -13,7 +13,7 @@ from flysid.errors import FormatError
 from tests.command import call
 from tests.killed_bags import compare, rows_by_flysid, rows_by_sqlite, unfinished
 
-STATES = 200
+STATES = 60
 ROWS = 300
 WORDS = {
     "head": "the head of its write-ahead log is damaged",
