@@ -2,7 +2,10 @@
 
 As a pytest plugin (`-p soak.reach`, with the variable REACH_FILE set) it notes, for every test that passes,
 the lines that it reaches and the CPU seconds that it takes. What a fixture of a class, a module or the
-session reaches counts for every test that uses the fixture.
+session reaches counts for every test that uses the fixture, and what a door's processes reach for the door.
+
+A map is measured once. Later code takes it over: lines that did not change keep their tests, and only new and
+changed files of tests are measured again.
 
 Coverage does not see inside compiled kernels, and what runs once, at import (constants, defaults), belongs to
 no test. For these `Reach.tests_of` takes the tests that reach a line which names the kernel or the constant.
@@ -11,10 +14,13 @@ no test. For these `Reach.tests_of` takes the tests that reach a line which name
 from __future__ import annotations
 
 import ast
+import hashlib
 import json
 import os
-from collections.abc import Generator, Iterable
+import tempfile
+from collections.abc import Generator, Iterable, Iterator
 from dataclasses import dataclass, field
+from difflib import SequenceMatcher
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -27,6 +33,9 @@ from soak.private_tree import imported, module_name
 FOLDERS = ("model", "validate")
 """Whose lines are noted."""
 REACH_FILE = "REACH_FILE"
+DOORS = "tests/doors"
+"""Whose tests start processes: what these reach is noted where `STARTED` lies on their path."""
+STARTED = {"sitecustomize.py": "import coverage\n\ncoverage.process_startup()\n"}
 _NONE = ""
 
 
@@ -91,10 +100,14 @@ class Reach:
     ----------
     seconds : node id of every test that passed -> its CPU seconds, measured under coverage.
     lines : file -> line -> node ids.
+    texts : file -> its lines as they were measured.
+    files : file of tests -> digest of what was measured.
     """
 
     seconds: dict[str, float] = field(default_factory=dict)
     lines: dict[str, dict[int, list[str]]] = field(default_factory=dict)
+    texts: dict[str, list[str]] = field(default_factory=dict)
+    files: dict[str, str] = field(default_factory=dict)
 
     @classmethod
     def read(cls, files: Iterable[Path]) -> Reach:
@@ -104,6 +117,8 @@ class Reach:
             part = json.loads(file.read_text("utf-8"))
             names = list(part["seconds"])
             whole.seconds.update(part["seconds"])
+            whole.texts.update(part["texts"])
+            whole.files.update(part["files"])
             for path, lines in part["lines"].items():
                 kept = whole.lines.setdefault(path, {})
                 for line, tests in lines.items():
@@ -117,7 +132,25 @@ class Reach:
             path: {line: [number[name] for name in tests] for line, tests in kept.items()}
             for path, kept in self.lines.items()
         }
-        file.write_text(json.dumps({"seconds": self.seconds, "lines": lines}), "utf-8")
+        whole = {"seconds": self.seconds, "lines": lines, "texts": self.texts, "files": self.files}
+        file.write_text(json.dumps(whole), "utf-8")
+
+    def taken_over(self, root: Path) -> Reach:
+        """What still holds in a tree of later code: unchanged lines, unchanged files of tests."""
+        files = {name: digest for name, digest in self.files.items() if digest_of(root / name) == digest}
+        seconds = {name: s for name, s in self.seconds.items() if name.partition("::")[0] in files}
+        taken = Reach(seconds, files=files)
+        for path, kept in self.lines.items():
+            if not (root / path).exists():
+                continue
+            taken.texts[path] = lines_of(root / path)
+            place = _places_now(self.texts[path], taken.texts[path])
+            taken.lines[path] = {
+                place[line]: [name for name in tests if name in seconds]
+                for line, tests in kept.items()
+                if line in place
+            }
+        return taken
 
     @cached_property
     def reached(self) -> dict[str, int]:
@@ -144,7 +177,8 @@ class Reach:
         """
         found = self._direct(place) or self._by_name(place, mentions)
         files = {name.partition("::")[0] for name in found}
-        near = {name for name in self.seconds if name.partition("::")[0] in files} - found
+        beside = {name for name in self.seconds if name.partition("::")[0] in files} - found
+        near = {name for name in beside if not name.startswith(DOORS)}  # doors share nothing
         return [name for group in (found, near) for name in sorted(group, key=self._breadth)]
 
     def _breadth(self, name: str) -> tuple[int, float, str]:
@@ -170,6 +204,22 @@ class Reach:
                     found |= tests
                     waiting += [] if tests else [other]
         return found
+
+
+def digest_of(file: Path) -> str:
+    """Of a file's content; "" where it is not there."""
+    return hashlib.sha256(file.read_bytes()).hexdigest() if file.exists() else ""
+
+
+def lines_of(file: Path) -> list[str]:
+    """The lines of a file of code."""
+    return file.read_text("utf-8").splitlines()
+
+
+def _places_now(old: list[str], new: list[str]) -> dict[int, int]:
+    """Line of a text -> line of a later one, from 1, of those that are in both."""
+    blocks = SequenceMatcher(None, old, new, autojunk=False).get_matching_blocks()
+    return {block.a + k + 1: block.b + k + 1 for block in blocks for k in range(block.size)}
 
 
 def find_places(tree: ast.Module, path: str) -> dict[ast.AST, Place]:
@@ -231,7 +281,9 @@ class Recorder:
         self._failed: set[str] = set()
         self._users: dict[str, tuple[str, str]] = {}
         self._fixtures: dict[str, list[str]] = {}
+        self._started: dict[str, dict[str, set[int]]] = {}
         include = [str(self._root / folder / "*") for folder in FOLDERS]
+        self._include = include
         self._coverage = coverage.Coverage(data_file=None, config_file=False, include=include)
         self._coverage.start()
 
@@ -246,10 +298,29 @@ class Recorder:
         self._switch(item.nodeid)
         began = _cpu_seconds()
         try:
-            return (yield)
+            if not item.nodeid.startswith(DOORS):
+                return (yield)
+            with tempfile.TemporaryDirectory() as place:
+                self._watch_started(Path(place))
+                try:
+                    return (yield)
+                finally:
+                    del os.environ["COVERAGE_PROCESS_START"]
+                    self._started[item.nodeid] = dict(_lines_in(Path(place)))
         finally:
             self._seconds[item.nodeid] = _cpu_seconds() - began
             self._switch(_NONE)
+
+    def _watch_started(self, place: Path) -> None:
+        """Have processes that begin now note their lines there."""
+        settings = place / "settings"
+        include = "".join(f"\n    {pattern}" for pattern in self._include)
+        settings.write_text(
+            f"[run]\nparallel = True\nsigterm = True\nconcurrency =\n    multiprocessing\n    thread\n"
+            f"data_file = {place / 'lines'}\ninclude ={include}\n",
+            "utf-8",
+        )
+        os.environ["COVERAGE_PROCESS_START"] = str(settings)
 
     @pytest.hookimpl(wrapper=True)
     def pytest_fixture_setup(
@@ -276,21 +347,42 @@ class Recorder:
         """Write the file."""
         self._coverage.stop()
         passed = {name: s for name, s in self._seconds.items() if name not in self._failed}
-        reach = Reach(passed)
+        files = {name.partition("::")[0] for name in self._seconds}
+        reach = Reach(passed, files={name: digest_of(self._root / name) for name in sorted(files)})
         data = self._coverage.get_data()
         for name in sorted(data.measured_files()):
-            path = Path(name).resolve().relative_to(self._root.resolve()).as_posix()
-            kept = reach.lines.setdefault(path, {})
+            kept = self._kept(reach, name)
             for line, contexts in data.contexts_by_lineno(name).items():
                 tests = {test for context in contexts for test in self._tests_behind(context)}
                 kept.setdefault(line, []).extend(sorted(tests & passed.keys()))
+        for test in sorted(self._started.keys() & passed.keys()):
+            for name, lines in self._started[test].items():
+                kept = self._kept(reach, name)
+                for line in lines:
+                    kept.setdefault(line, []).append(test)
         reach.write(self._file)
+
+    def _kept(self, reach: Reach, name: str) -> dict[int, list[str]]:
+        path = Path(name).resolve().relative_to(self._root.resolve()).as_posix()
+        reach.texts.setdefault(path, lines_of(self._root / path))
+        return reach.lines.setdefault(path, {})
 
     def _tests_behind(self, context: str) -> list[str]:
         if context not in self._users:
             return [context]
         scope, fixture = self._users[context]
         return [name for name, used in self._fixtures.items() if fixture in used and name.startswith(scope)]
+
+
+def _lines_in(place: Path) -> Iterator[tuple[str, set[int]]]:
+    """Files and their lines that processes have noted in a folder."""
+    found: dict[str, set[int]] = {}
+    for file in place.glob("lines.*"):
+        data = coverage.CoverageData(str(file))
+        data.read()
+        for name in data.measured_files():
+            found.setdefault(name, set()).update(data.lines(name) or ())
+    yield from found.items()
 
 
 def pytest_configure(config: pytest.Config) -> None:

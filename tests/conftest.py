@@ -7,10 +7,16 @@ from collections.abc import Generator, Iterator
 from typing import Any
 
 import pytest
+from hypothesis import settings
 
 from tests.browser import launch
 from tests.contest import linear_side
 from tests.doors import tally
+from tests.drawn import draw_seed, draws
+
+settings.register_profile("gate", derandomize=True, deadline=None)
+settings.register_profile("drawn", deadline=None)
+settings.load_profile("drawn" if draws() > 1 else "gate")
 
 
 @pytest.hookimpl(wrapper=True)
@@ -27,6 +33,18 @@ def pytest_collection() -> Generator[None, object, object]:
 def pytest_sessionfinish() -> None:
     """Who asks the collector what refers to an object, as Hypothesis does, is told of all again."""
     gc.unfreeze()
+
+
+def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
+    """A drawn test is made as often as `tests.drawn.draws` says."""
+    if "fresh_seed" in metafunc.fixturenames and draws() > 1:
+        metafunc.parametrize("fresh_seed", range(draws()), indirect=True, scope="module")
+
+
+@pytest.fixture(scope="module")
+def fresh_seed() -> int:
+    """Another one in every run; see `tests.drawn`."""
+    return draw_seed()
 
 
 @pytest.fixture

@@ -1,14 +1,44 @@
 """`python -m tests.kernels`: compiles what is compiled, into the cache that all tests share.
 
 In a fresh clone every worker of the tests would compile the same functions. `make test` has this done beside
-the type check, which leaves a core idle.
+the type check, which leaves a core idle. It ends with 1 where a compiled function was left out: add a quick
+test that reaches it to QUICK.
 """
 
 from __future__ import annotations
 
+import importlib
+import importlib.util
+import pkgutil
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from numba.core.dispatcher import Dispatcher
+
+import flysid
 from flysid.live.receiving import warm_up
 from tests.format_trials import FORMATS, intact
 from tests.model_examples import EXAMPLES, fitted
+
+QUICK = (
+    "tests/flysid/design/test_trials.py::test_a_trial_is_repeatable_and_wind_costs",
+    "tests/flysid/export/test_lpv.py",
+    "tests/flysid/loops/test_flown_axis.py::test_a_setpoint_follows_its_limit_of_acceleration",
+    "tests/flysid/loops/test_flown_axis.py::test_small_motions_answer_as_the_closed_form_says",
+    "tests/flysid/loops/test_flown_axis.py::test_whether_airmode_is_on_is_read_off_the_motors",
+    "tests/flysid/loops/test_term_check.py::test_the_law_of_4_2_gives_what_a_real_log_recorded",
+    "tests/flysid/sixdof/test_free_runs.py",
+    "tests/flysid/spectra/test_replay.py::test_rows_of_every_other_loop_are_nearly_as_good",
+    "tests/ingest/formats/test_blackbox.py::test_a_wound_longer_than_any_pause_does_not_end_the_log",
+    "tests/model/test_in_pieces.py::test_pieces_are_predicted_as_the_whole",
+    "tests/validate/test_detect.py::test_the_cusum_is_the_textbooks",
+)
+"""The quickest tests of what models, logs and links leave out."""
+REAL_LOGS = Path("../shared/logs")
+"""Without them a few functions are reached by no test."""
 
 
 def main() -> None:
@@ -18,6 +48,29 @@ def main() -> None:
     for name in FORMATS:
         intact(name)
     warm_up()
+    failed = pytest.main(["-q", "--no-header", "-p", "no:cacheprovider", *QUICK])
+    left_out = sorted(name for name, function in compiled_functions() if not is_cached(function))
+    if failed or (left_out and REAL_LOGS.is_dir()):
+        sys.exit(f"not compiled by any of these: {', '.join(left_out) or 'a test failed'}")
+
+
+def compiled_functions() -> Iterator[tuple[str, Any]]:
+    """Those at the level of a module, by their names."""
+    for found in pkgutil.walk_packages(flysid.__path__, "flysid."):
+        spec = importlib.util.find_spec(found.name)
+        if spec is None or not spec.origin or "njit" not in Path(spec.origin).read_text("utf-8"):
+            continue
+        module = importlib.import_module(found.name)
+        for name, value in vars(module).items():
+            if isinstance(value, Dispatcher) and value.py_func.__module__ == module.__name__:
+                yield f"{module.__name__}.{name}", value
+
+
+def is_cached(function: Any) -> bool:
+    """Whether the cache on disk has it, for whatever types."""
+    code = function.py_func.__code__
+    stem = f"{Path(code.co_filename).stem}.{code.co_qualname}-{code.co_firstlineno}"
+    return any(Path(function.stats.cache_path).glob(f"{stem}.*.nbi"))
 
 
 if __name__ == "__main__":

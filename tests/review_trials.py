@@ -13,6 +13,7 @@ import numpy as np
 import pyarrow as pa
 
 from bench.faulty_dataflash import dataflash_bytes
+from bench.faulty_quadrotor import Flight as Flown
 from bench.faulty_quadrotor import fly
 from bench.faulty_ulog import ulog_bytes
 from bench.review_faults import draw
@@ -32,12 +33,17 @@ KEPT = ("parameters", "PARM", "FMT", "FMTU", "UNIT", "MULT")
 
 
 @cache
+def flown(seed: int) -> tuple[Flown, ...]:
+    """Simulated flights with faults and without."""
+    return tuple(fly([trial.vehicle for trial in draw(seed, FLIGHTS // 2)]))
+
+
+@cache
 def flights(kind: str, seed: int) -> tuple[Flight, ...]:
-    """Simulated flights with faults and without, as a format holds them."""
-    trials = draw(seed, FLIGHTS // 2)
+    """They, as a format holds them."""
     write = dataflash_bytes if kind == "dataflash" else ulog_bytes
     name = "flight.bin" if kind == "dataflash" else "flight.ulg"
-    blobs = [write(flight) for flight in fly([trial.vehicle for trial in trials])]
+    blobs = [write(flight) for flight in flown(seed)]
     return tuple(collect(memoryview(blob), name, find_format(kind), Limits()) for blob in blobs)
 
 

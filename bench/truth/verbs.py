@@ -64,7 +64,7 @@ def scores(record: Record) -> list[Score]:
     except FlysidError:
         found.append(Score("tf", 0.0, None, None))
     if not record.controller:
-        found += [*_step(record), *_excitation(record)]
+        found += [*_step(record), *score_excitation(record)]
         found += _agreement(found)
     return found
 
@@ -80,7 +80,7 @@ def _agreement(found: Sequence[Score]) -> Iterator[Score]:
         yield Score(f"{one} meets {other}", 1.0, meet, meet)
 
 
-def _excitation(record: Record) -> Iterator[Score]:
+def score_excitation(record: Record) -> Iterator[Score]:
     """The share of the output's power that follows the input, of a record of one segment."""
     if len(record.data.segments) > 1:
         return

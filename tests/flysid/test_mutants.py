@@ -270,12 +270,52 @@ def test_fails(): assert not known(5)
 """
 
 
-def test_what_a_fixture_reaches_counts_for_all_who_use_it(small: Path, tmp_path: Path) -> None:
+def measured(small: Path, stamp: str) -> Reach:
+    folder = small / ".bench" / "mutants" / stamp
+    folder.mkdir(parents=True)
+    return measure(small, folder)
+
+
+def test_what_a_fixture_reaches_counts_for_all_who_use_it(small: Path) -> None:
     (small / "tests" / "model" / "test_known.py").write_text(SHARED)
-    reach = measure(small, tmp_path)
+    reach = measured(small, "now")
     name = "tests/model/test_known.py::test_"
     assert set(reach.seconds) == {name + word for word in ("first", "second", "third")}
     assert reach.lines["model/known.py"][2] == [name + "first", name + "second"]
+
+
+DOOR = """
+import os, subprocess, sys
+def test_door():
+    program = "from flysid.model.known import known; known(5)"
+    path = os.environ["PYTHONPATH"]
+    subprocess.run([sys.executable, "-c", program], env=os.environ | {"PYTHONPATH": path}, check=True)
+"""
+
+
+def test_later_code_takes_the_map_over_and_doors_count_what_they_start(small: Path) -> None:
+    """Lines that moved keep their tests; only files of tests that are new or changed are run again."""
+    model = small / "tests" / "model"
+    (model / "test_unknown.py").write_text("from flysid.model.unknown import *\ndef test_u(): unknown(1)\n")
+    first = measured(small, "first")
+    assert first.lines["model/known.py"][2] == ["tests/model/test_known.py::test_it"]
+    known = small / "model" / "known.py"
+    known.write_text("# a line more\n" + known.read_text())
+    (model / "test_unknown.py").write_text("def test_u(): pass\n")
+    (model / "test_known.py").touch()  # the content is what counts
+    (small / "tests" / "doors").mkdir()
+    (small / "tests" / "doors" / "test_pages.py").write_text(DOOR)
+    second = measured(small, "second")
+    door = "tests/doors/test_pages.py::test_door"
+    assert second.lines["model/known.py"][3] == ["tests/model/test_known.py::test_it", door]
+    assert second.lines["model/unknown.py"][2] == ["tests/model/test_known.py::test_call"]
+    both = "tests/model/test_known.py::test_"
+    assert {n: second.seconds[n] for n in second.seconds if n.startswith(both)} == {
+        n: first.seconds[n] for n in first.seconds if n.startswith(both)
+    }
+    assert not (small / "sitecustomize.py").exists()
+    reaching = second.tests_of(Place("model/known.py", 3, 3), Mentions.find(small))
+    assert set(reaching[:2]) == {"tests/model/test_known.py::test_it", door}
 
 
 CASES = """

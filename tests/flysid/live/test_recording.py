@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import random
 import socket
 import threading
 import time
@@ -132,7 +133,7 @@ def test_ten_systems_on_two_links(tmp_path: Path) -> None:
 def test_garbage_is_kept_beside_and_costs_no_frame(tmp_path: Path) -> None:
     port = free_port()
     target = tmp_path / "noisy.tlog"
-    noise = os.urandom(1000)
+    noise = random.Random(5).randbytes(1000)
     with recording(target, f"udp:127.0.0.1:{port}") as made:
         noisy = [part for frame in POOL[:100] for part in (noise, frame)]
         send(port, *noisy, *POOL[100:120])  # the last are longer than any frame that noise may seem to begin

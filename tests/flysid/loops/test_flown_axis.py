@@ -15,7 +15,7 @@ from click.testing import CliRunner
 
 from flysid.cli.gains import command
 from flysid.errors import DataError, UsageError
-from flysid.loops.axis_flight import SIDES
+from flysid.loops.axis_flight import SIDES, _slew
 from flysid.loops.betaflight import BetaflightLaw, Conditions
 from flysid.loops.flown_axis import FlownAxis, Turning, _mixed, _opened, flown_axis
 from flysid.loops.prediction import Turnings, predict_flight, response_of
@@ -160,6 +160,12 @@ def log_of(airmode: bool, swapped: bool = False) -> Log:
 @pytest.mark.parametrize("airmode", [False, True])
 def test_whether_airmode_is_on_is_read_off_the_motors(airmode: bool) -> None:
     assert flown_axis(log_of(airmode), "roll", SINCE_3_4).airmode == airmode
+
+
+def test_a_setpoint_follows_its_limit_of_acceleration() -> None:
+    time, asked = np.array([0.0, 1.0, 1.5, 1.5, 4.0]), np.array([0.0, 10.0, 10.0, -10.0, -2.0])
+    np.testing.assert_array_equal(_slew(time, asked, 4.0), [0.0, 4.0, 6.0, 6.0, -2.0])
+    np.testing.assert_array_equal(_slew(time, asked, 0.0), asked)
 
 
 def test_what_cannot_be_flown_again_is_refused() -> None:

@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import re
-from dataclasses import replace
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from bench.faulty_dataflash import dataflash_bytes
-from bench.faulty_quadrotor import Flight, draw_quadrotor, fly
+from bench.faulty_quadrotor import Flight
 from bench.faulty_ulog import ulog_bytes
 from flysid.reviews.estimator import review
 from flysid.reviews.fact import Fact, Grade, Section
 from flysid.reviews.gps import Receiver, find_jump
 from flysid.reviews.logged import Column
+from tests.flysid.reviews.conftest import FlightsOf
 from tests.flysid.reviews.shared_logs import dataflash_values, logged, needs_shared, open_logged, ulog_values
 
 COPTER = "dataflash/copter_437s.bin"
@@ -89,15 +90,9 @@ def test_a_field_that_changes_indoors_is_not_blamed_on_the_current() -> None:
 
 
 @pytest.fixture(scope="module")
-def flights() -> dict[str, Flight]:
+def flights(flights_of: FlightsOf) -> Mapping[str, Flight]:
     """One vehicle, sound, with a GPS that jumps, and with a loose accelerometer."""
-    sound = draw_quadrotor(np.random.default_rng(21))
-    kinds = {
-        "sound": sound,
-        "glitch": replace(sound, glitch_s=31.0, glitch_m=22.0),
-        "loose": replace(sound, loose_m_s2=50.0),
-    }
-    return dict(zip(kinds, fly(list(kinds.values())), strict=True))
+    return flights_of("estimator")
 
 
 def reviewed(flight: Flight, suffix: str, folder: Path, *, second: bool = True) -> Section:
@@ -107,7 +102,7 @@ def reviewed(flight: Flight, suffix: str, folder: Path, *, second: bool = True) 
 
 
 @pytest.mark.parametrize("suffix", [".bin", ".ulg"])
-def test_a_jump_is_the_gravest_finding(flights: dict[str, Flight], suffix: str, tmp_path: Path) -> None:
+def test_a_jump_is_the_gravest_finding(flights: Mapping[str, Flight], suffix: str, tmp_path: Path) -> None:
     section = reviewed(flights["glitch"], suffix, tmp_path)
     first = max(section.findings, key=lambda finding: (finding.grade.rank, finding.weight))
     assert re.fullmatch("The GPS jumps 2[12] m at 31 s", first.text)
@@ -116,19 +111,19 @@ def test_a_jump_is_the_gravest_finding(flights: dict[str, Flight], suffix: str, 
 
 
 @pytest.mark.parametrize("suffix", [".bin", ".ulg"])
-def test_a_loose_accelerometer_is_named(flights: dict[str, Flight], suffix: str, tmp_path: Path) -> None:
+def test_a_loose_accelerometer_is_named(flights: Mapping[str, Flight], suffix: str, tmp_path: Path) -> None:
     section = reviewed(flights["loose"], suffix, tmp_path)
     assert any(f.text.startswith("Accelerometer 1 shakes") for f in section.findings)
     assert section.actions[0].title.startswith("Fasten")
 
 
-def test_one_accelerometer_has_none_to_differ_from(flights: dict[str, Flight], tmp_path: Path) -> None:
+def test_one_accelerometer_has_none_to_differ_from(flights: Mapping[str, Flight], tmp_path: Path) -> None:
     section = reviewed(flights["loose"], ".ulg", tmp_path, second=False)
     assert not any(fact.key == "estimator.shake_ratio" for fact in section.facts)
 
 
 @pytest.mark.parametrize("suffix", [".bin", ".ulg"])
-def test_sound_sensors_are_found_sound(flights: dict[str, Flight], suffix: str, tmp_path: Path) -> None:
+def test_sound_sensors_are_found_sound(flights: Mapping[str, Flight], suffix: str, tmp_path: Path) -> None:
     section = reviewed(flights["sound"], suffix, tmp_path)
     assert not section.actions
     assert {finding.grade for finding in section.findings} == {Grade.GOOD}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,20 +9,17 @@ import pytest
 
 import flysid
 from bench.faulty_dataflash import dataflash_bytes
-from bench.faulty_quadrotor import Flight, critical_gain, draw_quadrotor, fly
+from bench.faulty_quadrotor import Flight
 from bench.faulty_ulog import ulog_bytes
 from flysid.ingest.align.signals import FlightLog
 from flysid.reviews.logged import LoggedFlight
+from tests.flysid.reviews.conftest import FlightsOf
 
 
 @pytest.fixture(scope="module")
-def flights() -> list[Flight]:
+def flights(flights_of: FlightsOf) -> list[Flight]:
     """A sound vehicle, and the same with a weak motor, a GPS glitch, and with gains that are too high."""
-    sound = draw_quadrotor(np.random.default_rng(4))
-    hot = replace(sound, gain=1.2 * critical_gain(sound))
-    return fly(
-        [sound, replace(sound, weak=2, weakness=0.2), replace(sound, glitch_s=30.0, glitch_m=30.0), hot]
-    )
+    return list(flights_of("plain").values())
 
 
 def test_a_sound_vehicle_follows_and_hovers_as_its_parameter_says(flights: list[Flight]) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,12 +10,13 @@ import numpy as np
 import pytest
 
 from bench.faulty_dataflash import dataflash_bytes
-from bench.faulty_quadrotor import Flight, draw_quadrotor, fly
+from bench.faulty_quadrotor import Flight
 from bench.faulty_ulog import ulog_bytes
 from flysid.reviews.crash import acceleration
 from flysid.reviews.fact import Fact, Grade, Section, Table
 from flysid.reviews.happened import review
 from flysid.reviews.power import review as review_power
+from tests.flysid.reviews.conftest import FlightsOf
 from tests.flysid.reviews.shared_logs import dataflash_values, logged, needs_shared, open_logged, ulog_values
 
 AGGRESSIVE = "ulog/quad_manual_aggressive_80s.ulg"
@@ -99,19 +100,13 @@ def test_a_racer_that_lands_has_not_crashed(name: str) -> None:
 
 
 @pytest.fixture(scope="module")
-def flights() -> dict[str, Flight]:
+def flights(flights_of: FlightsOf) -> Mapping[str, Flight]:
     """One vehicle, sound, with a motor that stops, and with a supply that goes."""
-    sound = draw_quadrotor(np.random.default_rng(31))
-    kinds = {
-        "sound": sound,
-        "motor": replace(sound, fails_s=34.0),
-        "brown-out": replace(sound, browns_s=41.0),
-    }
-    return dict(zip(kinds, fly(list(kinds.values())), strict=True))
+    return flights_of("happened")
 
 
 @pytest.mark.parametrize("suffix", WRITERS)
-def test_a_motor_that_stops(flights: dict[str, Flight], suffix: str, tmp_path: Path) -> None:
+def test_a_motor_that_stops(flights: Mapping[str, Flight], suffix: str, tmp_path: Path) -> None:
     section = reviewed(flights["motor"], suffix, tmp_path)
     (crash,) = (finding for finding in section.findings if finding.grade is Grade.BAD)
     assert crash.text.startswith("Tipped over at 3")
@@ -124,14 +119,14 @@ def test_a_motor_that_stops(flights: dict[str, Flight], suffix: str, tmp_path: P
 
 
 @pytest.mark.parametrize("suffix", WRITERS)
-def test_a_supply_that_goes(flights: dict[str, Flight], suffix: str, tmp_path: Path) -> None:
+def test_a_supply_that_goes(flights: Mapping[str, Flight], suffix: str, tmp_path: Path) -> None:
     section = reviewed(flights["brown-out"], suffix, tmp_path)
     (cut,) = (finding for finding in section.findings if finding.grade is Grade.BAD)
     assert cut.text == "The log ends in the air at 41 s: brown-out"
 
 
 @pytest.mark.parametrize("suffix", WRITERS)
-def test_a_log_that_is_cut_is_not_blamed(flights: dict[str, Flight], suffix: str, tmp_path: Path) -> None:
+def test_a_log_that_is_cut_is_not_blamed(flights: Mapping[str, Flight], suffix: str, tmp_path: Path) -> None:
     whole = flights["sound"]
     n = len(whole.time_s) // 2
     cut = replace(whole, time_s=whole.time_s[:n], columns={k: v[:n] for k, v in whole.columns.items()})
@@ -141,13 +136,13 @@ def test_a_log_that_is_cut_is_not_blamed(flights: dict[str, Flight], suffix: str
 
 
 @pytest.mark.parametrize("suffix", WRITERS)
-def test_a_sound_flight(flights: dict[str, Flight], suffix: str, tmp_path: Path) -> None:
+def test_a_sound_flight(flights: Mapping[str, Flight], suffix: str, tmp_path: Path) -> None:
     section = reviewed(flights["sound"], suffix, tmp_path)
     assert not section.findings
     assert fact_of(section, "failsafes").value == "none"
 
 
-def test_a_single_wrong_sample_is_no_crash(flights: dict[str, Flight], tmp_path: Path) -> None:
+def test_a_single_wrong_sample_is_no_crash(flights: Mapping[str, Flight], tmp_path: Path) -> None:
     """A blow without tipping over, after which it flies on."""
     path = tmp_path / "flight.ulg"
     sound = flights["sound"]

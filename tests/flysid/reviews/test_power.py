@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tomllib
-from dataclasses import replace
+from collections.abc import Mapping
 from importlib.resources import files
 from pathlib import Path
 
@@ -12,14 +12,14 @@ import pytest
 from scipy import signal, stats
 
 from bench.faulty_dataflash import dataflash_bytes
-from bench.faulty_quadrotor import Flight, draw_quadrotor, fly
+from bench.faulty_quadrotor import Flight
 from bench.faulty_ulog import ulog_bytes
-from bench.review_faults import FAULTS
 from flysid.dataset import FloatArray
 from flysid.reviews.battery import lowest, measure_resistance, share_at_end
 from flysid.reviews.fact import Grade, MotorPlan, Section
 from flysid.reviews.logged import Column
 from flysid.reviews.power import review
+from tests.flysid.reviews.conftest import FlightsOf
 from tests.flysid.reviews.shared_logs import (
     SHARED,
     dataflash_values,
@@ -139,18 +139,9 @@ def test_logs_without_flight_complain_of_nothing(name: str) -> None:
 
 
 @pytest.fixture(scope="module")
-def flights() -> dict[str, Flight]:
+def flights(flights_of: FlightsOf) -> Mapping[str, Flight]:
     """One vehicle, sound and with faults of its power train."""
-    sound = draw_quadrotor(np.random.default_rng(11))
-    kinds = {
-        "sound": sound,
-        "worn": replace(sound, weak=1, weakness=0.2),
-        "propeller": replace(sound, weak=1, weakness=0.2, propeller=True),
-        "heavy": replace(sound, heavier=1.2),
-        "stopped": replace(sound, fails_s=33.0),
-        "sagging": FAULTS["sagging battery"].spoil(sound, np.random.default_rng(0)),
-    }
-    return dict(zip(kinds, fly(list(kinds.values())), strict=True))
+    return flights_of("power")
 
 
 @pytest.mark.parametrize("suffix", [".bin", ".ulg"])
@@ -164,7 +155,7 @@ def flights() -> dict[str, Flight]:
     ],
 )
 def test_a_fault_is_the_gravest_finding(
-    flights: dict[str, Flight], kind: str, words: str, suffix: str, tmp_path: Path
+    flights: Mapping[str, Flight], kind: str, words: str, suffix: str, tmp_path: Path
 ) -> None:
     section = reviewed(flights[kind], suffix, tmp_path)
     first = max(section.findings, key=lambda finding: (finding.grade.rank, finding.weight))
@@ -173,7 +164,7 @@ def test_a_fault_is_the_gravest_finding(
 
 
 @pytest.mark.parametrize("suffix", [".bin", ".ulg"])
-def test_a_sound_vehicle_gets_no_action(flights: dict[str, Flight], suffix: str, tmp_path: Path) -> None:
+def test_a_sound_vehicle_gets_no_action(flights: Mapping[str, Flight], suffix: str, tmp_path: Path) -> None:
     section = reviewed(flights["sound"], suffix, tmp_path)
     assert not section.actions
     assert all(finding.grade is Grade.GOOD for finding in section.findings)
@@ -182,7 +173,9 @@ def test_a_sound_vehicle_gets_no_action(flights: dict[str, Flight], suffix: str,
     assert plan.places[2][1] < 0.0
 
 
-def test_only_speeds_tell_a_weak_motor_from_a_propeller(flights: dict[str, Flight], tmp_path: Path) -> None:
+def test_only_speeds_tell_a_weak_motor_from_a_propeller(
+    flights: Mapping[str, Flight], tmp_path: Path
+) -> None:
     motor = reviewed(flights["worn"], ".bin", tmp_path)
     assert any("to turn as fast" in text for text in texts(motor))
     propeller = reviewed(flights["propeller"], ".bin", tmp_path)
@@ -193,7 +186,7 @@ def test_only_speeds_tell_a_weak_motor_from_a_propeller(flights: dict[str, Fligh
 
 
 def test_a_motor_that_stops_is_named_where_its_speed_is_logged(
-    flights: dict[str, Flight], tmp_path: Path
+    flights: Mapping[str, Flight], tmp_path: Path
 ) -> None:
     section = reviewed(flights["stopped"], ".bin", tmp_path)
     beat = next(fact for fact in section.facts if fact.key == "power.desync")
@@ -214,7 +207,7 @@ def test_escs_of_a_real_flight() -> None:
     assert next(f for f in section.facts if f.key == "power.desync").value == "none"
 
 
-def test_the_resistance_is_the_simulated_one(flights: dict[str, Flight], tmp_path: Path) -> None:
+def test_the_resistance_is_the_simulated_one(flights: Mapping[str, Flight], tmp_path: Path) -> None:
     for kind in ("sound", "sagging"):
         section = reviewed(flights[kind], ".ulg", tmp_path)
         truth = 1e3 * flights[kind].vehicle.resistance_ohm
@@ -260,7 +253,7 @@ def test_a_sensor_that_ends_stays_there() -> None:
     assert share_at_end(column(np.minimum(wave, 60.0))) > 0.05
 
 
-def test_a_rover_has_no_motors_that_carry_it(flights: dict[str, Flight], tmp_path: Path) -> None:
+def test_a_rover_has_no_motors_that_carry_it(flights: Mapping[str, Flight], tmp_path: Path) -> None:
     """Its FRAME_CLASS is 1, too."""
     path = tmp_path / "flight.bin"
     path.write_bytes(dataflash_bytes(flights["worn"]).replace(b"ArduCopter V4.5.7", b"ArduRover V4.5.7 "))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import random
 import struct
 from pathlib import Path
 from typing import Any
@@ -129,8 +128,8 @@ def test_what_mavlogdump_printed_is_read_alike_and_what_it_lost_is_named(tmp_pat
     assert "PARAM_VALUE.param_value: 'NaN' in message 2 is not a number" in done.stderr
 
 
-def test_drawn_logs_of_several_senders_keep_every_value() -> None:
+def test_drawn_logs_of_several_senders_keep_every_value(fresh_seed: int) -> None:
     """A failure names its seed: `tests.parameter_trials.draw(seed)` draws the log again."""
-    outcome = trials(100, lambda: True, random.SystemRandom().randrange(1 << 31))
+    outcome = trials(100, lambda: True, fresh_seed)
     assert not outcome.failures, "\n".join(outcome.failures)
     assert outcome.trials == 100

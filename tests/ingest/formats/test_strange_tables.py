@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import random
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -440,8 +439,8 @@ def test_numbers_are_read_as_they_are_spelled(
 # ----------------------------------------------------------------------------------------------- drawn
 
 
-def test_drawn_tables_come_back_as_they_were_meant() -> None:
+def test_drawn_tables_come_back_as_they_were_meant(fresh_seed: int) -> None:
     """A failure names its seed: `tests.table_trials.draw(seed)` draws the table again."""
-    outcome = trials(150, always, random.SystemRandom().randrange(1 << 31))
+    outcome = trials(150, always, fresh_seed)
     assert not outcome.failures, "\n".join(outcome.failures)
     assert outcome.trials == 150

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import secrets
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.special import bdtrc
 
 from bench.verdict_few import POLE, claim, draw_gains, flight_of
 from flysid.dataset import BEGAN, Dataset
@@ -23,6 +21,9 @@ from flysid.validate.compare.neighbours import (
 from flysid.validate.compare.trials import FREE_RUN
 from flysid.validate.compare.words import scope_words, verdict_words
 from flysid.validate.compare_models import compare
+from flysid.validate.trials import FREE_RUN
+from flysid.validate.words import scope_words, verdict_words
+from tests.drawn import is_rarer, is_seldom
 from tests.fakes import FirstOrder
 
 TRIALS = 60
@@ -31,24 +32,24 @@ SEVERAL_DAYS_S = 3 * 86_400.0
 
 @pytest.mark.parametrize("count", [2, 3, 4, 6, 10, 20])
 @pytest.mark.parametrize("kind", ["drift", "one in six odd"])
-def test_equally_good_models_are_not_told_apart_on_another_flight(kind: str, count: int) -> None:
+def test_equally_good_models_are_not_told_apart_on_another_flight(
+    kind: str, count: int, fresh_seed: int
+) -> None:
     """With drift 4, 12, 21, 25, 25 of 40 were, one in six odd 4, 6, 9, 11, 10 of 40."""
-    seed = secrets.randbelow(2**40)
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(fresh_seed)
     wrong = sum(claim(draw_gains(kind, count, rng), 300, rng) is Scope.ANOTHER for _ in range(TRIALS))
-    assert bdtrc(wrong - 1, TRIALS, 0.05) > 1e-4 if wrong else True, f"{wrong} of {TRIALS}, seed {seed}"
+    assert not is_rarer(wrong, TRIALS, 0.05), f"{wrong} of {TRIALS}"
 
 
-def test_true_differences_are_found() -> None:
+def test_true_differences_are_found(fresh_seed: int) -> None:
     """On flights like these with six, on another flight with 30."""
-    seed = secrets.randbelow(2**40)
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(fresh_seed)
     six, many = (
         [claim(draw_gains("a true difference", count, rng), 300, rng) for _ in range(TRIALS)]
         for count in (6, 30)
     )
-    assert six.count(Scope.LIKE) > 0.9 * TRIALS, seed
-    assert many.count(Scope.ANOTHER) > 0.8 * TRIALS, seed
+    assert not is_seldom(six.count(Scope.LIKE), TRIALS, 0.9)
+    assert not is_seldom(many.count(Scope.ANOTHER), TRIALS, 0.8)
 
 
 def test_kinds_by_hand() -> None:
