@@ -64,8 +64,7 @@ _DAYS_AND_CLOCK = r"(?P<D>\d+)(?: days?,? ?|\.)(?P<H>\d{1,2}):(?P<M>\d\d):(?P<S>
 _SINCE = (
     rf"(?P<H>\d{{1,4}}):(?P<M>\d\d):(?P<S>\d\d){_FRACTION}{_NOON}{_ZONE}",
     r"(?P<H>\d{1,2}):(?P<M>\d\d) ?(?P<ap>[AaPp])\.?[Mm]\.?",
-    r"(?P<M>\d{1,4}):(?P<S>\d\d)[.,](?P<f>\d{1,9})\d*",
-    r"(?:(?P<H>\d{1,4}):)?(?P<M>\d{1,2}):(?P<S>\d\d)[.,](?P<f>\d{1,9})\d*",  # past the first hour
+    r"(?:(?P<H>\d{1,4}):)?(?P<M>\d{1,4}):(?P<S>\d\d)[.,](?P<f>\d{1,9})\d*",  # hours once there are any
     _DAYS_AND_CLOCK,
     r"(?:P(?P<D>\d+)D)?P?T(?:(?P<H>\d+)H)?(?:(?P<M>\d+)M)?(?P<S>\d+)(?:[.,](?P<f>\d{1,9})\d*)?S",
     r"(?:(?P<H>\d+) ?h(?:ours?|rs?)? ?)?(?P<M>\d+) ?m(?:in)? ?(?P<S>\d+)(?:[.,](?P<f>\d{1,9}))? ?s(?:ec)?",
@@ -114,10 +113,10 @@ class Form:
 
     @property
     def turn(self) -> Turn:
-        """When its times begin anew: at midnight, or, of minutes and seconds, after an hour."""
+        """When its times begin anew: at midnight, or after an hour where hours may be left out."""
         if self.kind == DATED or "(?P<D>" in self.shape:
             return NO_TURN
-        period_ns = DAY_NS if "(?P<H>" in self.shape else HOUR_NS
+        period_ns = HOUR_NS if "(?:(?P<H>" in self.shape else DAY_NS
         return Turn(period_ns, max(LEAP_NS, period_ns // 24))
 
     def read(self, text: pa.Array) -> tuple[IntArray, BoolArray]:
@@ -285,7 +284,8 @@ def _clock_ns(parts: Mapping[str, pa.Array]) -> tuple[IntArray, BoolArray]:
     sound = np.ones(count, dtype=bool)
     sound &= np.asarray(seconds) < 60
     if "H" in parts:
-        sound &= np.asarray(minutes) < 60
+        has_hours = _bools(pc.not_equal(pc.fill_null(parts["H"], ""), ""))
+        sound &= (np.asarray(minutes) < 60) | ~has_hours
     if "ap" in parts:
         hours, fits = _with_noon(np.asarray(hours), parts["ap"])
         sound &= fits
