@@ -66,6 +66,11 @@ class FlightFacts(msgspec.Struct, frozen=True, array_like=True):
         """Whether the log lacks anything."""
         return self.lossy or bool(self.losses)
 
+    @property
+    def lacks(self) -> str:
+        """What the log lacks, in words; tables of older versions know only that it lacks something."""
+        return self.losses or ("something was lost" if self.lossy else "")
+
 
 class _Catalogue(msgspec.Struct, frozen=True, array_like=True):
     version: int

@@ -46,6 +46,7 @@ DAY_EPOCHS = {"Excel": 25_569.0, "MATLAB": 719_529.0, "modified Julian": 40_587.
 MISSING = ("", "NaN", "nan", "#N/A", "NA", "null", "None")
 NO_NUMBERS = ("-", "--", "ERR", "#DIV/0!", "n.a.", "?", "overflow", "12..5", "1.2.3")
 MODES = ("HOVER", "LOITER", "RTL", "Position Hold")
+FOREIGN = ("\u65f6\u95f4", "\u6642\u523b", "\uc2dc\uac04", "\u0412\u0440\u0435\u043c\u044f", "hora", "abc")
 MONTHS = ("Jan", "Feb", "Mar", "Apr", "May", "Jun", "Jul", "Aug", "Sep", "Oct", "Nov", "Dec")
 
 DATES: dict[str, Callable[[dt.datetime], str]] = {
@@ -54,6 +55,7 @@ DATES: dict[str, Callable[[dt.datetime], str]] = {
     "compact": lambda at: f"{at:%Y%m%d}",
     "named": lambda at: f"{at.day:02d}-{MONTHS[at.month - 1]}-{at.year}",
     "month": lambda at: f"{MONTHS[at.month - 1]} {at.day}, {at.year}",
+    "signs": lambda at: f"{at.year}\u5e74{at.month}\u6708{at.day}\u65e5",
 }
 
 
@@ -176,6 +178,11 @@ def stamps(rng: random.Random, when: list[dt.datetime], since_s: list[float]) ->
     split = rng.random() < 0.4
     has_ms = split and rng.random() < 0.4
     clock, digits_s = _clock(rng, 0 if has_ms else _digits(rng, since_s))
+    if rng.random() < 0.1:  # digit by digit, as one number
+        header = rng.choice(("time", "Timestamp", "datetime"))
+        return Times(
+            [header], [[f"{at:%Y%m%d%H%M%S}{at.microsecond // 1000:03d}"] for at in when], 1e-3, True
+        )
     date, open_to = _date(rng)
     if split:
         pairs = [[date(at), clock(at)] for at in when]
@@ -188,16 +195,25 @@ def stamps(rng: random.Random, when: list[dt.datetime], since_s: list[float]) ->
             return Times([*headers, "ms"], pairs, 1e-3, True, open_to)
         return Times(list(headers), pairs, digits_s, True, open_to)
     between = rng.choice((" ", " ", "T", ", ", "_"))
-    header = rng.choice(("time", "Timestamp", "datetime", "Date Time", "UTC", "Zeitstempel"))
+    header = rng.choice(("time", "Timestamp", "datetime", "Date Time", "UTC", "Zeitstempel", *FOREIGN))
     return Times([header], [[date(at) + between + clock(at)] for at in when], digits_s, True, open_to)
 
 
 def clocks(rng: random.Random, when: list[dt.datetime], since_s: list[float]) -> Times:
     """Times of day alone, times since the start, and calendars in six columns."""
-    kind = rng.choice(("day", "elapsed", "minutes", "timedelta", "measured", "calendar"))
+    kind = rng.choice(("day", "elapsed", "minutes", "past", "timedelta", "measured", "calendar", "packed"))
     if kind == "day":
         clock, digits_s = _clock(rng, _digits(rng, since_s))
         return Times(["Time"], [[clock(at)] for at in when], digits_s, False)
+    if kind == "packed":  # as receivers write it
+        names = rng.choice(("UTC", "GPS Time", "time"))
+        return Times(
+            [names],
+            [[f"{at:%H%M%S}.{at.microsecond // 1000:03d}"] for at in when],
+            1e-3,
+            False,
+            numeric=True,
+        )
     if kind == "calendar":
         headers = ["Year", "Month", "Day", "Hour", "Minute", "Second"]
         rows = [
@@ -217,14 +233,19 @@ def clocks(rng: random.Random, when: list[dt.datetime], since_s: list[float]) ->
         size = 1e-3 if unit == "ms" else 1.0
         return Times(["time"], [[f"{s / size:.3f} {unit}"] for s in since_s], 1e-3 * size, False)
     cells = []
+    ahead_s = (
+        3600 - rng.randint(1, 20) if kind == "past" else 0
+    )  # past the first hour, cells have three parts
     for s in since_s:
         whole, ms = divmod(round(s * 1000), 1000)
+        whole += ahead_s
         minutes, seconds = divmod(whole, 60)
         hours, left = divmod(minutes, 60)
         cells.append(
             {
                 "elapsed": f"{hours:02d}:{left:02d}:{seconds:02d}.{ms:03d}",
                 "minutes": f"{minutes:02d}:{seconds:02d}.{ms:03d}",
+                "past": (f"{hours}:" if hours else "") + f"{left:02d}:{seconds:02d}.{ms:03d}",
                 "timedelta": f"0 days {hours:02d}:{left:02d}:{seconds:02d}.{ms:03d}000",
             }[kind]
         )
@@ -297,9 +318,11 @@ def draw(seed: int) -> Trial:
     micros = [spacing * 1000 * k for k in range(rows)]
     when = [begin + dt.timedelta(microseconds=m) for m in micros]
     times = rng.choice((numbers, numbers, stamps, stamps, clocks))(rng, when, [m / 1e6 for m in micros])
-    separator = rng.choice((",", ";", "\t"))
+    separator = rng.choice((",", ";", "\t", "|"))
     spelling = rng.choice(
         (Spelling(".", ""), Spelling(".", ""), Spelling(",", ""), Spelling(".", ","), Spelling(",", "."))
+        if rng.random() < 0.9
+        else (Spelling(",", "\u202f"), Spelling(",", "\u00a0"), Spelling(".", "\u2009"))
     )
     count = rng.randint(2, 4)
     columns = [_values(rng, rows, spelling) for _ in range(count)]

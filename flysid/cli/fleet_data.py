@@ -73,11 +73,13 @@ class FleetData:
 
     def gather(self, lake: Lake, recipe: Recipe, cluster: Cluster | None, quiet: bool) -> Gathered:
         """The fleet's triangles; says how many flights were read for them."""
+        from flysid.cli.losses import say_lost
         from flysid.cli.source import require_fit
         from flysid.fleet.models.gather import gather
         from flysid.fleet.models.triangle_store import Folder
 
         require_fit(lake, self.recipe)
+        say_lost(lake.facts)
         found = gather(lake, recipe, Folder(lake.folder), self.channels, self.rate_hz, self.jobs, cluster)
         say(f"{counted(found.read, 'flight')} read, {len(lake) - found.read:,} known", quiet)
         for flight, why in found.lost.items():

@@ -9,15 +9,16 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from flysid.cli.ls import clock_text
-from flysid.cli.output import align_columns, say
+from flysid.cli.output import NAMES_SHOWN, align_columns, say
 from flysid.cli.trust import Own, Setting
+from flysid.facts.losses import lines_of_flights
 from flysid.showing import counted
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
 HEADINGS = ("FLIGHT", "VEHICLE", "FIRMWARE", "START", "TIME", "RECORDS", "LOST")
-COLUMNS = ("flight", "vehicle", "firmware", "start", "duration_s", "rows", "lost")
+COLUMNS = ("flight", "vehicle", "firmware", "start", "duration_s", "rows", "lost", "losses")
 
 
 @click.command("ls")
@@ -55,6 +56,10 @@ def command(lake: str, vehicle: str, firmware: str, where: str, sql: str, by: st
         click.echo("\n".join(align_columns([[name.upper() for name in table.column_names], *rows])))
     else:
         click.echo("\n".join(align_columns([HEADINGS, *(_row(row) for row in table.to_pylist())])))
+        for line in lines_of_flights(
+            {row["flight"]: row["losses"] or "" for row in table.to_pylist()}, NAMES_SHOWN
+        ):
+            say(f"lost: {line}")
         _sum_up(table)
 
 

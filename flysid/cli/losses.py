@@ -2,24 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from flysid.cli.output import NAMES_SHOWN, say
-from flysid.facts.losses import loss_lines, repeat_lines
+from flysid.facts.losses import lines_of_flights, loss_lines, repeat_lines
 from flysid.showing import counted, first_of
 
 if TYPE_CHECKING:
+    from flysid.catalogue import FlightFacts
     from flysid.ingest.lake.batch import Result
 
 
 def report(results: Sequence[Result], quiet: bool) -> None:
     """Losses and skipped logs by name (even when quiet), then the sums."""
     for result in results:
-        if result.damage.lossy:
-            for line in loss_lines(result.damage):
-                say(f"lost: {result.path}: {line}")
+        for line in loss_lines(result.damage):
+            say(f"lost: {result.path}: {line}")
     say_skipped([(result.path, result.reason) for result in results if result.skipped])
     for result in results:
         for line in repeat_lines(result.damage):
@@ -31,6 +31,12 @@ def report(results: Sequence[Result], quiet: bool) -> None:
     if skipped := sum(r.skipped for r in results):
         counts.append(f"{skipped} skipped")
     say(", ".join(counts), quiet)
+
+
+def say_lost(flights: Iterable[FlightFacts]) -> None:
+    """Name the flights whose logs lack something, as it was counted when they were read."""
+    for line in lines_of_flights({flight.id: flight.lacks for flight in flights}, NAMES_SHOWN):
+        say(f"lost: {line}")
 
 
 def say_skipped(skipped: Sequence[tuple[str | Path, str]]) -> None:

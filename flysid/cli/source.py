@@ -259,6 +259,7 @@ def open_source(data: Path, asked: Asked, place: Path | None, quiet: bool) -> It
     RecipeError : as `check_source`; a field is not there.
     """
     logs = check_source(data, asked)
+    from flysid.cli.losses import say_lost
     from flysid.ingest.lake.chosen_flights import of_one_vehicle, select
     from flysid.ingest.lake.lake import open as open_lake
 
@@ -276,6 +277,8 @@ def open_source(data: Path, asked: Asked, place: Path | None, quiet: bool) -> It
                     served = of_one_vehicle(lake, asked.words.recipe)
                     _say_left_out(lake, served, asked.words.recipe, quiet)
                     lake = served
+                if logs is None:
+                    say_lost(lake.facts)
                 yield lake, _recipe_for(lake, asked, Path(folder) / "quick.toml", quiet)
         except BaseException:
             if place is not None:
@@ -352,6 +355,8 @@ def opened_flights(
         flight that is not there.
     FormatError : nothing of a log can be read.
     """
+    from flysid.cli.losses import say_lost
+    from flysid.ingest.lake.chosen_flights import select
     from flysid.ingest.lake.finding import find_logs
     from flysid.ingest.lake.lake import open as open_lake
     from flysid.ingest.lake.workers import Bounds
@@ -359,7 +364,9 @@ def opened_flights(
     words = told or Words("", (), (), None)
     if is_ingested(source):
         refuse_reading_again(source, words)
-        yield open_lake(source)
+        whole = open_lake(source)
+        say_lost((select(whole, selection) if selection else whole).facts)
+        yield whole
         return
     logs = find_logs([source], Bounds())
     if selection is not None:

@@ -16,7 +16,13 @@ from flysid.cli.bounds import POSITIVE
 from flysid.cli.checks import Asked, Words, check_source
 from flysid.cli.display import Display
 from flysid.cli.output import check_target, printable, say_drawn, say_left_out
-from flysid.cli.source import open_source, say_mixed_gains, selection_options, words_options
+from flysid.cli.source import (
+    lost_on_the_way,
+    open_source,
+    say_mixed_gains,
+    selection_options,
+    words_options,
+)
 from flysid.cli.trust import Own, Setting
 
 if TYPE_CHECKING:
@@ -75,7 +81,7 @@ def command(
     and fields, the shipped recipe is taken that fits, with its channels of a command and the response to
     it. A channel whose input reacts to its output is refused, because its record holds no step response
     (--anyway estimates it, with a caution).
-    Exit code 3: --channel named such a channel.
+    Exit code 3: --channel named such a channel, or a log was read with losses.
     """
     if plot is not None:
         from flysid.validate.show.pictures import check_picture
@@ -92,6 +98,7 @@ def command(
 
     found: list[ChannelStep] = []
     skipped: dict[str, str] = {}
+    lost = False
     name = words.recipe
     for place, of in zip(places, _names(places), strict=True):
         with Display(quiet=quiet).shown(), open_source(place, asked, None, quiet) as (lake, chosen):
@@ -103,6 +110,7 @@ def command(
             steps, why = channel_steps(
                 lake, chosen, channels=asked.channels, horizon_s=horizon, fast=fast, of=of, anyway=anyway
             )
+            lost |= lost_on_the_way(place, lake)
             say_mixed_gains(lake, quiet)
         found += steps
         skipped |= {f"{name} of {of}" if of else name: reason for name, reason in why.items()}
@@ -117,7 +125,7 @@ def command(
     for name, reason in skipped.items():
         say_left_out(name, reason)
     refused = any(name.split(" of ")[0] in channels for name in skipped)
-    return 3 if refused or not found else 0
+    return 3 if lost or refused or not found else 0
 
 
 def _names(places: Sequence[Path]) -> list[str]:

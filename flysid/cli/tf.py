@@ -159,7 +159,7 @@ def command(
     and fields, the shipped recipe is taken that fits, with its channels of a command and the response to
     it. All flights are used; 'flysid fit --models tf' and 'flysid validate' judge such a model on
     held-out flights. Channels that the data do not support are named. Exit code 3: --channel named one of
-    them; 4: --fail-if holds.
+    them, or a log was read with losses; 4: --fail-if holds.
     """
     if plot is not None:
         from flysid.validate.show.pictures import check_picture

@@ -86,6 +86,25 @@ def repeat_lines(damage: Damage) -> list[str]:
     ]
 
 
+def lines_of_flights(lost: Mapping[str, str], most: int) -> list[str]:
+    """What flights lack, one line each; beyond `most` of them one line that counts the rest.
+
+    Parameters
+    ----------
+    lost : flight -> what its log lacks, in words; "" where nothing is known to be lost.
+
+    Examples
+    --------
+    >>> lines_of_flights({"a": "end cut off", "b": "", "c": "2 bad checksums", "d": "end cut off"}, 2)
+    ['a: end cut off', 'c: 2 bad checksums', '1 more flight lacks something']
+    """
+    lines = [f"{name}: {words}" for name, words in lost.items() if words]
+    rest = len(lines) - most
+    if rest <= 0:
+        return lines
+    return [*lines[:most], f"{counted(rest, 'more flight')} {'lacks' if rest == 1 else 'lack'} something"]
+
+
 def link_words(loss: LinkLoss) -> str:
     """What a link lost of one sender, and what came again.
 

@@ -228,7 +228,7 @@ def _summarise(facts: FlightFacts) -> dict[str, Any]:
         "size_bytes": facts.size_bytes,
         "duration_s": facts.duration_s,
         "rows": facts.rows,
-        "losses": facts.losses or ("something was lost" if facts.lossy else ""),
+        "losses": facts.lacks,
         "start_utc_ns": None if facts.start_utc_ns is None else str(facts.start_utc_ns),
         "info": dict(facts.info),
     }

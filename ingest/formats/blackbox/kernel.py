@@ -39,7 +39,8 @@ INTRA, INTER, SLOW, GPS, HOME, EVENT = range(6)
 LETTERS = tuple(b"IPSGHE")
 END_TEXT = tuple(b"End of log")
 ROTORFLIGHT = (50, 51, 52)  # governor, rescue, airborne: one number each
-LONGEST_FRAME = 256
+LONGEST_FRAME = 256  # of up to 51 fields; INAV logs more than 100
+LONGEST_FIELD = 5  # bytes of a number of 32 bits
 LONGEST_PAUSE_US = 10_000_000
 
 # what `walk` says: it reached the limit; a table is full; no frame at this place; the log stops inside a
@@ -123,6 +124,12 @@ def next_iteration(state: State, iteration: int) -> int:
 
 
 @numba.njit(cache=True, nogil=True)
+def longest_frame(fields: int) -> int:
+    """Bytes that a frame of so many fields may take."""
+    return max(LONGEST_FRAME, LONGEST_FIELD * fields)
+
+
+@numba.njit(cache=True, nogil=True)
 def read_fields(
     raw: ByteArray,
     at: int,
@@ -139,7 +146,7 @@ def read_fields(
     count = program.size[kind]
     k = 0
     homes = 0
-    stop = min(stop, at + LONGEST_FRAME)
+    stop = min(stop, at + longest_frame(count))
     if count == 0:
         return WRONG
     while k < count:
@@ -361,7 +368,8 @@ def walk(
             before = history[newest] if kind <= INTER else history[place]
             values = history[free]
             end = read_fields(raw, at + 1, state.end, kind, program, state, values, before, history[older])
-        if end == PAST_END and state.end <= at + 1 + LONGEST_FRAME:
+        fields = program.size[kind] if kind != EVENT else 0
+        if end == PAST_END and state.end <= at + 1 + longest_frame(fields):
             return CUT, at
         if end < 0 or not (may_end(raw, end, state) or (kind == EVENT and event[0] == EventKind.END)):
             return NO_FRAME, at

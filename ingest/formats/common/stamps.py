@@ -56,13 +56,15 @@ _DATES: Mapping[str, str] = {
     "": _YEAR_FIRST,
     "compact": r"(?P<y>(?:19|20)\d\d)(?P<m>0[1-9]|1[0-2])(?P<d>[0-2]\d|3[01])",
     "named": rf"{_WEEKDAY}(?P<d>\d\d?)\.?[-/. ]{_MONTH}\.?(?:[-/. ]|, ?){_YEAR}",
+    "signs": r"(?P<y>\d{4}) ?[\x{5e74}\x{b144}] ?(?P<m>\d\d?) ?[\x{6708}\x{c6d4}] ?"
+    r"(?P<d>\d\d?) ?[\x{65e5}\x{c77c}]",  # Chinese, Japanese, Korean
     "month": rf"{_WEEKDAY}{_MONTH}\.? +(?P<d>\d\d?),? +{_YEAR}",
 }
 _DAYS_AND_CLOCK = r"(?P<D>\d+)(?: days?,? ?|\.)(?P<H>\d{1,2}):(?P<M>\d\d):(?P<S>\d\d)(?:[.,](?P<f>\d{1,9}))?"
 _SINCE = (
     rf"(?P<H>\d{{1,4}}):(?P<M>\d\d):(?P<S>\d\d){_FRACTION}{_NOON}{_ZONE}",
     r"(?P<H>\d{1,2}):(?P<M>\d\d) ?(?P<ap>[AaPp])\.?[Mm]\.?",
-    r"(?P<M>\d{1,4}):(?P<S>\d\d)[.,](?P<f>\d{1,9})\d*",
+    r"(?:(?P<H>\d{1,4}):)?(?P<M>\d{1,4}):(?P<S>\d\d)[.,](?P<f>\d{1,9})\d*",  # hours once there are any
     _DAYS_AND_CLOCK,
     r"(?:P(?P<D>\d+)D)?P?T(?:(?P<H>\d+)H)?(?:(?P<M>\d+)M)?(?P<S>\d+)(?:[.,](?P<f>\d{1,9})\d*)?S",
     r"(?:(?P<H>\d+) ?h(?:ours?|rs?)? ?)?(?P<M>\d+) ?m(?:in)? ?(?P<S>\d+)(?:[.,](?P<f>\d{1,9}))? ?s(?:ec)?",
@@ -77,6 +79,11 @@ def known_order(order: str) -> str:
     if order and order not in ORDERS:
         raise UsageError(f"no order of dates {order!r}", hint="one of " + ", ".join(ORDERS))
     return order
+
+
+def _for_python(shape: str) -> str:
+    """A shape for RE2, which names letters by \\x{...}, as Python's `re` reads it."""
+    return re.sub(r"\\x\{([0-9a-f]+)\}", lambda match: chr(int(match[1], 16)), shape)
 
 
 @dataclass(frozen=True)
@@ -102,14 +109,14 @@ class Form:
     @cached_property
     def pattern(self) -> re.Pattern[str]:
         """For single cells."""
-        return re.compile(f"^(?:{self.shape})$".replace(r"\x{e4}", "\u00e4"))
+        return re.compile(f"^(?:{_for_python(self.shape)})$")
 
     @property
     def turn(self) -> Turn:
-        """When its times begin anew: at midnight, or, of minutes and seconds, after an hour."""
+        """When its times begin anew: at midnight, or after an hour where hours may be left out."""
         if self.kind == DATED or "(?P<D>" in self.shape:
             return NO_TURN
-        period_ns = DAY_NS if "(?P<H>" in self.shape else HOUR_NS
+        period_ns = HOUR_NS if "(?:(?P<H>" in self.shape else DAY_NS
         return Turn(period_ns, max(LEAP_NS, period_ns // 24))
 
     def read(self, text: pa.Array) -> tuple[IntArray, BoolArray]:
@@ -150,9 +157,11 @@ _OPEN = tuple(
     for shape in (f"{_YEAR_LAST}{_BETWEEN}{_CLOCK}", f"{_YEAR_LAST}{_BETWEEN}{_COMPACT_CLOCK}")
 )
 _CLOCKS = tuple(Form(CLOCKED, shape) for shape in _SINCE)
-_DATES_ALONE = tuple(
-    re.compile(f"^{d}$".replace(r"\x{e4}", "\u00e4")) for d in (*_DATES.values(), _YEAR_LAST)
-)
+_DATES_ALONE = tuple(re.compile(f"^{_for_python(d)}$") for d in (*_DATES.values(), _YEAR_LAST))
+_PACKED_CLOCK = r"(?P<H>[01]\d|2[0-3])(?P<M>[0-5]\d)(?P<S>[0-5]\d)"
+_PACKED_DATE = Form(DATED, rf"{_DATES['compact']}{_PACKED_CLOCK}(?:\.?(?P<f>\d{{1,9}})\d*)?")
+_PACKED_TIME = Form(CLOCKED, rf"{_PACKED_CLOCK}(?:[.,](?P<f>\d{{1,9}})\d*)?")
+PACKED = (_PACKED_DATE, _PACKED_TIME)
 
 
 def is_stamp(cell: str) -> bool:
@@ -182,13 +191,49 @@ def forms_of(cells: Sequence[str], share: float) -> tuple[Form, ...]:
     if not cells or sum(bool(_MAY_BE_ONE.match(cell)) for cell in cells) < least:
         return ()
     text = strings(cells)
+    fitting: list[tuple[int, Form]] = []
     for form in (ISO, *_DATED, *_CLOCKS):
-        if _matches(form, cells) >= least and form.read(text)[1].sum() >= least:
-            return (form,)
+        count = _matches(form, cells)
+        if count >= least and form.read(text)[1].sum() >= least:
+            fitting.append((count, form))
+            if count == len(cells):
+                break
+    if fitting:  # the one of most cells: minutes and seconds get hours within a table
+        return (max(fitting, key=lambda each: each[0])[1],)
     for orders in _OPEN:
         if _matches(orders[0], cells) >= least:
             return _possible(orders, text, least)
     return ()
+
+
+def packed_form_of(cells: Sequence[str], *, slowest_s: float = 5.0) -> Form | None:
+    """The form of numbers whose digits are a date and a clock, or, as GPS receivers write it, a clock alone.
+
+    101132 may be a count, too: digits are a clock's where they begin with a zero, have a fraction, or leap
+    from 59 seconds to the next minute. Where they are seconds after all, cells beyond 59 seconds are named as
+    no times; taken for seconds, a clock would gain 40 s a minute without a word.
+
+    Parameters
+    ----------
+    slowest_s : no flight is logged with rows further apart.
+
+    Examples
+    --------
+    >>> packed_form_of(["20240228235959980", "20240229000000020"]).kind
+    'date and time of day'
+    >>> packed_form_of(["101159.5", "101200.0"]).kind, packed_form_of(["101132", "101133"])
+    ('time of day', None)
+    """
+    if cells and all(map(_PACKED_DATE.pattern.match, cells)):
+        return _PACKED_DATE
+    if not cells or not all(map(_PACKED_TIME.pattern.match, cells)):
+        return None
+    shown_s = _PACKED_TIME.read(strings(cells))[0] / SECOND_NS
+    values = np.array([float(cell.replace(",", ".")) for cell in cells])
+    leaps = bool(np.ptp(values - shown_s) >= 1.0)
+    is_clock = leaps or any(cell.startswith("0") or not cell.isdecimal() for cell in cells)
+    is_slow = len(cells) > 1 and float(np.median(np.diff(shown_s))) > slowest_s
+    return _PACKED_TIME if is_clock and not is_slow else None
 
 
 def _possible(orders: Sequence[Form], text: pa.Array, least: float) -> tuple[Form, ...]:
@@ -239,7 +284,8 @@ def _clock_ns(parts: Mapping[str, pa.Array]) -> tuple[IntArray, BoolArray]:
     sound = np.ones(count, dtype=bool)
     sound &= np.asarray(seconds) < 60
     if "H" in parts:
-        sound &= np.asarray(minutes) < 60
+        has_hours = _bools(pc.not_equal(pc.fill_null(parts["H"], ""), ""))
+        sound &= (np.asarray(minutes) < 60) | ~has_hours
     if "ap" in parts:
         hours, fits = _with_noon(np.asarray(hours), parts["ap"])
         sound &= fits

@@ -99,16 +99,33 @@ _TIME_UNITS = {
     "d": "d",
     "day": "d",
     "days": "d",
+    "\u0441": "s",  # Russian
+    "\u0441\u0435\u043a": "s",
+    "\u043c\u0441": "ms",
+    "\u043c\u043a\u0441": "us",
+    "\u79d2": "s",  # Chinese and Japanese
+    "\u6beb\u79d2": "ms",
+    "\u30df\u30ea\u79d2": "ms",
+    "\u5fae\u79d2": "us",
+    "\ucd08": "s",  # Korean
+    "\ubc00\ub9ac\ucd08": "ms",
 }
 _NO_NAMES = frozenset({"s", "h", "min", "mins", "hours", "minutes", "d", "day"})  # alone they may be anything
-_DAY_NAMES = frozenset({"datenum", "serialdate", "serialtime", "exceltime", "exceldate", "mjd", "juliandate"})
-_WORDS = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+")
+_DAY_NAMES = frozenset({"datenum", "serialdate", "serialtime", "exceltime", "exceldate", "mjd", "jd"}) | {
+    "juliandate",
+    "julianday",
+}
+_WORDS = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+|[^\W\d_A-Za-z]+")
 _TIME_WORDS = frozenset(
     {"time", "timestamp", "stamp", "datetime", "clock", "epoch", "unixtime", "tempo", "temps", "tiempo"}
-    | {"zeit", "zeitstempel"}
+    | {"zeit", "zeitstempel", "uhrzeit", "laufzeit", "hora", "heure", "czas", "tijd", "zaman"}
+    | {"\u0432\u0440\u0435\u043c\u044f"}  # Russian
+    | {"\u65f6\u95f4", "\u6642\u9593", "\u6642\u523b", "\u65f6\u523b"}  # Chinese and Japanese
+    | {"\uc2dc\uac04"}  # Korean
 )
 _TIME_NAMES = (_TIME_WORDS - {"clock"}) | {
     *("t", "utc", "date", "unix", "elapsed", "elapsedtime", "timeboot", "utctime", "timeutc", "epochtime"),
+    *("ts", "tow", "gpstow", "sow"),
     *("timeus", "timems", "timens"),
 }
 

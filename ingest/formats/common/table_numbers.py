@@ -34,7 +34,7 @@ MOSTLY = 0.9
 _NUMBER = re.compile(NUMBER)
 _WITH_POINT = re.compile(r"^[+-]?\d*\.\d+([eE][+-]?\d+)?$")
 _WITH_COMMA = re.compile(r"^[+-]?\d*,\d+([eE][+-]?\d+)?$")
-_SPACES = " \u00a0\u202f'\u2019"  # between thousands: no-break spaces and apostrophes among them
+_SPACES = " \u00a0\u2007\u2009\u202f'\u2019"  # between thousands: thin and no-break blanks, apostrophes
 _GROUPED = {sign: re.compile(rf"^[+-]?[1-9]\d{{0,2}}([{sign}]\d{{3}})+$") for sign in (",", ".", _SPACES)}
 _BOTH = {  # sign between thousands, then the decimal one
     sign: re.compile(rf"^[+-]?[1-9]\d{{0,2}}([{sign}]\d{{3}})+[{other}]\d+$")
@@ -44,7 +44,7 @@ _CERTAIN = {  # between thousands: before the decimal sign, or twice
     sign: re.compile(rf"^[+-]?[1-9]\d{{0,2}}([{sign}]\d{{3}})+([{sign}]\d{{3}}|[{other}]\d+)$")
     for sign, other in ((",", "."), (".", ","))
 }
-_MEASURED = re.compile(r"^([+-]?[\d.,' \u00a0]*\d(?:[eE][+-]?\d+)?)\s*([^\s\d.,+-][^\s\d]*)$")
+_MEASURED = re.compile(rf"^([+-]?[\d.,{_SPACES}]*\d(?:[eE][+-]?\d+)?)\s*([^\s\d.,+-][^\s\d]*)$")
 
 
 @dataclass(frozen=True)
@@ -89,6 +89,8 @@ def signs_of(cells: Sequence[str]) -> Signs:
     with_point = [cell for cell in bare if "." in cell]
     points = any(_WITH_POINT.match(c) and not _GROUPED["."].match(c) for c in with_point)
     commas = any(_WITH_COMMA.match(c) and not _GROUPED[","].match(c) for c in with_comma)
+    points |= any("." in cell for cell in bare if _BOTH[_SPACES].match(cell))
+    commas |= any("," in cell for cell in bare if _BOTH[_SPACES].match(cell))
     thousands = {
         sign: any(map(_CERTAIN[sign].match, cells)) for sign, cells in ((",", with_comma), (".", with_point))
     }

@@ -21,12 +21,13 @@ from flysid.ingest.formats.common.stamps import (
     CALENDAR,
     CALENDAR_SIGNS,
     CLOCKED,
-    DATED,
     ORDERS,
+    PACKED,
     Form,
     forms_of,
     is_date,
     known_order,
+    packed_form_of,
 )
 from flysid.ingest.formats.common.table_columns import TimeName, fraction_beside, time_name, unit_in
 from flysid.ingest.formats.common.table_numbers import (
@@ -104,6 +105,11 @@ class TimeColumn:
         return self.counted is not None and self.counted.unit in ("ns", TICKS)
 
     @property
+    def is_packed(self) -> bool:
+        """Whether the digits of a number are read as those of a date and a clock."""
+        return len(self.forms) == 1 and self.forms[0] in PACKED
+
+    @property
     def columns(self) -> tuple[int, ...]:
         """All columns that tell of the time."""
         return self.parts if self.fraction < 0 else (*self.parts, self.fraction)
@@ -141,6 +147,8 @@ class TimeColumn:
             counted = TimeUnit("s", self.why) if self.fraction >= 0 else None
             counted = counted or time_unit(self.name, self.first, last, self.unit, unit, path)
             return replace(self, counted=counted, why=self.why if self.fraction >= 0 else counted.why)
+        if unit and self.is_packed:
+            return replace(self, forms=(), counted=TimeUnit(unit, "as told"))
         if len(self.forms) == 1:
             return self
         told = [form for form in self.forms if form.order == order]
@@ -262,8 +270,8 @@ def _column(name: str, unit: str, cells: Sequence[str], table: Signs) -> Column:
 def find_time(columns: Sequence[Column], rows: Sequence[Sequence[str]]) -> TimeColumn | None:
     """The columns that tell most rows their time, at least half, and rise; the plainest of such.
 
-    Rows without a time are counted as lost. Numbering all rows for their sake would invent times. Dates with
-    times of day need no name.
+    Rows without a time are counted as lost. Numbering all rows for their sake would invent times. Stamps in
+    text need no name.
     """
     best: tuple[int, int, float] = (0, 0, 0.0)
     found = None
@@ -322,9 +330,10 @@ def _candidates(
             continue
         if column.is_text:
             for time in _stamps(rows, (index,), "", column.name):
-                if says or time.forms[0].kind == DATED:
-                    yield from ((each, says) for each in _with_fractions(time, columns, rows))
+                yield from ((each, says) for each in _with_fractions(time, columns, rows))
         elif index not in days:
+            if (packed := _packed(rows, index, column, says)) is not None:
+                yield packed, says
             other = names.index(fractions[column.name]) if column.name in fractions else -1
             yield _numbers(column, index, other, says, columns, rows), says
 
@@ -358,6 +367,20 @@ def _stamps(
     if known.sum() >= MOSTLY * len(cells):
         first = unwrapped(time_ns[known], forms[0].turn)[0] / SECOND_NS
         yield TimeColumn(parts, name, glue, forms, first=first)
+
+
+def _packed(
+    rows: Sequence[Sequence[str]], index: int, column: Column, says: TimeName | None
+) -> TimeColumn | None:
+    """The time that a column's numbers tell digit by digit: 20240228235958500, or 235958.50."""
+    if column.unit or (says is not None and says.unit):
+        return None
+    cells = [row[index] for row in rows if row[index] not in MISSING]
+    form = packed_form_of(cells)
+    if form is None:
+        return None
+    first = unwrapped(form.read(strings(cells))[0], form.turn)[0] / SECOND_NS
+    return TimeColumn((index,), column.name, "", (form,), column.style, first=first)
 
 
 def _glued(cells: Sequence[str], glue: str) -> str:

@@ -4,12 +4,11 @@
     time_s,pitch_cmd [deg],v_x [m/s]
     0.00,1.5,0.012
 
-The separator is the one of comma, semicolon, tab and blanks that leaves the most numbers; blanks that stand
-between words of a cell are none where another sign splits as many lines. The first of the
-lines that it splits alike is the header unless it holds numbers where the lines below do; then the comment
-right above may be the header, as NumPy and ROS write it, or a line that damage took out of the table. Units
-stand in brackets, or in a line of their own below the names. Other lines above a header are facts about the
-log.
+The separator is the one of comma, semicolon, tab, bar and blanks that leaves the most numbers; blanks that
+stand between words of a cell are none where another sign splits as many lines. The first of the lines that it
+splits alike is the header unless it holds numbers where the lines below do; then the comment right above may
+be the header, as NumPy and ROS write it, or a line that damage took out of the table. Units stand in
+brackets, or in a line of their own below the names. Other lines above a header are facts about the log.
 """
 
 from __future__ import annotations
@@ -32,7 +31,7 @@ from flysid.ingest.formats.common.time_columns import (
 )
 
 BLANKS = b" "  # any number of them, and of tabs
-SEPARATORS = (b",", b";", b"\t", BLANKS)
+SEPARATORS = (b",", b";", b"\t", b"|", BLANKS)
 COMMENT = ("#", "%")
 _CELL = re.compile(r'(?:"[^"]*"|\S)+')
 # GPS sentences and JSON, whose commas separate no columns
@@ -40,6 +39,8 @@ _OTHER_TEXT = re.compile(r"^\s*([$!][A-Z]{2}[A-Z0-9]{1,},|[\[{]\s*([\[{\"\d-]|$)
 LONGEST_UNIT = 12
 ERASED = b"\xff"
 _LETTER = re.compile(r"[^\W\d_]")
+_BLANK = "\t\u00a0\u2007\u2009\u202f\u3000"  # Python counts no-break and thin blanks as not printable
+_WITHOUT_BLANKS = dict.fromkeys(map(ord, _BLANK))
 
 
 @dataclass(frozen=True)
@@ -178,7 +179,7 @@ def _lines(head: bytes) -> _Head:
 
 def _cleaned(line: bytes) -> str:
     """The text of a line without erased flash in front, and without control characters."""
-    return "".join(c for c in text_of(line.lstrip(ERASED)) if c.isprintable() or c == "\t")
+    return "".join(c for c in text_of(line.lstrip(ERASED)) if c.isprintable() or c in _BLANK)
 
 
 def text_of(line: bytes) -> str:
@@ -197,7 +198,7 @@ def is_instruction(text: str) -> bool:
 def is_printable(line: bytes) -> bool:
     """Whether a line can be a header or a row: no control characters, and no erased flash in front."""
     text = line.decode("utf-8", "replace").strip("\r")
-    return text.replace("\t", "").isprintable() and not line.startswith(b"\xff")
+    return text.translate(_WITHOUT_BLANKS).isprintable() and not line.startswith(b"\xff")
 
 
 def cells_of(line: str, separator: bytes) -> list[str]:

@@ -75,7 +75,7 @@ def read(view: memoryview, name: str, limits: Limits) -> Parts:
             "no table of numbers: too few lines have the same number of cells",
             path=name,
             byte=0,
-            hint="columns between commas, semicolons, tabs or blanks; one line a row, names in the first",
+            hint="columns between commas, semicolons, tabs, bars or blanks; one line a row, names first",
         )
     layout = _with_time(layout, view, name, limits)
     reader = _Reader(layout, _schema(layout))

@@ -107,7 +107,7 @@ def find_time(
     Dates beside times of day come first, then what the file itself types as times or numbers, then text.
     """
     text = time_columns.find_time(sample.columns, sample.rows)
-    if text is None or len(text.parts) == 1:
+    if text is None or (len(text.parts) == 1 and not text.is_packed):
         typed = _typed_time(file, groups, schema, limits.time_unit, name)
         if typed is not None or text is None:
             return typed

@@ -42,8 +42,15 @@ def test_a_vtol_of_ardupilot_is_a_plane(name: str) -> None:
         ("1.13.0", 6, "mode 6 (px4, vehicle type unknown)"),
         ("", 6, "mode 6 (px4, vehicle type unknown)"),
         ("", 5, "AUTO_RTL"),
-        ("1.12.0", 16, "RATTITUDE"),
-        ("1.14.3", 23, "EXTERNAL1"),
+        ("1.11.3", 16, "RATTITUDE"),
+        ("1.12.0", 16, "mode 16 (px4, vehicle type unknown)"),
+        ("1.14.3", 23, "mode 23 (px4, vehicle type unknown)"),
+        ("1.15.0", 23, "EXTERNAL1"),
+        ("1.16.1", 8, "mode 8 (px4, vehicle type unknown)"),
+        ("1.17.0", 8, "ALTITUDE_CRUISE"),
+        ("1.10.1", 7, "AUTO_RTGS"),
+        ("1.17.0", 7, "mode 7 (px4, vehicle type unknown)"),
+        ("1.18.0", 7, "GUIDED_COURSE"),
     ],
 )
 def test_px4_counts_anew_from_release_to_release(firmware: str, number: int, name: str) -> None:

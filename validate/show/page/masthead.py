@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from datetime import UTC, datetime
 
 from flysid.catalogue import FlightFacts
+from flysid.facts.losses import lines_of_flights
 from flysid.showing import first_of, significant
 from flysid.validate.compare.words import one_line
 from flysid.validate.show.page.narrative import duration
@@ -15,7 +16,7 @@ FIRMWARE = ("firmware", "software", "ver_sw")
 
 
 def masthead(flights: Sequence[FlightFacts], rates_hz: Sequence[float]) -> list[str]:
-    """Logs, vehicle, firmware, dates, duration and rate; what the logs do not say is left out."""
+    """Logs, vehicle, firmware, dates, duration, losses and rate; what the logs do not say is left out."""
     if not flights:
         return []
     names = [one_line(f.log) for f in flights]
@@ -27,9 +28,18 @@ def masthead(flights: Sequence[FlightFacts], rates_hz: Sequence[float]) -> list[
         _all(flights, FIRMWARE),
         dates([f.start_utc_ns for f in flights if f.start_utc_ns is not None]),
         f"{duration(sum(f.duration_s for f in flights))} in total",
+        _lost(flights),
         " and ".join(significant(r) for r in rates_hz) + " Hz",
     ]
     return [fact for fact in facts if fact]
+
+
+def _lost(flights: Sequence[FlightFacts]) -> str:
+    """What the logs lack: "lost: 2 bad checksums"; flight by flight where there are several; or ""."""
+    lines = lines_of_flights({f.id: f.lacks for f in flights}, NAMES_SHOWN)
+    if len(flights) == 1:
+        lines = [f.lacks for f in flights if f.lacks]
+    return f"lost: {one_line('; '.join(lines))}" if lines else ""
 
 
 def dates(starts_ns: Sequence[int]) -> str:
