@@ -256,7 +256,5 @@ class _Reader:
             self._fail(token)
 
     def _fail(self, token: Token) -> NoReturn:
-        fault = (
-            "the statement ends early" if token.kind == "end" else f"{token.text!r} is not understood"
-        )
+        fault = "the statement ends early" if token.kind == "end" else f"{token.text!r} is not understood"
         raise FormatError(f"line {token.line}: {fault}", hint=HINT)

@@ -21,8 +21,6 @@ from flysid.validate.compare.neighbours import (
 from flysid.validate.compare.trials import FREE_RUN
 from flysid.validate.compare.words import scope_words, verdict_words
 from flysid.validate.compare_models import compare
-from flysid.validate.trials import FREE_RUN
-from flysid.validate.words import scope_words, verdict_words
 from tests.drawn import is_rarer, is_seldom
 from tests.fakes import FirstOrder
 
