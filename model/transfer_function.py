@@ -32,6 +32,7 @@ from flysid.model.frequency.initial_guess import Starts
 from flysid.model.frequency.rational import Hold, Rational, forms
 from flysid.model.frequency.response import Method, split_references
 from flysid.model.frequency.sampling import sample
+from flysid.model.last_gates import refuse
 from flysid.model.linear.data import Parts, judging_window
 from flysid.model.linear.difference_equation import FittedLinear
 from flysid.model.linear.difference_equation import from_dict as linear_from_dict
@@ -203,7 +204,7 @@ class TF(Settings):
         UsageError : settings that cannot be.
         DataError : too few samples, a signal that never changes, or no trustworthy frequency where
             refine=False or stable=False need one.
-        FitError : nothing could be fitted.
+        FitError : nothing could be fitted; without references, the model loses its own training data.
         """
         plant, references = split_references(train, self.reference)
         self._check(len(plant.inputs))
@@ -217,6 +218,8 @@ class TF(Settings):
         if not model.is_stable:
             notes += (unstable_note(transfers),)
         model = replace(model.among(train.inputs, references), notes=notes)
+        if not self.reference:  # in a feedback loop a free run follows the noise
+            refuse(model, {}, train)
         return _as_tf(model, transfers, tuple(c.count for c, _ in chosen))
 
     def check(self) -> None:
