@@ -23,6 +23,7 @@ from flysid.model.rules.growth import best_started, first_basis
 from flysid.model.rules.operating_points import describe
 from flysid.model.rules.regressor_layout import Layout, Orders, parse_antecedents, runs_of, scaling
 from flysid.model.rules.stages import ordered
+from flysid.model.settings import Settings
 from flysid.model.threads import on_one_thread
 from flysid.showing import counted
 
@@ -30,7 +31,7 @@ from flysid.showing import counted
 
 
 @dataclass(frozen=True)
-class ANFIS:
+class ANFIS(Settings):
     """Settings of a TS model trained one step ahead.
 
     Parameters
@@ -58,6 +59,12 @@ class ANFIS:
     epochs: int = 60
     step: float = 0.02
 
+    def check_values(self) -> None:
+        """Raise UsageError for numbers that cannot be."""
+        self.at_least(1, "rules", "nb", "epochs")
+        if not 0.0 < self.step < 1.0:
+            raise UsageError(f"step={self.step!r}", hint="give a number between 0 and 1")
+
     @on_one_thread
     @no_worse_than_held
     def fit(self, train: Dataset, validation: Dataset | None = None) -> FittedTS:
@@ -70,7 +77,6 @@ class ANFIS:
         UsageError : settings that cannot be, antecedents that are not there.
         DataError : no segment is long enough, a signal that never moves, fewer samples than numbers.
         """
-        self._check()
         check_inputs(len(train.inputs))
         layout = self._layout(train)
         learner = _Learner.of(layout, train, self.rules)
@@ -91,17 +97,6 @@ class ANFIS:
         )
         found = finish(ordered(best_started(learner.problem, best)), train, notes)
         return describe(found, train)
-
-    def _check(self) -> None:
-        for name, least in (("rules", 1), ("na", 0), ("nb", 1), ("nk", 0), ("epochs", 1)):
-            value = getattr(self, name)
-            if isinstance(value, bool) or not isinstance(value, int) or value < least:
-                raise UsageError(f"{name}={value!r}", hint=f"give a whole number from {least} on")
-        number = isinstance(self.step, int | float)
-        if not number or not 0.0 < self.step < 1.0:
-            raise UsageError(f"step={self.step!r}", hint="give a number between 0 and 1")
-        if isinstance(self.antecedents, str):
-            raise UsageError(f"antecedents={self.antecedents!r}", hint="give a list of names, or none")
 
     def _layout(self, train: Dataset) -> Layout:
         names = self.antecedents or (train.outputs[0].name, train.inputs[0].name)

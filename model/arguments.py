@@ -63,6 +63,13 @@ def is_count(value: object, least: int) -> bool:
     return isinstance(value, int | np.integer) and not isinstance(value, bool) and int(value) >= least
 
 
+def check_band(band: tuple[float, float] | None) -> None:
+    """Raise UsageError where no frequency lies between both ends, in rad/s, or one is not above 0."""
+    if band is not None and not 0.0 < band[0] < band[1]:
+        low, high = band
+        raise UsageError(f"no band: {low:g} to {high:g} rad/s", hint="the lowest frequency first, above 0")
+
+
 def check_inputs(n_u: int) -> None:
     """Raise UsageError where there is no input."""
     if n_u == 0:

@@ -75,8 +75,6 @@ class ARX(PolynomialSettings):
         FitError : refine=True and no stable model was found.
         """
         self.check(train)
-        if self.refine not in (True, False, "auto"):
-            raise UsageError(f"refine is {self.refine!r}", hint="use 'auto', True or False")
         if isinstance(train, OnDisk):
             return keep_stable(self._fit(train, validation), train.head(CHOICE_ROWS), stable=self.stable)
         train, validation = self.detrended(train, validation)

@@ -40,6 +40,12 @@ class BJ(PolynomialSettings):
     nc: int | Auto = field(default="auto", kw_only=True)
     nd: int | Auto = field(default="auto", kw_only=True)
 
+    def check_values(self) -> None:
+        """Raise UsageError where one order of the noise is given and the other is open."""
+        super().check_values()
+        if (self.nc == "auto") != (self.nd == "auto"):
+            raise UsageError("give both nc and nd, or neither")
+
     @on_one_thread
     @once(fit_key)
     @with_own_constants
@@ -52,7 +58,5 @@ class BJ(PolynomialSettings):
         DataError : no or too few samples, a signal that never changes.
         FitError : no stable start was found.
         """
-        if (self.nc == "auto") != (self.nd == "auto"):
-            raise UsageError("give both nc and nd, or neither")
         noises = BJ_NOISES if self.nc == "auto" or self.nd == "auto" else ((self.nc, self.nd),)
         return fit_prediction_error("bj", self, (train, validation), noises)

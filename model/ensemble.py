@@ -29,6 +29,7 @@ from flysid.model.base import (
 from flysid.model.last_gates import no_worse_than_held
 from flysid.model.rules.explanation import Explanation, refuse_row
 from flysid.model.rules.phrases import in_words
+from flysid.model.settings import Settings
 from flysid.model.start import FreeRuns
 from flysid.model.structures import all_structures
 from flysid.model.threads import on_one_thread
@@ -36,7 +37,7 @@ from flysid.model.ts import TS, of_lags
 
 
 @dataclass(frozen=True)
-class Ensemble:
+class Ensemble(Settings):
     """Settings of an ensemble.
 
     Parameters
@@ -56,6 +57,10 @@ class Ensemble:
     of: Estimator = field(default_factory=lambda: TS(states=0))
     members: int = 5
 
+    def check_values(self) -> None:
+        """Raise UsageError for fewer than two members."""
+        self.at_least(2, "members")
+
     @on_one_thread
     @no_worse_than_held
     def fit(self, train: Dataset, validation: Dataset | None = None) -> FittedEnsemble:
@@ -67,10 +72,6 @@ class Ensemble:
         DataError : no samples; the data are too short to leave a block out.
         FitError : fewer than two members could be fitted.
         """
-        if isinstance(self.of, type) or not callable(getattr(self.of, "fit", None)):
-            raise UsageError(f"of={self.of!r}", hint="give settings of a model, such as TS() or TS(rules=2)")
-        if isinstance(self.members, bool) or not isinstance(self.members, int) or self.members < 2:
-            raise UsageError(f"members={self.members!r}", hint="an ensemble has at least 2 members")
         fitted: list[Fitted] = []
         reasons: list[str] = []
         for block in range(self.members):

@@ -16,7 +16,7 @@ from typing import Literal
 import numpy as np
 
 from flysid.dataset import Dataset, FloatArray
-from flysid.errors import FitError, UsageError
+from flysid.errors import FitError
 from flysid.model.arguments import check_inputs
 from flysid.model.freerun import Difference
 from flysid.model.linear.data import Parts, Scaling, as_tuple
@@ -24,6 +24,7 @@ from flysid.model.linear.difference_equation import FittedLinear
 from flysid.model.linear.orders import grid_gram
 from flysid.model.noise import noise_model
 from flysid.model.regressors import LagTerms
+from flysid.model.settings import Settings
 from flysid.model.stream import Source
 from flysid.model.threads import on_one_thread
 
@@ -35,7 +36,7 @@ LEAST_REST = 1e-12
 
 
 @dataclass(frozen=True)
-class FIR:
+class FIR(Settings):
     """Settings of a finite impulse response.
 
     Parameters
@@ -56,6 +57,10 @@ class FIR:
     taps: int | Literal["auto"] = "auto"
     nk: int | Sequence[int] = 0
     offset: bool = True
+
+    def check_values(self) -> None:
+        """Raise UsageError for no taps."""
+        self.at_least(1, "taps")
 
     @on_one_thread
     def fit(self, train: Source, validation: Dataset | None = None) -> FittedLinear:  # noqa: ARG002
@@ -88,10 +93,7 @@ class FIR:
         if cut:  # the last one goes on beyond what was read
             lengths = lengths[:-1] or lengths
         shortest = min(lengths, default=0)
-        taps = max(min(MOST_TAPS, shortest // 4), 1) if self.taps == "auto" else self.taps
-        if not isinstance(taps, int) or taps < 1:
-            raise UsageError(f"taps must be a whole number of at least 1, not {self.taps!r}")
-        return taps
+        return max(min(MOST_TAPS, shortest // 4), 1) if self.taps == "auto" else self.taps
 
     def _model(
         self, parts: Parts, lags: LagTerms, posteriors: Sequence[Posterior], means: FloatArray

@@ -13,11 +13,12 @@ from flysid.model.gram import reduce_data, solve
 from flysid.model.linear.data import Parts
 from flysid.model.linear.difference_equation import FittedLinear
 from flysid.model.regressors import LagTerms, chunks
+from flysid.model.settings import Settings
 from flysid.model.threads import on_one_thread
 
 
 @dataclass(frozen=True)
-class Line:
+class Line(Settings):
     """Settings of a static line.
 
     Parameters

@@ -46,6 +46,7 @@ from flysid.model.rotorcraft.rotor_axis import (
     free_run,
     steps_ahead,
 )
+from flysid.model.settings import Settings
 from flysid.model.start import FreeRuns
 from flysid.model.threads import on_one_thread
 from flysid.showing import counted
@@ -85,7 +86,7 @@ class AxisFigure:
 
 
 @dataclass(frozen=True)
-class Multirotor:
+class Multirotor(Settings):
     """Settings of the physical model.
 
     Parameters
@@ -113,8 +114,6 @@ class Multirotor:
         DataError : too few samples, a signal that never changes, a voltage that is not above 0.
         FitError : no start is finite.
         """
-        if self.kind not in ("auto", "rate", "acceleration"):
-            raise UsageError(f"kind is {self.kind!r}", hint="'auto', 'rate' or 'acceleration'")
         limits = Parts.of(train, None).limits
         u = np.concatenate([s.u for s in train.segments])
         y = np.concatenate([s.y for s in train.segments])

@@ -13,12 +13,13 @@ from flysid.dataset import Dataset
 from flysid.model.freerun import Difference
 from flysid.model.linear.data import Parts
 from flysid.model.linear.difference_equation import FittedLinear
+from flysid.model.settings import Settings
 from flysid.model.stream import Source
 from flysid.model.threads import on_one_thread
 
 
 @dataclass(frozen=True)
-class Persistence:
+class Persistence(Settings):
     """A reference without settings.
 
     Examples

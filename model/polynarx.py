@@ -14,8 +14,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from flysid.dataset import Dataset
-from flysid.errors import DataError, FitError, UsageError
-from flysid.model.arguments import is_count
+from flysid.errors import DataError, FitError
 from flysid.model.arx import ARX
 from flysid.model.flight_offsets import with_own_constants
 from flysid.model.last_gates import LINEAR_ENOUGH, shortfall
@@ -35,6 +34,7 @@ from flysid.model.narx.term_search import (
 )
 from flysid.model.own_constants import FlightOffsets
 from flysid.model.selection import clearly_better
+from flysid.model.settings import Settings
 from flysid.model.shared import fit_key, once
 from flysid.model.threads import on_one_thread
 from flysid.showing import counted
@@ -44,7 +44,7 @@ LAGS = 2
 
 
 @dataclass(frozen=True)
-class PolyNARX:
+class PolyNARX(Settings):
     """Settings of a polynomial NARX model.
 
     Parameters
@@ -85,8 +85,6 @@ class PolyNARX:
         UsageError : settings that cannot be. DataError : no or too few samples, a signal that never changes.
         FitError : no linear model to start from, or no segment three times as long as its deepest lag.
         """
-        if not is_count(self.most_terms, 0):
-            raise UsageError(f"most_terms is {self.most_terms!r}", hint="a whole number of at least 0")
         bases = list(self._linear(train, validation))
         parts = Parts.of(train, validation)
         units = Units.of(train)

@@ -25,6 +25,7 @@ from flysid.model.linear.settings import check_hint
 from flysid.model.linear.stability import unstable_words
 from flysid.model.own_constants import FlightOffsets
 from flysid.model.selection import block_errors
+from flysid.model.settings import Settings
 from flysid.model.shared import fit_key, once
 from flysid.model.simulation_error import OutputOrders
 from flysid.model.stream import Late, OnDisk, Source, delayed_inputs
@@ -40,7 +41,6 @@ from flysid.model.subspace.order_search import (
 )
 from flysid.model.subspace.refinement import SystemFit, mirror
 from flysid.model.subspace.triangle import (
-    METHODS,
     Method,
     window,
 )
@@ -53,7 +53,7 @@ MOST_WORK = 1e8
 
 
 @dataclass(frozen=True)
-class StateSpace:
+class StateSpace(Settings):
     """Settings of a state-space model; the defaults choose by themselves.
 
     Parameters
@@ -98,6 +98,11 @@ class StateSpace:
     stable: bool = False
     flight_offsets: FlightOffsets = "auto"
 
+    def check_values(self) -> None:
+        """Raise UsageError for settings that cannot be."""
+        self.at_least(1, "order", "past", "n_init")
+        check_trend(self.trend, ("none", "remove"))
+
     @on_one_thread
     @once(fit_key)
     @with_own_constants
@@ -113,9 +118,7 @@ class StateSpace:
         DataError : no or too few samples, a signal that never changes.
         FitError : the order exceeds what the data show.
         """
-        _check(self)
         _check_delays(self, len(train.inputs))
-        check_trend(self.trend, ("none", "remove"))
         if isinstance(train, OnDisk):
             return _from_disk(self, train, validation)
         train = detrend(train, self.trend)
@@ -222,20 +225,6 @@ def delayed_model(model: FittedStateSpace, late: tuple[int, ...]) -> FittedState
         gains=np.concatenate([wait, model.gains]),
         notes=(*model.notes, f"Inputs enter late, in samples: {words}."),
     )
-
-
-def _check(settings: StateSpace) -> None:
-    for name in ("order", "past", "n_init"):
-        value = getattr(settings, name)
-        if value not in ("auto", None) and not (isinstance(value, (int, np.integer)) and value >= 1):
-            raise UsageError(f"{name} must be a whole number of at least 1, not {value!r}")
-    if settings.method not in ("auto", *METHODS):
-        raise UsageError(
-            f"there is no subspace method {settings.method!r}", hint=f"one of {', '.join(METHODS)}, or 'auto'"
-        )
-    for name in ("feedthrough", "refine"):
-        if getattr(settings, name) not in (True, False, "auto"):
-            raise UsageError(f"{name} is {getattr(settings, name)!r}", hint="use 'auto', True or False")
 
 
 def _refine(settings: StateSpace, parts: Parts, choice: Choice, plain: FittedStateSpace) -> FittedStateSpace:

@@ -19,7 +19,7 @@ from typing import Any, Literal
 import numpy as np
 
 from flysid.dataset import Dataset, FloatArray, Signal
-from flysid.errors import DataError, UsageError
+from flysid.errors import DataError
 from flysid.model.arguments import as_columns, as_record, check_inputs, never_changes, no_samples
 from flysid.model.base import Rule, write_document
 from flysid.model.documents import head_of, signals_of
@@ -30,6 +30,7 @@ from flysid.model.rules.consequents import Consequents, Criterion, check_criteri
 from flysid.model.rules.explanation import Explanation, refuse_row, taken_apart
 from flysid.model.rules.memberships import Conjunction, Partition, Shape
 from flysid.model.rules.phrases import condition_in_words, equation, in_words
+from flysid.model.settings import Settings
 from flysid.model.start import FreeRuns
 from flysid.model.stream import Source, blocks_of
 from flysid.model.threads import on_one_thread
@@ -39,7 +40,7 @@ _PIECE = 2048  # rows at a time: arrays that large stay in the cache, and cost n
 
 
 @dataclass(frozen=True)
-class StaticTS:
+class StaticTS(Settings):
     """Settings of the paper's static model.
 
     Parameters
@@ -73,6 +74,11 @@ class StaticTS:
     consequents: Criterion = "global"
     ridge: float | Literal["auto"] = 0.0
 
+    def check_values(self) -> None:
+        """Raise UsageError for no rule, and for a ridge below zero."""
+        self.at_least(1, "rules")
+        check_criterion(self.consequents, self.ridge)
+
     @on_one_thread
     @no_worse_than_held
     def fit(self, train: Source, validation: Dataset | None = None) -> FittedStaticTS:
@@ -87,7 +93,6 @@ class StaticTS:
             than the rules have numbers.
         """
         del validation
-        self._check()
         n_u = len(train.inputs)
         check_inputs(n_u)
         survey = _Survey.of(train)
@@ -121,15 +126,6 @@ class StaticTS:
         if self.consequents == "global" and not found.ridge:
             return []
         return [f"Consequents by {found.told(self.consequents)}."]
-
-    def _check(self) -> None:
-        for name, least in (("rules", 1), ("seed", 0)):
-            value = getattr(self, name)
-            if isinstance(value, bool) or not isinstance(value, int) or value < least:
-                raise UsageError(f"{name}={value!r}", hint=f"give a whole number, at least {least}")
-        if not isinstance(self.two_sided, bool):
-            raise UsageError(f"two_sided={self.two_sided!r}", hint="give True or False")
-        check_criterion(self.consequents, self.ridge)
 
     def _partition(self, survey: _Survey, n_u: int) -> Partition:
         clusters = cluster(survey.thinned, self.rules, self.method, seed=self.seed)

@@ -23,21 +23,23 @@ import numpy as np
 
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, UsageError
-from flysid.model.arguments import check_inputs
-from flysid.model.detrend import Trend, check_trend, detrend
+from flysid.model.arguments import check_band, check_inputs
+from flysid.model.detrend import Trend, detrend
 from flysid.model.freerun import Difference
 from flysid.model.frequency.assemble import OneTransfer, assemble, runner
 from flysid.model.frequency.continuous_transfer import ContinuousTransfer
 from flysid.model.frequency.initial_guess import Starts
 from flysid.model.frequency.rational import Hold, Rational, forms
-from flysid.model.frequency.response import METHODS, Method, split_references
+from flysid.model.frequency.response import Method, split_references
 from flysid.model.frequency.sampling import sample
+from flysid.model.last_gates import refuse
 from flysid.model.linear.data import Parts, judging_window
 from flysid.model.linear.difference_equation import FittedLinear
 from flysid.model.linear.difference_equation import from_dict as linear_from_dict
 from flysid.model.linear.output_error import ORDER_LOSS, WORSE_FIT
 from flysid.model.linear.settings import check_hint
 from flysid.model.selection import block_errors, simplest
+from flysid.model.settings import Settings
 from flysid.model.threads import on_one_thread
 from flysid.showing import counted
 
@@ -135,7 +137,7 @@ def _as_tf(
 
 
 @dataclass(frozen=True)
-class TF:
+class TF(Settings):
     """Settings of a continuous-time transfer-function model; the defaults choose by themselves.
 
     Parameters
@@ -186,6 +188,13 @@ class TF:
     nk_hint: Sequence[int] = ()
     reference: Sequence[str] = ()
 
+    def check_values(self) -> None:
+        """Raise UsageError for a start from nothing, a band without frequencies, inputs that are not held."""
+        if self.hold == "none":
+            raise UsageError(f"hold is {self.hold!r}", hint="'zero' or 'first'")
+        self.at_least(1, "n_init")
+        check_band(self.band)
+
     @on_one_thread
     def fit(self, train: Dataset, validation: Dataset | None = None) -> FittedTF:
         """Measure, start, choose, refine.
@@ -195,7 +204,7 @@ class TF:
         UsageError : settings that cannot be.
         DataError : too few samples, a signal that never changes, or no trustworthy frequency where
             refine=False or stable=False need one.
-        FitError : nothing could be fitted.
+        FitError : nothing could be fitted; without references, the model loses its own training data.
         """
         plant, references = split_references(train, self.reference)
         self._check(len(plant.inputs))
@@ -209,6 +218,8 @@ class TF:
         if not model.is_stable:
             notes += (unstable_note(transfers),)
         model = replace(model.among(train.inputs, references), notes=notes)
+        if not self.reference:  # in a feedback loop a free run follows the noise
+            refuse(model, {}, train)
         return _as_tf(model, transfers, tuple(c.count for c, _ in chosen))
 
     def check(self) -> None:
@@ -221,20 +232,8 @@ class TF:
         return split_references(train, self.reference)[0], checked
 
     def _check(self, n_u: int) -> None:
-        check_trend(self.trend)
         check_inputs(n_u)
         check_hint(self.nk_hint, n_u)
-        if self.hold not in ("zero", "first"):
-            raise UsageError(f"hold is {self.hold!r}", hint="'zero' or 'first'")
-        if self.method not in METHODS:
-            raise UsageError(f"no method {self.method!r}", hint=f"one of {', '.join(map(repr, METHODS))}")
-        if self.n_init is not None and self.n_init < 1:
-            raise UsageError(f"n_init must be at least 1, not {self.n_init}")
-        if self.band is not None and not 0.0 < self.band[0] < self.band[1]:
-            low, high = self.band
-            raise UsageError(
-                f"no band: {low:g} to {high:g} rad/s", hint="the lowest frequency first, above 0"
-            )
         forms(n_u, self.poles, self.zeros, self.dead_time_s, self.stable)
 
     def _check_dead_time(self, train: Dataset) -> None:

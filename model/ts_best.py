@@ -28,6 +28,7 @@ class BestTS(TS):
     """
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         _warn()
 
 

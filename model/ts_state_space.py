@@ -18,12 +18,13 @@ from flysid.model.flight_offsets import with_own_constants
 from flysid.model.own_constants import FlightOffsets
 from flysid.model.rules.fitted import FittedTS
 from flysid.model.rules.search_settings import NORMAL, SearchSettings
+from flysid.model.settings import Settings
 from flysid.model.threads import on_one_thread
 from flysid.model.ts import TS, gated, over_states
 
 
 @dataclass(frozen=True)
-class TSStateSpace:
+class TSStateSpace(Settings):
     """Settings of a TS state-space model; the defaults choose by themselves.
 
     Parameters
@@ -60,6 +61,11 @@ class TSStateSpace:
     nk_hint: Sequence[int] = ()
     search: SearchSettings = NORMAL
     flight_offsets: FlightOffsets = "auto"
+
+    def check_values(self) -> None:
+        """Raise UsageError for settings that cannot be."""
+        self.at_least(1, "states")
+        TS(**vars(self))
 
     @on_one_thread
     @with_own_constants

@@ -89,6 +89,11 @@ class Estimate:
     theta: FloatArray
     covariance: FloatArray
 
+    @property
+    def standard_error(self) -> FloatArray:
+        """Of every coefficient."""
+        return np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
+
 
 def scaled_blocks(blocks: Blocks, scale: FloatArray) -> Blocks:
     """The blocks, every signal over its scale."""
@@ -232,7 +237,14 @@ def _path(orders: IVOrders, theta: FloatArray, rows: Sequence[int]) -> Path:
     return Path(stabilise(a, NEARLY_ONE), {row: taps for row, taps in zip(rows, b, strict=True) if len(taps)})
 
 
-def _four_stages(signals: _Signals, orders: IVOrders, driven: Path | None, memory: int) -> Estimate:
+def _four_stages(
+    signals: _Signals, orders: IVOrders, driven: Path | None, memory: int, *, most_images: int = 3
+) -> Estimate:
+    """The estimate.
+
+    A model that noise has bent makes poor instruments. They are simulated anew, at most `most_images` times,
+    until the second model stays within its standard errors.
+    """
     none = np.ones(1)
     depth = orders.depth
     step = orders.depth + 1
@@ -243,10 +255,17 @@ def _four_stages(signals: _Signals, orders: IVOrders, driven: Path | None, memor
         first = _solve(plain[np.ix_(regressors, regressors)], plain[regressors, 0])
         image = _path(orders, first, signals.inputs)
     gram = signals.gram(depth + memory, image, none)
-    second = _instrumental(gram, orders, signals).theta
-    whitening = _autoregression(gram, orders, second, memory)
+    second = _instrumental(gram, orders, signals)
+    for _ in range(0 if driven is not None else most_images):
+        image = _path(orders, second.theta, signals.inputs)
+        gram = signals.gram(depth + memory, image, none)
+        known = second
+        second = _instrumental(gram, orders, signals)
+        if (np.abs(second.theta - known.theta) <= second.standard_error).all():
+            break
+    whitening = _autoregression(gram, orders, second.theta, memory)
     if driven is None:
-        image = _path(orders, second, signals.inputs)
+        image = _path(orders, second.theta, signals.inputs)
     last = _instrumental(signals.gram(depth, image, whitening), orders, signals)
     if not orders.offset:
         return last

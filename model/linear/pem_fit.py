@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from flysid.dataset import Dataset, FloatArray
-from flysid.errors import DataError, UsageError
+from flysid.errors import DataError
 from flysid.filters import apply_filter
 from flysid.model.freerun import Difference
 from flysid.model.linear.data import Parts, records
@@ -65,9 +65,6 @@ def fit_prediction_error(
     FitError : no stable start was found.
     """
     settings.check(data[0])
-    for value in {n for pair in noises for n in pair}:
-        if not isinstance(value, int) or value < 0:
-            raise UsageError(f"orders of the noise model must be whole numbers of at least 0, not {value!r}")
     train, validation = settings.detrended(*data)
     parts = Parts.of(train, validation, centred=settings.offset)
     found = search(kind, settings, parts)

@@ -13,6 +13,7 @@ from flysid.errors import UsageError
 from flysid.model.arguments import check_inputs
 from flysid.model.detrend import Trend, check_trend, detrend
 from flysid.model.own_constants import FlightOffsets
+from flysid.model.settings import Settings
 from flysid.model.stream import OnDisk, Source
 from flysid.showing import counted
 
@@ -20,7 +21,7 @@ Auto: TypeAlias = Literal["auto"]
 
 
 @dataclass(frozen=True)
-class PolynomialSettings:
+class PolynomialSettings(Settings):
     """What ARX, OE, ARMAX, BJ and IV are told alike; the defaults choose by themselves.
 
     Parameters
@@ -52,10 +53,14 @@ class PolynomialSettings:
 
     trends: ClassVar[tuple[str, ...]] = ("none", "remove")
 
+    def check_values(self) -> None:
+        """Raise UsageError for a trend that this structure does not take, and for a start from nothing."""
+        check_trend(self.trend, self.trends)
+        self.at_least(1, "n_init")
+
     def check(self, data: Source) -> None:
         """Raise UsageError for settings that cannot be, or not for these data."""
         check_orders(self, len(data.inputs))
-        check_trend(self.trend, self.trends)
         if isinstance(data, OnDisk) and self.trend != "none":
             raise UsageError("a trend is not taken out of data on disk", hint="use trend='none'")
 
@@ -67,19 +72,13 @@ class PolynomialSettings:
 def check_orders(settings: PolynomialSettings, n_u: int) -> None:
     """Raise UsageError for orders that cannot be."""
     check_inputs(n_u)
-    for name in ("na", "nb", "nk"):
+    for name in ("nb", "nk"):
         value = getattr(settings, name)
         if value == "auto":
             continue
-        values = tuple(np.atleast_1d(np.asarray(value, dtype=object)))
-        if not all(isinstance(v, (int, np.integer)) and v >= 0 for v in values):
-            least = "a whole number" if name == "na" else "whole numbers"
-            raise UsageError(f"{name} must be {least} of at least 0, not {value!r}")
-        if (name == "na" or not isinstance(value, int)) and len(values) != (1 if name == "na" else n_u):
-            raise UsageError(f"{name} has {counted(len(values), 'number')} for {counted(n_u, 'input')}")
+        if not np.isscalar(value) and len(value) != n_u:
+            raise UsageError(f"{name} has {counted(len(value), 'number')} for {counted(n_u, 'input')}")
     check_hint(settings.nk_hint, n_u)
-    if settings.n_init is not None and settings.n_init < 1:
-        raise UsageError(f"n_init must be at least 1, not {settings.n_init}")
 
 
 def check_hint(nk_hint: Sequence[int], n_u: int, name: str = "nk_hint") -> None:

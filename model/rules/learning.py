@@ -40,7 +40,6 @@ from flysid.model.rules.regressor_layout import runs_of, scaling
 from flysid.model.rules.search import search
 from flysid.model.rules.search_context import (
     SearchContext,
-    check,
     named_antecedents,
     order_choices,
 )
@@ -193,7 +192,6 @@ def over_states(settings: RuleSettings, train: Dataset, validation: Dataset | No
 
 def lag_starts(settings: RuleSettings, train: Dataset, validation: Dataset | None) -> Search:
     """The data split, and linear models of several orders."""
-    check(settings)
     check_inputs(len(train.inputs))
     check_hint(settings.nk_hint, len(train.inputs))
     check_hint(settings.nk_least, len(train.inputs), "nk_least")
@@ -219,7 +217,6 @@ def lag_starts(settings: RuleSettings, train: Dataset, validation: Dataset | Non
 
 def state_starts(settings: RuleSettings, train: Dataset, validation: Dataset | None) -> Search:
     """Linear systems, and the data split as they need it."""
-    check(settings)
     check_inputs(len(train.inputs))
     scaled = scaling(train)
     systems = linear_systems(settings, train, validation, scaled)

@@ -10,7 +10,6 @@ import numpy as np
 
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import UsageError
-from flysid.model.arguments import is_count
 from flysid.model.freerun import far
 from flysid.model.polynomials import VANISHING
 from flysid.model.rules.boundedness import FAR, probe_run
@@ -44,32 +43,6 @@ from flysid.model.subspace.order_search import ROWS_PER_UNKNOWN
 from flysid.showing import counted
 
 _STRESS = 1000  # steps of each kind of stress
-
-
-def check(settings: RuleSettings) -> None:
-    """Raise UsageError for settings that cannot be."""
-    settings.search.check()
-    for name in ("rules", "states", "na"):
-        value = getattr(settings, name)
-        low = 1 if name == "rules" else 0
-        if value != "auto" and not is_count(value, low):
-            raise UsageError(f"{name}={value!r}", hint=f'give "auto" or a whole number from {low} on')
-    for name in ("nb", "nk"):
-        value = getattr(settings, name)
-        numbers = list(value) if isinstance(value, Sequence | np.ndarray) else [value]
-        if value != "auto" and not all(is_count(v, 0) for v in numbers):
-            raise UsageError(f"{name}={value!r}", hint='give "auto", a whole number, or one per input')
-    for name in ("most_rules", "iterations"):
-        if not is_count(getattr(settings, name), 1):
-            raise UsageError(f"{name}={getattr(settings, name)!r}", hint="give a whole number, at least 1")
-    ridge = settings.ridge
-    if ridge != "auto" and not (isinstance(ridge, int | float) and 0 <= ridge < np.inf):
-        raise UsageError(f"ridge={ridge!r}", hint='give "auto", or 0 or more; 0.01 is usual')
-    asked = settings.antecedents
-    if asked != "auto" and (isinstance(asked, str) or not asked):
-        raise UsageError(f"antecedents={asked!r}", hint='give "auto" or a list of names')
-    if not isinstance(settings.refine, bool):
-        raise UsageError(f"refine={settings.refine!r}", hint="give True or False")
 
 
 def order_choices(settings: RuleSettings, inputs: int) -> list[Orders]:

@@ -7,15 +7,15 @@ from dataclasses import dataclass
 from typing import Literal
 
 from flysid.errors import UsageError
-from flysid.model.arguments import is_count
 from flysid.model.own_constants import FlightOffsets
+from flysid.model.settings import Settings
 
 QUARTERS = 4
 """Of a short record, each held out in turn."""
 
 
 @dataclass(frozen=True)
-class SearchSettings:
+class SearchSettings(Settings):
     """What the search for rules weighs; the defaults were measured (docs/measured/search.md).
 
     Parameters
@@ -65,18 +65,13 @@ class SearchSettings:
             raise UsageError(f"effort={effort!r}", hint="one of " + ", ".join(EFFORTS))
         return EFFORTS[effort]
 
-    def check(self) -> None:
+    def check_values(self) -> None:
         """Raise UsageError for settings that cannot be."""
-        for name in ("folds", "highest_order", "lanes", "linear_systems"):
-            if not is_count(getattr(self, name), 1):
-                raise UsageError(f"{name}={getattr(self, name)!r}", hint="give a whole number, at least 1")
-        for name in ("short", "exchanges"):
-            if not is_count(getattr(self, name), 0):
-                raise UsageError(f"{name}={getattr(self, name)!r}", hint="give a whole number, 0 or more")
+        self.at_least(1, "folds", "highest_order", "lanes", "linear_systems")
         if self.folds > QUARTERS:
             raise UsageError(f"folds={self.folds!r}", hint="a record has four quarters")
         gains = (self.rule_gain, self.hidden_gain, *self.ridges)
-        if not self.ridges or not all(isinstance(g, int | float) and 0.0 <= g < float("inf") for g in gains):
+        if not self.ridges or min(gains) < 0.0:
             raise UsageError(f"gains and ridges {gains}", hint="numbers of 0 or more, and one ridge at least")
 
 
@@ -92,7 +87,7 @@ EFFORTS: Mapping[str, SearchSettings] = {
 
 
 @dataclass(frozen=True)
-class RuleSettings:
+class RuleSettings(Settings):
     """What is asked of a search for rules; `flysid.TS` says what each means."""
 
     rules: int | Literal["auto"] = "auto"
@@ -110,3 +105,11 @@ class RuleSettings:
     states: int | Literal["auto"] = 0
     ridge: float | Literal["auto"] = "auto"
     flight_offsets: FlightOffsets = "auto"
+
+    def check_values(self) -> None:
+        """Raise UsageError for settings that cannot be."""
+        self.at_least(1, "rules", "most_rules", "iterations")
+        if self.ridge != "auto" and self.ridge < 0.0:
+            raise UsageError(f"ridge={self.ridge!r}", hint='give "auto", or 0 or more; 0.01 is usual')
+        if not len(self.antecedents):
+            raise UsageError(f"antecedents={self.antecedents!r}", hint='give "auto" or a list of names')

@@ -18,12 +18,14 @@ from pathlib import Path
 import numpy as np
 
 from flysid.dataset import Dataset, FloatArray, Segment
-from flysid.errors import DataError, UsageError
+from flysid.errors import DataError
+from flysid.model.arguments import check_band
 from flysid.model.detrend import Trend, check_trend, detrend
 from flysid.model.frequency.rational import Hold
 from flysid.model.frequency.response import measure_response, split_references
 from flysid.model.linear.data import Parts
 from flysid.model.linear.stability import unstable_words
+from flysid.model.settings import Settings
 from flysid.model.statespace import delayed_model
 from flysid.model.stream import delayed_inputs
 from flysid.model.structured.fitted_structured import (
@@ -51,7 +53,7 @@ from flysid.model.threads import on_one_thread
 
 
 @dataclass(frozen=True)
-class StructuredStateSpace:
+class StructuredStateSpace(Settings):
     """Settings of a structured state-space model.
 
     Parameters
@@ -116,19 +118,15 @@ class StructuredStateSpace:
     def _plan(self) -> Plan | None:
         return Plan.read(self.file) if isinstance(self.file, str | Path) else self.file
 
-    def check_settings(self) -> None:
-        """Raise UsageError for settings or a file that cannot be, whatever the data."""
-        self._plan()
+    def check_values(self) -> None:
+        """Raise UsageError for settings that cannot be; the file is read where it is needed."""
         check_trend(self.trend, ("none", "remove"))
-        if self.hold not in ("zero", "first", "none"):
-            raise UsageError(f"hold is {self.hold!r}", hint="'zero', 'first' or 'none'")
-        if self.band is not None and not 0.0 < self.band[0] < self.band[1]:
-            low, high = self.band
-            raise UsageError(
-                f"no band: {low:g} to {high:g} rad/s", hint="the lowest frequency first, above 0"
-            )
-        if self.n_init is not None and self.n_init < 1:
-            raise UsageError(f"n_init must be at least 1, not {self.n_init}")
+        check_band(self.band)
+        self.at_least(1, "n_init")
+
+    def check_settings(self) -> None:
+        """Raise UsageError for a file that cannot be, whatever the data."""
+        self._plan()
 
     def _fit(self, problem: JointProblem) -> tuple[JointFit, tuple[Dropped, ...]]:
         terms = problem.layout.terms

@@ -130,7 +130,7 @@ SAID: list[tuple[Callable[[], object], str]] = [
         lambda: data(U[:12], Y[:12]).split(by="time"),
         "too little data to hold out 30 % by time: 12 samples, 0.6 s, in 1 segment Try: add flights",
     ),
-    (lambda: arx(na=-1), "na must be a whole number of at least 0, not -1"),
+    (lambda: arx(na=-1), 'ARX: na is a whole number from 0 on or "auto", not -1.'),
     (lambda: arx(nb=(1, 2)), "nb has 2 numbers for 1 input"),
     (lambda: arx(nk_hint=(1, 2)), "nk_hint=(1, 2) Try: give () or 1 whole number, one per input"),
     (lambda: arx(nk=500), "no segment is longer than the 500 samples that the model looks back on"),
@@ -145,7 +145,7 @@ SAID: list[tuple[Callable[[], object], str]] = [
     (lambda: flysid.ANFIS().fit(data(np.zeros((N, 0)))), "the dataset has no input"),
     (lambda: flysid.TS().fit(data(np.ones(N))), "input 'u' never changes: nothing can be learnt from it"),
     (lambda: flysid.StaticTS(rules=500).fit(data()), "500 rules asked for, but the data hold"),
-    (lambda: flysid.TF(poles=-1).fit(data()), "poles must be a whole number of at least 0, not -1"),
+    (lambda: flysid.TF(poles=-1).fit(data()), 'TF: poles is a whole number from 0 on or "auto", not -1.'),
     (
         lambda: flysid.TF(poles=1, band=(1000.0, 2000.0)).fit(data()),
         "fewer than three frequencies were measured from 1e+03 to 2e+03 rad/s",
