@@ -4,9 +4,9 @@ The prior of `fir` knows that taps are smooth and decay, no more, and pays for i
 comes out lower or higher than it is. Most loops answer as systems of few poles do. Beside the TC prior alone,
 priors about such systems are tried: taps of a fitted b / a of order 1 to 3 and what changing its coefficients
 makes of them, with the information of one sample (Kass & Wasserman, 1995, JASA 90), plus a remainder with a
-TC prior, which may vanish. One sample says nothing where the input never moves fast: there the change is taken
-to be no larger than the response. All of them are averaged by their marginal likelihood, so that neither order
-nor decay is taken for known.
+TC prior, which may vanish. One sample says nothing where the input never moves fast: there the change is
+taken to be no larger than the response. All of them are averaged by their marginal likelihood, so that
+neither order nor decay is taken for known.
 """
 
 from __future__ import annotations

@@ -95,10 +95,10 @@ class StepCurve:
 
     @property
     def is_settled(self) -> bool:
-        """The second half keeps within half of WITHIN of the final value, as far as chance lets it be seen.
+        """The second half keeps within half of WITHIN of the final value, as far as chance shows it.
 
-        Chance excuses no more than twice WITHIN, nor a band that is wider than half of the response: a ramp of
-        which little is known would look settled.
+        Chance excuses no more than twice WITHIN, nor a band that is wider than half of the response: a ramp
+        of which little is known would look settled.
         """
         half = len(self.step) // 2
         off = np.abs(self.step[half:] - _finals(self.step[None])[0])

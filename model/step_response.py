@@ -3,10 +3,10 @@
 The impulse response is estimated with a smooth, decaying prior (the TC kernel, see `fir`) on signals that the
 autoregression of what it leaves over has whitened, in turns, so that its covariance knows the noise's colour
 (generalised least squares; Chen, Ohlsson & Ljung, 2012, Automatica 48). In the last turn priors of systems of
-low order stand beside it (`low_order_response`). Summed it is the step response. A long response has fewer taps
-than the log has samples: the impulse response is then a line between taps. Inputs are weighted accordingly before
-both sides are slowed down alike, which leaves the equation between them exact. Where the input answers the output
-(`feedback`), no step response is in the record, and that is said.
+low order stand beside it (`low_order_response`). Summed it is the step response. A long response has fewer
+taps than the log has samples: the impulse response is then a line between taps. Inputs are weighted
+accordingly before both sides are slowed down alike, which leaves the equation between them exact. Where the
+input answers the output (`feedback`), no step response is in the record, and the error says so.
 """
 
 from __future__ import annotations
@@ -254,7 +254,7 @@ def _class_words(signal: Signal, above: float | None, below: float | None) -> st
 
 
 def _sums(taps: int, factor: int) -> FloatArray:
-    """(taps, taps) from taps to their sums at the time of each: lines between taps, `factor` samples apart."""
+    """(taps, taps) from taps to their sums at the time of each: lines between, `factor` samples long."""
     before = np.tril(np.ones((taps, taps)), -1)
     half = (factor + 1.0) / (2.0 * factor)
     total = before + half * np.eye(taps)
@@ -285,7 +285,7 @@ def _records(data: Dataset, output: int, factor: int, taps: int) -> tuple[list[_
 
 
 def _slow(signals: FloatArray, factor: int) -> _Record:
-    """[inputs, output] with one sample in `factor`, without what is finer, inputs weighted as taps want it."""
+    """[inputs, output] with one sample in `factor`, without what is finer, inputs weighted for the taps."""
     u, y = signals[:, :-1], signals[:, -1:]
     if factor == 1:
         return _Record(u, u, y[:, 0])
