@@ -34,6 +34,9 @@ SCALES = tuple(10.0 ** np.arange(-4.0, 12.1, 0.5))
 LEAST_REST = 1e-12
 """Of the output's power: less cannot be left over but by rounding."""
 
+MOST_ROUNDING = 0.1
+"""What rounding of the data may seem to tell of a tap, in units of what its prior tells."""
+
 
 @dataclass(frozen=True)
 class FIR(Settings):
@@ -179,7 +182,7 @@ def refuse_extreme(likelihood: float) -> None:
 def explained_by_priors(
     inner: FloatArray, cross: FloatArray, shape: tuple[int, int]
 ) -> Iterator[tuple[float, float, float, float]]:
-    """(decay, weight, explained, size) of every TC prior of the taps.
+    """(decay, weight, explained, size) of every TC prior of the taps under which rounding is not data.
 
     `weight` is the prior variance of the first tap in noise variances, `explained` the part of the output's
     power that the taps take, `size` the logarithm of the determinant that the marginal likelihood pays.
@@ -189,7 +192,10 @@ def explained_by_priors(
         values, vectors = np.linalg.eigh(root.T @ inner @ root)
         values = np.maximum(values, 0.0)
         rotated = (vectors.T @ (root.T @ cross)) ** 2
+        rounding = len(values) * np.finfo(float).eps * values[-1]
         for weight in SCALES:
+            if weight * rounding > MOST_ROUNDING:
+                break
             explained = float((weight / (1.0 + weight * values)) @ rotated)
             yield decay, weight, explained, float(np.sum(np.log1p(weight * values)))
 

@@ -4,8 +4,9 @@ The prior of `fir` knows that taps are smooth and decay, no more, and pays for i
 comes out lower or higher than it is. Most loops answer as systems of few poles do. Beside the TC prior alone,
 priors about such systems are tried: taps of a fitted b / a of order 1 to 3 and what changing its coefficients
 makes of them, with the information of one sample (Kass & Wasserman, 1995, JASA 90), plus a remainder with a
-TC prior, which may vanish. All of them are averaged by their marginal likelihood, so that neither order nor
-decay is taken for known.
+TC prior, which may vanish. One sample says nothing where the input never moves fast: there the change is
+taken to be no larger than the response. All of them are averaged by their marginal likelihood, so that
+neither order nor decay is taken for known.
 """
 
 from __future__ import annotations
@@ -53,7 +54,8 @@ class _Data:
 
 @dataclass(frozen=True, eq=False)
 class _Prior:
-    """Directions (n, p) that a system of low order may take, and a remainder with a TC kernel."""
+    """Directions (n, p) that a system of low order may take, each of prior variance 1 in noise variances, and
+    a remainder with a TC kernel."""
 
     directions: FloatArray
     decay: float
@@ -75,7 +77,7 @@ def averaged_posterior(gram: FloatArray, rows: float, shape: tuple[int, int]) ->
     for order in range(1, MOST_ORDER + 1):
         found = _low_order(data, taps, order)
         if found is not None:
-            tried += _likelihoods(data, found)
+            tried += _likelihoods(data, _in_prior_units(data, found, taps))
     best = max(likelihood for likelihood, _ in tried)
     refuse_extreme(best)
     shares = [(np.exp(0.5 * (likelihood - best)), prior) for likelihood, prior in tried]
@@ -91,8 +93,7 @@ def averaged_posterior(gram: FloatArray, rows: float, shape: tuple[int, int]) ->
 
 def _likelihoods(data: _Data, directions: FloatArray) -> Iterator[tuple[float, _Prior]]:
     """(twice the logarithm of the marginal likelihood, prior) for every decay and weight of the remainder."""
-    inner, cross, power = _without(data, directions)
-    price = directions.shape[1] * np.log1p(data.rows)
+    inner, cross, power, price = _without(data, directions)
     if directions.shape[1]:
         yield _score(data, power) - price, _Prior(directions, 0.0, 0.0)
     for decay, weight, explained, size in explained_by_priors(inner, cross, data.shape):
@@ -100,33 +101,45 @@ def _likelihoods(data: _Data, directions: FloatArray) -> Iterator[tuple[float, _
 
 
 def _score(data: _Data, rest: float) -> float:
-    return -data.rows * float(np.log(max(rest, LEAST_REST * data.power) / data.rows))
+    return -data.rows * float(np.log(_noise_variance(data, rest)))
 
 
-def _without(data: _Data, directions: FloatArray) -> tuple[FloatArray, FloatArray, float]:
-    """Gram, cross and power of what the directions leave, with the information of one sample about them."""
+def _noise_variance(data: _Data, rest: float) -> float:
+    return max(rest, LEAST_REST * data.power) / data.rows
+
+
+def _in_prior_units(data: _Data, basis: FloatArray, taps: FloatArray) -> FloatArray:
+    """(n, p) orthonormal directions, scaled to a prior variance of 1 in noise variances.
+
+    The prior knows what one sample tells of them, and that no change is larger than the taps.
+    """
+    rest = data.power - 2.0 * float(data.cross @ taps) + float(taps @ data.inner @ taps)
+    least = _noise_variance(data, rest) / max(float(taps @ taps), LEAST_REST)
+    information = basis.T @ data.inner @ basis / data.rows + least * np.eye(basis.shape[1])
+    return np.asarray(solve_triangular(np.linalg.cholesky(information), basis.T, lower=True).T)
+
+
+def _without(data: _Data, directions: FloatArray) -> tuple[FloatArray, FloatArray, float, float]:
+    """Gram, cross and power of what the directions leave under their prior, and the price of that prior."""
     if not directions.shape[1]:
-        return data.inner, data.cross, data.power
+        return data.inner, data.cross, data.power, 0.0
     seen = data.inner @ directions
-    share = data.rows / (1.0 + data.rows)
-    known = np.linalg.solve(directions.T @ seen, np.column_stack([seen.T, directions.T @ data.cross]))
-    inner = data.inner - share * seen @ known[:, :-1]
-    cross = data.cross - share * seen @ known[:, -1]
-    power = data.power - share * float((directions.T @ data.cross) @ known[:, -1])
-    return inner, cross, power
+    triangle = np.linalg.cholesky(np.eye(directions.shape[1]) + directions.T @ seen)
+    known = solve_triangular(triangle, np.column_stack([seen.T, directions.T @ data.cross]), lower=True)
+    taken, answer = known[:, :-1], known[:, -1]
+    price = 2.0 * float(np.log(np.diag(triangle)).sum())
+    rest = data.power - float(answer @ answer)
+    return data.inner - taken.T @ taken, data.cross - taken.T @ answer, rest, price
 
 
 def _posterior(data: _Data, prior: _Prior) -> Posterior:
     roots = []
     if prior.directions.shape[1]:
-        triangle = np.linalg.cholesky(prior.directions.T @ data.inner @ prior.directions)
-        one = solve_triangular(triangle, prior.directions.T, lower=True).T
-        roots.append(one * np.sqrt(data.rows))
+        roots.append(prior.directions)
     if prior.weight > 0.0:
         roots.append(kernel_root(*data.shape, prior.decay) * np.sqrt(prior.weight))
     mean, covariance = under_prior(np.hstack(roots), data.inner, data.cross)
-    rest = max(data.power - float(data.cross @ mean), LEAST_REST * data.power)
-    return Posterior(mean, covariance * rest / data.rows, "")
+    return Posterior(mean, covariance * _noise_variance(data, data.power - float(data.cross @ mean)), "")
 
 
 def _low_order(data: _Data, taps: FloatArray, order: int) -> FloatArray | None:

@@ -62,9 +62,7 @@ class StepCurve:
 
     @property
     def figures(self) -> tuple[StepFigure, ...]:
-        """All, in order; final value last."""
-        if not self.is_settled:
-            return self.unsettled
+        """All of a response that has settled, in order; final value last."""
         curves = self._curves()
         final = _figure("final value", self.unit, _finals(curves), self._drift, least=-np.inf)
         if final.low is None or final.high is None or final.low <= 0.0 <= final.high:
@@ -97,13 +95,20 @@ class StepCurve:
 
     @property
     def is_settled(self) -> bool:
-        """The last fifth keeps within half of WITHIN of the final value, as far as chance lets it be seen."""
-        last = self.step[-max(len(self.step) // 5, 2) :]
-        off = np.abs(last - _finals(self.step[None])[0])
-        error = np.sqrt(np.maximum(np.diag(self.covariance)[-len(last) :], 0.0))
+        """The second half keeps within half of WITHIN of the final value, as far as chance shows it.
+
+        Chance excuses no more than twice WITHIN, nor a band that is wider than half of the response: a ramp
+        of which little is known would look settled.
+        """
+        half = len(self.step) // 2
+        off = np.abs(self.step[half:] - _finals(self.step[None])[0])
+        chance = Z95 * np.sqrt(np.maximum(np.diag(self.covariance)[half:], 0.0))
         largest = float(np.abs(self.step).max())
+        allowed = np.minimum(0.5 * WITHIN * largest + chance, 2.0 * WITHIN * largest)
         return bool(
-            (off <= 0.5 * WITHIN * largest + Z95 * error).all() and self._drift <= 0.5 * WITHIN * largest
+            (off <= allowed).all()
+            and (chance <= 0.25 * largest).all()
+            and self._drift <= 0.5 * WITHIN * largest
         )
 
     @property
@@ -170,11 +175,13 @@ def _finals(curves: FloatArray) -> FloatArray:
 
 def _overshoot(step: FloatArray) -> float:
     """Percent above a final value of 1, by the parabola through the largest sample and its neighbours."""
-    k = int(np.clip(np.argmax(step), 1, len(step) - 2))
-    before, middle, after = step[k - 1 : k + 2]
-    bend = before - 2.0 * middle + after
-    apex = middle - (after - before) ** 2 / (8.0 * bend) if bend < 0.0 else middle
-    return 100.0 * max(float(max(apex, step.max())) - 1.0, 0.0)
+    k = int(np.argmax(step))
+    apex = float(step[k])
+    if 0 < k < len(step) - 1:  # at an edge there is no parabola but one that leaves the samples
+        before, middle, after = step[k - 1 : k + 2]
+        bend = before - 2.0 * middle + after
+        apex -= (after - before) ** 2 / (8.0 * min(bend, -1e-12))
+    return 100.0 * max(apex - 1.0, 0.0)
 
 
 def _first_time(time_s: FloatArray, share: float, step: FloatArray) -> float:

@@ -3,8 +3,10 @@
 The impulse response is estimated with a smooth, decaying prior (the TC kernel, see `fir`) on signals that the
 autoregression of what it leaves over has whitened, in turns, so that its covariance knows the noise's colour
 (generalised least squares; Chen, Ohlsson & Ljung, 2012, Automatica 48). In the last turn priors of systems of
-low order stand beside it (`low_order_response`). Summed it is the step response. Where the input answers the
-output (`feedback`), no step response is in the record, and that is said.
+low order stand beside it (`low_order_response`). Summed it is the step response. A long response has fewer
+taps than the log has samples: the impulse response is then a line between taps. Inputs are weighted
+accordingly before both sides are slowed down alike, which leaves the equation between them exact. Where the
+input answers the output (`feedback`), no step response is in the record, and the error says so.
 """
 
 from __future__ import annotations
@@ -27,7 +29,24 @@ from flysid.model.threads import on_one_thread
 from flysid.showing import significant
 
 BoolArray = npt.NDArray[np.bool_]
-Record = tuple[FloatArray, FloatArray]
+EDGE = 10
+"""Slow samples at either end of a segment that the filter of `decimate` fills with what was not logged."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Record:
+    """One segment about its mean, in units of standard deviations.
+
+    Attributes
+    ----------
+    u : (N, n_u) inputs, weighted by the line from a tap to its neighbours.
+    first : (N, n_u) the same for the tap at 0, which has a neighbour on one side only.
+    y : (N,) the output.
+    """
+
+    u: FloatArray
+    first: FloatArray
+    y: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +59,7 @@ class StepResponse:
     covariance : (N, N) of the step.
     seconds : how much flying it rests on.
     words : of which part of the record it speaks; "" for all.
-    confirmed : a response of about twice the length agrees with it.
+    confirmed : it has settled, and one of another length agrees with it.
     """
 
     time_s: FloatArray
@@ -74,8 +93,13 @@ class StepResponse:
 
     @property
     def is_settled(self) -> bool:
-        """The response ends within its length: it looks so, and a longer one agrees."""
-        return self.confirmed and self._curve.is_settled
+        """The response ends within its length: it looks so, and one of another length agrees."""
+        return self.confirmed
+
+    @property
+    def looks_settled(self) -> bool:
+        """It ends within its length, if what is cut off there is nothing."""
+        return self._curve.is_settled
 
     @property
     def _curve(self) -> StepCurve:
@@ -93,7 +117,7 @@ def step_response(
     below: float | None = None,
     most_taps: int = 200,
     rounds: int = 3,
-    first_s: float = 2.0,
+    first_s: float = 1.0,
     anyway: bool = False,
 ) -> StepResponse:
     """The step response of one input and one output; other inputs are fitted along.
@@ -121,16 +145,18 @@ def step_response(
 
 
 def _settled(data: Dataset, how: _How, first_s: float, horizon_s: float | None) -> StepResponse:
-    """Lengthened until it has settled where no length is given, and held against a longer one."""
-    found = _respond(data, how, first_s if horizon_s is None else horizon_s)
-    while True:
+    """The first that has settled and agrees with one of half its length; or of the length that is given."""
+    if horizon_s is not None:
+        found = _respond(data, how, horizon_s)
         longer = _longer(data, how, found.length_s)
-        if longer is None:
-            return found
-        held = _held_against(found, longer)
-        if held.is_settled or horizon_s is not None:
+        return found if longer is None else _held_against(found, longer)
+    found = _respond(data, how, first_s)
+    while longer := _longer(data, how, found.length_s):
+        held = _held_against(longer, found)
+        if held.is_settled:
             return held
         found = longer
+    return found
 
 
 @dataclass(frozen=True)
@@ -155,19 +181,25 @@ def _longer(data: Dataset, how: _How, length_s: float) -> StepResponse | None:
     return None
 
 
-def _held_against(found: StepResponse, longer: StepResponse, *, share: float = 0.05) -> StepResponse:
-    """With what a longer response says otherwise as an error of its own.
+def _held_against(
+    found: StepResponse, other: StepResponse, *, share: float = 0.05, most: float = 0.25
+) -> StepResponse:
+    """With what a response of another length says otherwise as an error of its own.
 
     What the length cuts off falls upon the taps that are left, under a prior that lets them fade: a response
     that goes on may look settled, but not of the same size at twice the length.
 
-    `share`: of the largest value, beyond which and beyond chance the two contradict one another.
+    `share`: of the largest value, beyond which and beyond chance the two contradict one another. `most`: and
+    however little the record tells, as two lengths of what never ends differ by more.
     """
-    off = np.interp(found.time_s, longer.time_s, longer.step) - found.step
-    chance = np.hypot(found.error, np.interp(found.time_s, longer.time_s, longer.error))
+    off = np.interp(found.time_s, other.time_s, other.step) - found.step
+    off[found.time_s > other.time_s[-1]] = 0.0
+    chance = np.hypot(found.error, np.interp(found.time_s, other.time_s, other.error))
     largest = float(np.abs(found.step).max())
-    agree = bool((np.abs(off) <= share * largest + Z95 * chance).all())
-    return replace(found, covariance=found.covariance + np.outer(off, off), confirmed=agree)
+    agree = bool((np.abs(off) <= np.minimum(share * largest + Z95 * chance, most * largest)).all())
+    return replace(
+        found, covariance=found.covariance + np.outer(off, off), confirmed=agree and found.looks_settled
+    )
 
 
 def _respond(data: Dataset, how: _How, horizon_s: float) -> StepResponse:
@@ -177,15 +209,15 @@ def _respond(data: Dataset, how: _How, horizon_s: float) -> StepResponse:
     dt_s = factor * data.dt_s
     taps = max(round(horizon_s / dt_s), 2)
     records, scale = _records(data, output, factor, taps)
-    masks = [_mask(u[:, source] * scale[source], taps, above, below) for u, _ in records]
+    masks = [_mask(r.u[:, source] * scale[source], taps, above, below) for r in records]
     samples = sum(int(m[taps - 1 :].sum()) for m in masks)
-    largest = max(float(np.abs(u[:, source]).max()) * scale[source] for u, _ in records)
+    largest = max(float(np.abs(r.u[:, source]).max()) * scale[source] for r in records)
     if above is not None and largest <= above:
         raise DataError(
             f"{data.inputs[source].name} never exceeds {above:g}: at most {significant(largest)}",
             hint="a smaller size: what parts slow input from fast lies below the largest that was flown",
         )
-    if samples < 4 * taps:
+    if samples < 2 * taps:
         wanted = "" if above is None and below is None else " of the class asked for"
         raise DataError(
             f"{samples * dt_s:.3g} s of flying{wanted} are too short for a response of {horizon_s:g} s",
@@ -203,10 +235,10 @@ def _respond(data: Dataset, how: _How, horizon_s: float) -> StepResponse:
     posterior = averaged_posterior(centred_gram(gram), rows, shape)
     own = slice(source * taps, (source + 1) * taps)
     unit = scale[-1] / scale[source]
-    total = np.tril(np.ones((taps, taps)))
+    total = _sums(taps, factor)
     return StepResponse(
         time_s=dt_s * np.arange(taps, dtype=np.float64),
-        step=unit * np.cumsum(posterior.mean[own]),
+        step=unit * (total @ posterior.mean[own]),
         covariance=unit**2 * (total @ posterior.covariance[own, own] @ total.T),
         input=data.inputs[source],
         output=data.outputs[output],
@@ -221,23 +253,26 @@ def _class_words(signal: Signal, above: float | None, below: float | None) -> st
     return f"{signal.name} {' and '.join(said)} {signal.unit}".rstrip() if said else ""
 
 
-def _records(data: Dataset, output: int, factor: int, taps: int) -> tuple[list[Record], FloatArray]:
-    """(u, y) per segment about their means, in units of their standard deviations, slowed down alike."""
-    from scipy.signal import decimate
+def _sums(taps: int, factor: int) -> FloatArray:
+    """(taps, taps) from taps to their sums at the time of each: lines between, `factor` samples long."""
+    before = np.tril(np.ones((taps, taps)), -1)
+    half = (factor + 1.0) / (2.0 * factor)
+    total = before + half * np.eye(taps)
+    total[:, 0] = half
+    total[0, 0] = 1.0 / factor
+    return total
 
-    found = []
-    for segment in data.segments:
-        both = np.column_stack([segment.u, segment.y[:, output]])
-        if len(both) < (taps + 20) * factor:
-            continue
-        slow = decimate(both, factor, ftype="fir", axis=0, zero_phase=True) if factor > 1 else both
-        found.append(np.asarray(slow, dtype=np.float64))
-    if not found:
+
+def _records(data: Dataset, output: int, factor: int, taps: int) -> tuple[list[_Record], FloatArray]:
+    """Segments about their common mean, in units of their standard deviations, and those units."""
+    long = [s for s in data.segments if len(s) >= (taps + 2 * EDGE) * factor]
+    if not long:
         raise DataError(
             f"no segment is longer than the response of {taps * factor * data.dt_s:.3g} s",
             hint="a shorter horizon, or longer segments",
         )
-    whole = np.concatenate(found)
+    both = [np.column_stack([s.u, s.y[:, output]]) for s in long]
+    whole = np.concatenate(both)
     mean = whole.mean(axis=0)
     scale = whole.std(axis=0)
     for i, signal in enumerate((*data.inputs, data.outputs[output])):
@@ -246,7 +281,23 @@ def _records(data: Dataset, output: int, factor: int, taps: int) -> tuple[list[R
                 f"{signal.name!r} never moves: there is no step response to see",
                 hint="choose flights in which it does",
             )
-    return [((r[:, :-1] - mean[:-1]) / scale[:-1], (r[:, -1] - mean[-1]) / scale[-1]) for r in found], scale
+    return [_slow((signals - mean) / scale, factor) for signals in both], scale
+
+
+def _slow(signals: FloatArray, factor: int) -> _Record:
+    """[inputs, output] with one sample in `factor`, without what is finer, inputs weighted for the taps."""
+    u, y = signals[:, :-1], signals[:, -1:]
+    if factor == 1:
+        return _Record(u, u, y[:, 0])
+    from scipy.signal import decimate, lfilter
+
+    falling = (1.0 - np.arange(factor) / factor) / factor
+    first = lfilter(falling, [1.0], u, axis=0)
+    after = lfilter(falling, [1.0], u[::-1], axis=0)[::-1]
+    line = first + after - falling[0] * u
+    slow = decimate(np.hstack([line, first, y]), factor, ftype="fir", axis=0, zero_phase=True)[EDGE:-EDGE]
+    count = u.shape[1]
+    return _Record(slow[:, :count], slow[:, count : 2 * count], slow[:, -1])
 
 
 def _mask(u: FloatArray, taps: int, above: float | None, below: float | None) -> BoolArray:
@@ -265,7 +316,7 @@ def _mask(u: FloatArray, taps: int, above: float | None, below: float | None) ->
 
 
 def _gram(
-    records: Sequence[Record], masks: Sequence[BoolArray], d: FloatArray, taps: int
+    records: Sequence[_Record], masks: Sequence[BoolArray], d: FloatArray, taps: int
 ) -> tuple[FloatArray, float]:
     """Of signals filtered with d, and how many samples are in it."""
     gram = np.zeros(())
@@ -281,29 +332,32 @@ def _constant(gram: FloatArray, mean: FloatArray) -> float:
 
 
 def _rows(
-    records: Sequence[Record], masks: Sequence[BoolArray], d: FloatArray, taps: int, *, chunk: int = 4096
+    records: Sequence[_Record], masks: Sequence[BoolArray], d: FloatArray, taps: int, *, chunk: int = 4096
 ) -> Iterator[FloatArray]:
     """[lags of every input, y, 1] of filtered signals, a chunk at a time."""
     from scipy.signal import lfilter
 
-    for (u, y), mask in zip(records, masks, strict=True):
-        white_u = lfilter(d, [1.0], u, axis=0)
-        white_y = lfilter(d, [1.0], y)
+    for record, mask in zip(records, masks, strict=True):
+        white_u, white_first = (lfilter(d, [1.0], x, axis=0) for x in (record.u, record.first))
+        white_y = lfilter(d, [1.0], record.y)
         windows = np.lib.stride_tricks.sliding_window_view(white_u, taps, axis=0)[:, :, ::-1]
         first = taps - 1 + len(d) - 1
         picked = np.flatnonzero(mask[first:]) + first
         for at in range(0, len(picked), chunk):
             k = picked[at : at + chunk]
-            lags = windows[k - taps + 1].reshape(len(k), -1)
-            yield np.column_stack([lags, white_y[k], np.ones(len(k))])
+            lags = windows[k - taps + 1].copy()
+            lags[:, :, 0] = white_first[k]
+            yield np.column_stack([lags.reshape(len(k), -1), white_y[k], np.ones(len(k))])
 
 
-def _error(record: Record, mean: FloatArray, constant: float, taps: int) -> FloatArray:
+def _error(record: _Record, mean: FloatArray, constant: float, taps: int) -> FloatArray:
     """What the response leaves over, without its start."""
     from scipy.signal import fftconvolve
 
-    u, y = record
-    made = sum(fftconvolve(u[:, j], mean[j * taps : (j + 1) * taps])[: len(y)] for j in range(u.shape[1]))
+    u, y = record.u, record.y
+    made = (record.first - u) @ mean[::taps]
+    for j in range(u.shape[1]):
+        made += fftconvolve(u[:, j], mean[j * taps : (j + 1) * taps])[: len(y)]
     return np.asarray((y - made - constant)[taps - 1 :])
 
 
