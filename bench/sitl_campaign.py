@@ -67,13 +67,23 @@ class Seen:
 
 
 def drawn(seed: int) -> Vehicle:
-    """A vehicle: inertia 0.6 to 1.6 of the usual one, lag 15 to 60 ms, noise to twice and half."""
+    """A vehicle: mass, inertia, lag, noise and battery of its own.
+
+    Inertia is 0.6 to 1.6 of the usual one, mass 0.85 to 1.2; the motors' lag 15 to 60 ms; noise up to twice,
+    and half. In a minute the battery costs up to a tenth of the thrust.
+    """
     rng = np.random.default_rng(seed)
     usual = Vehicle()
     size = rng.uniform(0.6, 1.6)
     inertia = tuple(size * rng.uniform(0.95, 1.05) * own for own in usual.inertia)
     noise = usual.noise * 2.0 ** rng.uniform(-1.0, 1.0)
-    return Vehicle(inertia=(inertia[0], inertia[1], inertia[2]), lag_s=rng.uniform(0.015, 0.06), noise=noise)
+    return Vehicle(
+        mass=usual.mass * rng.uniform(0.85, 1.2),
+        inertia=(inertia[0], inertia[1], inertia[2]),
+        lag_s=rng.uniform(0.015, 0.06),
+        noise=noise,
+        battery=rng.uniform(0.0, 0.1),
+    )
 
 
 def seen(log: Any, axis: str) -> Seen:

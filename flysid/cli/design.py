@@ -1,23 +1,29 @@
-"""`flysid design RUN`: gains of a position loop beside the present ones, over all good models of a run."""
+"""`flysid design RUN|LOG`: gains beside the present ones, of a run's position loop or of logs' rate loops."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+from click.core import ParameterSource
 
+from flysid.cli.addresses import SOURCE
 from flysid.cli.bounds import POSITIVE, Number
+from flysid.cli.checks import Words
 from flysid.cli.display import Display, progress_options
 from flysid.cli.output import align_columns, check_target, printable, say
+from flysid.cli.ratedesign import AXES, design_rates
+from flysid.cli.source import flight_options, reading_options
 from flysid.cli.trust import Own, ProjectFile, Setting
 from flysid.errors import UsageError
 
 if TYPE_CHECKING:
     from flysid.design.designed import Design
     from flysid.design.rule_design import RuleDesign
+    from flysid.ingest.lake.chosen_flights import Selection
 
 FIRMWARES = ("pid", "px4", "ardupilot", "tum-ardrone")
 
@@ -33,8 +39,18 @@ def a_range(_ctx: click.Context, _param: click.Parameter, value: str | None) -> 
         raise click.BadParameter(f"as 0.85..1.15, not {value!r}") from None
 
 
+OF_LOGS = ("axes", "only_flights", "exclude", "vehicle", "pool", "format_", "time_unit", "date_order")
+OF_RUNS = ("channels", "method", "firmware", "old", "peak", "limit", "gain", "delay", "feed_forward", "data")
+"""Options of one kind of design alone."""
+LARGEST_MS = 1.6
+"""Of a position loop, where none is given."""
+
+
 @click.command("design")
-@click.argument("run", type=click.Path(path_type=Path))
+@click.argument("source", metavar="RUN|LOG", type=SOURCE)
+@click.option(
+    "--axis", "axes", multiple=True, type=click.Choice(AXES), help="Of a log: only this axis; repeatable."
+)
 @click.option(
     "--channel", "-c", "channels", cls=Setting, multiple=True, help="Only this channel; repeatable."
 )
@@ -61,10 +77,8 @@ def a_range(_ctx: click.Context, _param: click.Parameter, value: str | None) -> 
 )
 @click.option(
     "--ms",
-    default=1.6,
     type=Number(min=1.0, min_open=True),
-    show_default=True,
-    help="Largest sensitivity peak (Ms) on any plant.",
+    help="Largest sensitivity peak (Ms) on any plant.  [default: 1.6; of rate loops 1.7]",
 )
 @click.option(
     "--peak",
@@ -74,7 +88,10 @@ def a_range(_ctx: click.Context, _param: click.Parameter, value: str | None) -> 
     help="Largest peak of reference to position on any plant.",
 )
 @click.option(
-    "--noise", type=POSITIVE, help="Largest input per m/s of noise.  [default: 5 % of what was flown]"
+    "--noise",
+    type=POSITIVE,
+    help="Largest input per m/s of noise; of rate loops the most that noise to the motors may grow, as a "
+    "factor.  [default: 5 % of what was flown; of rate loops 1.5]",
 )
 @click.option("--limit", type=POSITIVE, help="Input limit, in its unit.")
 @click.option(
@@ -94,14 +111,19 @@ def a_range(_ctx: click.Context, _param: click.Parameter, value: str | None) -> 
 )
 @click.option("--force", cls=Own, is_flag=True, help="Replace the folder if it exists.")
 @click.option("--json", "as_json", is_flag=True, help="Print the design as JSON.")
+@flight_options
+@reading_options
 @progress_options
+@click.pass_context
 def command(
-    run: Path,
+    context: click.Context,
+    source: Path,
+    axes: tuple[str, ...],
     channels: tuple[str, ...],
     method: str,
     firmware: str,
     old: str | None,
-    ms: float,
+    ms: float | None,
     peak: float,
     noise: float | None,
     limit: float | None,
@@ -112,22 +134,37 @@ def command(
     out: Path | None,
     force: bool,
     as_json: bool,
+    selection: Selection,
+    told: Words,
     quiet: bool,
     display: Display,
 ) -> int:
     """Find robust gains, optimised for the worst of all good models; compare them with the present gains.
 
-    The loop is a cascade from position to velocity to the channel's input. The bounds hold on every plant:
-    all good models, all rules, linearisations and the ends of intervals. For the next flight no gain
-    changes by more than a factor of two; "where this leads" is what the bounds allow. If the flights do not
-    identify the plant, the output says why and what to fly (exit code 3: a channel was refused). The gains
-    have not been flown.
+    Of a run: a cascade from position to velocity to the channel's input. The bounds hold on every plant: all
+    good models, all rules, linearisations and the ends of intervals.
+
+    Of logs: the rate loops that flew (Betaflight, INAV, PX4, ArduCopter), gains and D filters together. The
+    error over the last flight becomes as small as bounds allow that hold on every plant that the flights
+    leave possible. The files are lines for the command line, or parameters.
+
+    For the next flight no gain changes by more than a factor of two. If the flights do not identify the
+    plant, the output says why and what to fly (exit code 3: a channel was refused; of logs, every axis). The
+    gains have not been flown.
     """
     from flysid.design.designing import Wish, design_run
     from flysid.design.drawn_plants import Spread
     from flysid.design.rule_design import design_rules
-    from flysid.validate.runs.run import open_run
+    from flysid.loops.gain_bounds import RateBounds
+    from flysid.validate.runs.run import RUN_FILE, open_run
 
+    if not (source / RUN_FILE).is_file():
+        _refuse_given(context, OF_RUNS, "logs", "designs the rate loops that flew")
+        given = {name: value for name, value in (("ms", ms), ("noise", noise)) if value is not None}
+        bounds = RateBounds(**given)
+        files = {"force": force, "as_json": as_json}
+        return design_rates(source, axes, bounds, selection, told, out, display=display, **files)
+    _refuse_given(context, OF_LOGS, "a run", "designs the position loop of its channels")
     of_rules = method == "pdc"
     if of_rules and (firmware != "pid" or old is not None or feed_forward):
         raise UsageError(
@@ -141,7 +178,7 @@ def command(
         channels,
         firmware,
         old_parameters(old, firmware),
-        ms,
+        LARGEST_MS if ms is None else ms,
         peak,
         noise,
         limit,
@@ -150,7 +187,7 @@ def command(
     )
     find: Callable[..., Design | RuleDesign] = design_rules if of_rules else design_run
     with display.shown():
-        design = find(open_run(run), wish, data)
+        design = find(open_run(source), wish, data)
     if as_json:
         click.echo(json.dumps(design.to_dict(), indent=1, allow_nan=False))
     else:
@@ -161,6 +198,17 @@ def command(
     if not as_json:
         say(design.caution)
     return 3 if design.refused else 0
+
+
+def _refuse_given(context: click.Context, names: Sequence[str], source: str, does: str) -> None:
+    """Raise UsageError where an option is given that the other kind of design has."""
+    given = [name for name in names if context.get_parameter_source(name) == ParameterSource.COMMANDLINE]
+    if given:
+        options = {parameter.name: parameter.opts[0] for parameter in context.command.params}
+        raise UsageError(
+            f"{', '.join(options[name] for name in given)}: not for {source}: flysid {does}",
+            hint="leave it out; flysid design --help",
+        )
 
 
 def _write(design: Design | RuleDesign, out: Path | None, quiet: bool) -> None:

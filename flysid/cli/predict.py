@@ -21,6 +21,7 @@ from flysid.showing import fold
 if TYPE_CHECKING:
     from flysid.ingest.lake.chosen_flights import Selection
     from flysid.loops.forecast import Forecast
+    from flysid.loops.margins import Figure
 
 AXES = ("roll", "pitch", "yaw")
 
@@ -100,7 +101,9 @@ def command(
         body = {"settings": changes, "axes": [one.to_dict() for one in found], "refused": left_out}
         click.echo(json.dumps(body, indent=1, allow_nan=False))
     else:
-        click.echo("\n\n".join("\n".join(fold(printable(line)) for line in _lines(one)) for one in found))
+        click.echo(
+            "\n\n".join("\n".join(fold(printable(line)) for line in describe_forecast(one)) for one in found)
+        )
         if found:
             explain(CAUTION)
     if plot is not None and found:
@@ -126,20 +129,23 @@ def _named(changes: dict[str, str]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(named)) or AXES[:2]
 
 
-def _lines(one: Forecast) -> list[str]:
+def describe_forecast(one: Forecast) -> list[str]:
     """For people."""
     before, after = one.before, one.after
     whose = f"{len(one.flights)} flights" if len(one.flights) > 1 else one.flights[0]
     scope = "the next flight" if one.next_flight else "these flights; how flights differ takes three"
-    rise = " -> ".join(f"{1000.0 * side.step.rise_s:.0f}" for side in (before, after))
-    over = " -> ".join(f"{100.0 * side.step.overshoot:.0f}" for side in (before, after))
+    rise = " -> ".join(_scaled(side.step.rise_s, 1000.0) for side in (before, after))
+    over = " -> ".join(_scaled(side.step.overshoot, 100.0) for side in (before, after))
     limited = " -> ".join(f"{100.0 * side.limited:.1f}" for side in (before, after))
     low, high = one.band_hz
     rows = [
         f"{one.axis}: {_gains(before.gains, after.gains)} ({whose})",
         *(f"  {_pair(one, *row)}" for row in ROWS),
         f"  step of the setpoint: rise {rise} ms, overshoot {over} %",
-        f"  noise to the motors {one.noise:.2f} times; at the output's limit {limited} % of the flight",
+        f"  error over the flight {one.tracking.said('.2f', ' times')}, smaller with "
+        f"{100.0 * one.better:.0f} %",
+        f"  noise to the motors {one.noise.said('.2f', ' times')}; "
+        f"at the output's limit {limited} % of the flight",
         f"  known from {low:.0f} to {high:.0f} Hz; the intervals hold for {scope}",
         f"  the law of {one.law} gives the flown response to {100.0 * one.off:.0f} %",
     ]
@@ -174,6 +180,12 @@ def _pair(one: Forecast, words: str, name: str, form: str, unit: str) -> str:
     """A figure under the present settings and under the others."""
     old, new = (side.figures[name].said(form, unit) for side in (one.before, one.after))
     return f"{words} {old} -> {new}"
+
+
+def _scaled(figure: Figure, factor: float) -> str:
+    """ "35 [33, 38]" in another unit."""
+    value, low, high = (factor * part for part in (figure.value or 0.0, figure.low, figure.high))
+    return f"{value:.0f} [{low:.0f}, {high:.0f}]"
 
 
 def _told(value: float | None) -> str:

@@ -257,8 +257,9 @@ VERBS: Mapping[str, Verb] = {
         ),
         Verb(
             "design",
-            "Robust controller gains over all good models of a run, beside the present ones.",
+            "Robust controller gains beside the present ones: of rate loops from logs, of position loops.",
             (
+                "flysid design flight.bfl -o design",
                 "flysid design run -c longitudinal --limit 12 -o design",
                 "flysid design run --for px4 --old vehicle.params --gain 0.85..1.15 "
                 "--delay 0..0.04 -o design",

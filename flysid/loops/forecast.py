@@ -1,11 +1,7 @@
 """A rate loop under other settings, beside what it is: margins, response, step, noise, saturation.
 
-The plant is measured in flight (`stick_response`); both controllers are the firmware's law. Flights differ in
-their plants (battery, air, throttle). With three flights or more the intervals come from those differences
-and hold for one more flight; with fewer they come from the scatter inside the flights, and hold for these.
-
-Between frequencies that the sticks move, and above them, the step and the limits go by the plant
-gain / (s (lag s + 1)) e^(-delay s) that fits the measured one best.
+The plant and what else it may be are those of `known_axis`; both controllers are the firmware's law. Step and
+limits go by the plant that fits the measured one, as they need it where the sticks move nothing.
 """
 
 from __future__ import annotations
@@ -18,29 +14,29 @@ import numpy as np
 
 from flysid.dataset import FloatArray
 from flysid.errors import UsageError
-from flysid.loops.betaflight import NO_CONDITIONS, Conditions
-from flysid.loops.controller import Controller, refuse_misfit
-from flysid.loops.flown_axis import Turning
-from flysid.loops.judged import kind_of
-from flysid.loops.margins import Figure, least_off, list_figures, smooth, trusted_band
-from flysid.loops.new_settings import with_settings
-from flysid.loops.prediction import FEW_POWERS, fit_turning, weights
-from flysid.loops.stick_response import ComplexArray, Loop, StickRecord, closed_loop, plant
+from flysid.loops.controller import Controller
+from flysid.loops.flight_errors import Errors, Noise
+from flysid.loops.known_axis import KnownAxis
+from flysid.loops.margins import Figure, list_figures
+from flysid.loops.stick_response import ComplexArray, closed_loop, plant
 
-FLIGHTS_FOR_THE_NEXT = 3
 NAMES = ("crossover_hz", "phase_deg", "gain_db", "delay_ms", "ms", "bandwidth_hz", "noise")
 INSIDE = (0.025, 0.975)
 STEP_RATE_HZ, STEP_LENGTH = 1000.0, 4096
 SHOWN_S = 1.0
-NOISE_FROM_HZ = 30.0
+
+
+def _plain(own: Figure) -> dict[str, float] | None:
+    """JSON types only."""
+    return None if own.value is None else {"value": own.value, "low": own.low, "high": own.high}
 
 
 @dataclass(frozen=True)
 class StepFigures:
     """Of the answer to a step of the setpoint: s from a tenth to nine tenths, and how far it overshoots."""
 
-    rise_s: float
-    overshoot: float
+    rise_s: Figure
+    overshoot: Figure
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,6 +51,7 @@ class Side:
     step : figures of the step; (N,) the answer itself, 1000 values a second.
     limited : share of the flight at the output's limit.
     unstable : share of the drawn plants with which the loop is not stable.
+    errors : (1 + D,) root mean square of setpoint less rate over the last flight, of the plant and its draws.
     """
 
     gains: Mapping[str, float]
@@ -66,21 +63,23 @@ class Side:
     answer: FloatArray
     limited: float
     unstable: float
+    errors: FloatArray
 
     def to_dict(self) -> dict[str, Any]:
         """JSON types only."""
-        figures = {
-            name: None if own.value is None else {"value": own.value, "low": own.low, "high": own.high}
-            for name, own in self.figures.items()
-        }
+        figures = {name: _plain(own) for name, own in self.figures.items()}
         response = {
             "db": (20.0 * np.log10(np.abs(self.response))).tolist(),
             "db_interval": self.db.tolist(),
             "deg": np.degrees(np.unwrap(np.angle(self.response))).tolist(),
             "deg_interval": self.deg.tolist(),
         }
-        step = {"rise_s": self.step.rise_s, "overshoot": self.step.overshoot, "answer": self.answer.tolist()}
-        rest = {"limited": self.limited, "unstable": self.unstable}
+        step = {
+            "rise_s": _plain(self.step.rise_s),
+            "overshoot": _plain(self.step.overshoot),
+            "answer": self.answer.tolist(),
+        }
+        rest = {"limited": self.limited, "unstable": self.unstable, "tracking_error": float(self.errors[0])}
         return {"gains": dict(self.gains), "figures": figures, "response": response, "step": step} | rest
 
 
@@ -95,6 +94,8 @@ class Forecast:
     f, band_hz : (F,) Hz of the responses, inside the band in which the plant is known.
     before, after : under the flown settings, and the new ones.
     noise : of the output above what the sticks move, after over before.
+    tracking : root mean square of setpoint less rate over the last flight, after over before.
+    better : share of the plants that fit with which it is smaller.
     off : median error of the response under the flown settings against the measured one.
     law : firmware and version.
     """
@@ -106,7 +107,9 @@ class Forecast:
     band_hz: tuple[float, float]
     before: Side
     after: Side
-    noise: float
+    noise: Figure
+    tracking: Figure
+    better: float
     off: float
     law: str
 
@@ -121,21 +124,11 @@ class Forecast:
             "f_hz": self.f.tolist(),
             "before": self.before.to_dict(),
             "after": self.after.to_dict(),
-            "noise": self.noise,
+            "noise": _plain(self.noise),
+            "tracking": _plain(self.tracking),
+            "better": self.better,
             "off": self.off,
         }
-
-
-@dataclass(frozen=True, eq=False)
-class _Flown:
-    """A flight of the axis, and the law that flew."""
-
-    name: str
-    settings: Mapping[str, Any]
-    record: StickRecord
-    conditions: Conditions
-    controller: Controller
-    loop: Loop
 
 
 def forecast(logs: Sequence[Any], axis: str, changes: Mapping[str, str]) -> Forecast:
@@ -151,76 +144,41 @@ def forecast(logs: Sequence[Any], axis: str, changes: Mapping[str, str]) -> Fore
     UsageError : a setting that the log does not state; settings that change nothing of this loop.
     DataError : see `flysid gains`: the law is not what flew, or the plant is not known.
     """
-    flights = [_read(log, axis) for log in logs]
-    last = flights[-1]
-    kind = kind_of(logs[-1])
-    other = with_settings(last.settings, changes)
-    _, conditions = kind.record(logs[-1], axis, other)
-    new = kind.controller(other, axis, _scaled(conditions, last.conditions))
-    old = last.controller
-    f, centre, draws, band = _plants([flight.loop for flight in flights])
+    return forecast_of(KnownAxis.of(logs, axis), changes)
+
+
+def forecast_of(known: KnownAxis, changes: Mapping[str, str]) -> Forecast:
+    """As `forecast`, of flights that were read."""
+    new, conditions = known.law_under(changes)
+    old, f = known.last.controller, known.f
     if np.allclose(old.feedback(f), new.feedback(f)) and np.allclose(old.reference(f), new.reference(f)):
         raise UsageError(
-            f"{', '.join(changes)}: nothing of the {axis} rate loop changes", hint="other values, or --axis"
+            f"{', '.join(changes)}: nothing of the {known.axis} rate loop changes",
+            hint="other values, or --axis",
         )
-    rate_hz = last.record.rate_hz
-    together = Loop(flights[0].loop.f, tuple(b for flight in flights for b in flight.loop.blocks))
-    at = (together.f >= band[0]) & (together.f <= band[1])
-    turning = fit_turning(together, at, 1.0 / rate_hz)
-    before, after = (
-        _side(f, centre, draws, controller, turning, last.record, own.output_limit, old)
-        for controller, own in ((old, last.conditions), (new, conditions))
-    )
+    last = known.last
+    at = (known.together.f >= known.band_hz[0]) & (known.together.f <= known.band_hz[1])
     measured = closed_loop(last.loop.mean)[at]
     told = _answer(plant(last.loop.mean)[at], f, old)
+    errors = Errors.of(known)
+    before, after = (
+        _side(known, controller, own.output_limit, errors)
+        for controller, own in ((old, last.conditions), (new, conditions))
+    )
     return Forecast(
-        axis,
-        tuple(flight.name for flight in flights),
-        len(flights) >= FLIGHTS_FOR_THE_NEXT,
+        known.axis,
+        tuple(flight.name for flight in known.flights),
+        known.next_flight,
         f,
-        band,
+        known.band_hz,
         before,
         after,
-        _noise(last.loop, turning, old, new, 1.0 / rate_hz),
+        _noise(known, old, new),
+        _figure_of(after.errors[0] / before.errors[0], after.errors[1:] / before.errors[1:]),
+        float(np.mean(after.errors[1:] < before.errors[1:])),
         float(np.median(np.abs(told / measured - 1.0))),
         old.law,
     )
-
-
-def _read(log: Any, axis: str) -> _Flown:
-    """A flight, checked against its law."""
-    kind = kind_of(log)
-    settings = kind.settings(log)
-    kind.controller(settings, axis, NO_CONDITIONS)  # what is missing is named before the flight is read
-    record, conditions = kind.record(log, axis, settings)
-    controller = kind.controller(settings, axis, conditions)
-    loop = Loop.of([record])
-    refuse_misfit(controller, loop, *trusted_band(loop), conditions.checks)
-    return _Flown(log.name, settings, record, conditions, controller, loop)
-
-
-def _scaled(new: Conditions, old: Conditions) -> Conditions:
-    """Conditions of a new law whose recorded F term is that of the old gain."""
-    if new.forward is None or not old.forward_gain:
-        return new
-    at, values = new.forward
-    return replace(new, forward=(at, values * (new.forward_gain / old.forward_gain)))
-
-
-def _plants(
-    loops: Sequence[Loop],
-) -> tuple[FloatArray, ComplexArray, ComplexArray, tuple[float, float]]:
-    """Lines of the band, the plant of all flights, and (D, F) what another flight's may be."""
-    together = Loop(loops[0].f, tuple(blocks for loop in loops for blocks in loop.blocks))
-    low, high = trusted_band(together)
-    at = (together.f >= low) & (together.f <= high)
-    f = together.f[at]
-    if len(loops) < FLIGHTS_FOR_THE_NEXT:
-        centre, draws, _ = least_off(together, at)
-        return f, centre, draws, (low, high)
-    centre, _ = smooth(together, at, FEW_POWERS)
-    apart = np.log(np.array([plant(loop.mean)[at] for loop in loops]) / plant(together.mean)[at])
-    return f, centre, centre * np.exp(weights(len(loops)) @ apart), (low, high)
 
 
 def _answer(g: ComplexArray, f: FloatArray, controller: Controller) -> ComplexArray:
@@ -228,16 +186,8 @@ def _answer(g: ComplexArray, f: FloatArray, controller: Controller) -> ComplexAr
     return np.asarray(g * controller.reference(f) / (1.0 + g * controller.feedback(f)))
 
 
-def _side(
-    f: FloatArray,
-    centre: ComplexArray,
-    draws: ComplexArray,
-    controller: Controller,
-    turning: Turning,
-    record: StickRecord,
-    limit: float,
-    flown: Controller,
-) -> Side:
+def _side(known: KnownAxis, controller: Controller, limit: float, errors: Errors) -> Side:
+    f, centre, draws = known.f, known.centre, known.draws
     rest = controller.at_rest()
     back, forward = rest.feedback(f), rest.reference(f)
     every = np.array([list_figures(f, g, back, forward) for g in draws])
@@ -246,7 +196,7 @@ def _side(
     answers = _answer(draws, f, controller)
     response = _answer(centre, f, controller)
     turn = np.degrees(np.angle(answers / response)) + np.degrees(np.unwrap(np.angle(response)))
-    answer = _step_answer(turning, controller, f[-1])
+    answer, others = _step_answers(known, controller)
     lost = (every[:, 1] <= 0.0) | (every[:, 2] <= 0.0)
     return Side(
         controller.gains,
@@ -254,10 +204,11 @@ def _side(
         response,
         np.quantile(20.0 * np.log10(np.abs(answers)), INSIDE, axis=0),
         np.quantile(turn, INSIDE, axis=0),
-        _step_figures(answer),
+        _step_figures(answer, others),
         answer[: round(SHOWN_S * STEP_RATE_HZ)],
-        _limited(record, turning, flown, controller, limit, f[-1]),
+        _limited(known, controller, limit),
         float(np.mean(lost)),
+        errors.under(controller),
     )
 
 
@@ -269,49 +220,60 @@ def _figure(value: float, every: FloatArray, f: FloatArray) -> Figure:
     return Figure(float(value), float(min(low, value)), float(max(high, value)))
 
 
-def _closed(turning: Turning, controller: Controller, f: FloatArray, high: float) -> ComplexArray:
-    """From setpoint to rate at any frequencies; a recorded F term fades above the band, where it is noise."""
-    faded = controller
-    if controller.recorded_forward is not None:
-        at, values = controller.recorded_forward
-        faded = replace(
-            controller, recorded_forward=(at, values * np.minimum(1.0, high / np.maximum(at, 1e-6)) ** 2)
-        )
-    g = turning.response(np.maximum(f, 1e-3), 1.0 / STEP_RATE_HZ)
-    return _answer(g, np.maximum(f, 1e-3), faded)
+def _figure_of(value: float, every: FloatArray) -> Figure:
+    """With the interval of its draws."""
+    low, high = np.quantile(every, INSIDE)
+    return Figure(float(value), float(min(low, value)), float(max(high, value)))
 
 
-def _step_answer(turning: Turning, controller: Controller, high: float) -> FloatArray:
-    """(N,) the answer to a step of the setpoint, 1000 values a second."""
+def _faded(controller: Controller, high: float) -> Controller:
+    """With a recorded F term that fades above the band, where it is noise."""
+    if controller.recorded_forward is None:
+        return controller
+    at, values = controller.recorded_forward
+    return replace(
+        controller, recorded_forward=(at, values * np.minimum(1.0, high / np.maximum(at, 1e-6)) ** 2)
+    )
+
+
+def _step_answers(known: KnownAxis, controller: Controller) -> tuple[FloatArray, FloatArray]:
+    """(N,) the answer to a step of the setpoint, 1000 values a second, and (D, N) those of the draws."""
     f = np.asarray(np.fft.rfftfreq(STEP_LENGTH, 1.0 / STEP_RATE_HZ), dtype=np.float64)
-    response = _closed(turning, controller, f, high)
-    response[0] = 1.0
-    return np.asarray(np.cumsum(np.fft.irfft(response, STEP_LENGTH)))
+    faded = _faded(controller, known.f[-1])
+    at = np.maximum(f, 1e-3)
+    fitted, draws = known.everywhere(at)
+    responses = _answer(np.vstack([fitted, draws]), at, faded)
+    responses[:, 0] = 1.0
+    answers = np.cumsum(np.fft.irfft(responses, STEP_LENGTH), axis=1)
+    return np.asarray(answers[0]), np.asarray(answers[1:])
 
 
-def _step_figures(answer: FloatArray) -> StepFigures:
+def _step_figures(answer: FloatArray, others: FloatArray) -> StepFigures:
+    rows = [_rise_and_peak(own) for own in (answer, *others)]
+    rises, peaks = np.array(rows).T
+    return StepFigures(_figure_of(rises[0], rises[1:]), _figure_of(peaks[0], peaks[1:]))
+
+
+def _rise_and_peak(answer: FloatArray) -> tuple[float, float]:
+    """s from a tenth to nine tenths, and how far it goes beyond 1."""
     shown = answer[: round(SHOWN_S * STEP_RATE_HZ)]
     early, late = (int(np.argmax(shown >= level)) for level in (0.1, 0.9))
-    return StepFigures((late - early) / STEP_RATE_HZ, max(0.0, float(shown.max()) - 1.0))
+    return (late - early) / STEP_RATE_HZ, max(0.0, float(shown.max()) - 1.0)
 
 
-def _limited(
-    record: StickRecord,
-    turning: Turning,
-    flown: Controller,
-    controller: Controller,
-    limit: float,
-    high: float,
-) -> float:
-    """Share of a flight at the output's limit: what it was, and what the setpoint changes in it."""
+def _limited(known: KnownAxis, controller: Controller, limit: float) -> float:
+    """Share of the last flight at the output's limit: what it was, and what the setpoint changes in it."""
     over, rows = 0, 0
+    record, high = known.last.record, known.f[-1]
+    flown = known.last.controller
     for piece in record.pieces:
         r, u = piece[0], piece[1]
         f = np.asarray(np.fft.rfftfreq(len(r), 1.0 / record.rate_hz), dtype=np.float64)
         away = np.zeros(len(f), dtype=np.complex128)
         if controller is not flown:
-            g = turning.response(np.maximum(f, 1e-3), 1.0 / record.rate_hz)
-            new, old = (_closed(turning, own, f, high) / g for own in (controller, flown))
+            at = np.maximum(f, 1e-3)
+            g = known.turning.response(at, 1.0 / record.rate_hz)
+            new, old = (_answer(g, at, _faded(own, high)) / g for own in (controller, flown))
             away = np.where(f <= high, new - old, 0.0)
         changed = u + np.fft.irfft(away * np.fft.rfft(r), len(r))
         over += int((np.abs(changed) >= limit - 1.0).sum())
@@ -319,12 +281,8 @@ def _limited(
     return over / max(rows, 1)
 
 
-def _noise(loop: Loop, turning: Turning, old: Controller, new: Controller, step_s: float) -> float:
+def _noise(known: KnownAxis, old: Controller, new: Controller) -> Figure:
     """Root mean square of the output above what the sticks move, new over old, from the flight's own gyro."""
-    at = (loop.f >= NOISE_FROM_HZ) & (loop.f < 0.4 / step_s)
-    f = loop.f[at]
-    power = loop.mean[2, 2][at].real / np.abs(1.0 - np.exp(-2j * np.pi * f * step_s)) ** 2
-    g = turning.response(f, step_s)
-    before, after = (np.abs(own.feedback(f)) ** 2 for own in (old, new))
-    louder = np.abs((1.0 + g * old.feedback(f)) / (1.0 + g * new.feedback(f))) ** 2
-    return float(np.sqrt((after * louder * power).sum() / (before * power).sum()))
+    noise = Noise.of(known)
+    found = noise.under(new) / noise.under(old)
+    return _figure_of(found[0], found[1:])

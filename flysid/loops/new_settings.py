@@ -15,13 +15,6 @@ from flysid.loops.betaflight import AXES
 
 WORDS = {"ON": "1", "OFF": "0", "PT1": "0", "BIQUAD": "1", "PT2": "2", "PT3": "3"}
 """Of a command line, as the header's numbers."""
-PAIRS = {
-    "dterm_lpf1_dyn_min_hz": ("lowpass_1_moving", 0),
-    "dterm_lpf1_dyn_max_hz": ("lowpass_1_moving", 1),
-    "dyn_lpf_dterm_min_hz": ("lowpass_1_moving", 0),
-    "dyn_lpf_dterm_max_hz": ("lowpass_1_moving", 1),
-}
-"""Settings of the command line that share a header line."""
 
 
 def settings_in(words: str) -> dict[str, str]:
@@ -105,6 +98,26 @@ def with_settings(stated: Mapping[str, Any], changes: Mapping[str, str]) -> dict
     return found
 
 
+def value_of(stated: Mapping[str, Any], name: str) -> float:
+    """The present value of a setting.
+
+    Raises
+    ------
+    UsageError : the log does not state it. DataError : its line does not hold a number there.
+    """
+    if "Firmware revision" not in stated:
+        if name not in stated:
+            raise _unknown(name, stated)
+        return float(stated[name])
+    line, place = _place(blackbox_law(stated["Firmware revision"]), stated, name)
+    numbers = re.split("[,/]", stated[line])
+    if place >= len(numbers):
+        raise DataError(
+            f"the header's line {line} has no place {place + 1}", hint="log with the header whole"
+        )
+    return float(numbers[place])
+
+
 def _in_header(stated: Mapping[str, str], changes: Mapping[str, str]) -> dict[str, str]:
     """The header's lines with other numbers at their places."""
     law = blackbox_law(stated["Firmware revision"])
@@ -127,15 +140,16 @@ def _place(law: Law, stated: Mapping[str, str], name: str) -> tuple[str, int]:
         if isinstance(where, int):
             return law.gains[axis], where
         return _line(law, stated, where, name), list(AXES).index(axis)
-    if name in PAIRS:
-        known, place = PAIRS[name]
+    pairs = law.part("pairs")
+    if name in pairs:
+        known, place = pairs[name]
         return _line(law, stated, known, name), place
     of_law = {own for names in law.names.values() for own in names}
     aliases = next((names for names in law.names.values() if name in names), ())
     line = next((own for own in (name, *aliases) if own in stated and own in of_law), None)
     if line is None:
         every = [f"{own}_{axis}" for own in cli for axis in AXES]
-        raise _unknown(name, [*every, *PAIRS, *(own for own in of_law if own in stated)])
+        raise _unknown(name, [*every, *pairs, *(own for own in of_law if own in stated)])
     return line, 0
 
 

@@ -61,7 +61,9 @@ def test_three_flights_give_intervals_for_the_next(flights: list[Any]) -> None:
 
 def test_more_gain_is_more_noise_and_a_loop_without_margin_is_named(flights: list[Any]) -> None:
     louder = forecast(flights[:1], "roll", {"d_roll": "50"})
-    assert 1.5 < louder.noise < 2.1  # twice D, the same P
+    noise = louder.noise.value
+    assert noise is not None
+    assert 1.5 < noise < 2.1  # twice D, the same P
     wild = forecast(flights[:1], "roll", {"p_roll": "250", "d_roll": "20"})
     assert wild.after.unstable > 0.5
     assert louder.before.unstable == 0.0
@@ -77,7 +79,7 @@ def test_flights_of_px4_and_ardupilot_are_predicted_too() -> None:
     copter = forecast([ardupilot_log(60.0, 1, vehicle=vehicle)], "roll", {"ATC_RAT_RLL_P": "0.2"})
     assert copter.after.figures["crossover_hz"].value is not None
     px4 = forecast([px4_log(60.0, 1, vehicle=vehicle)], "roll", {"MC_ROLLRATE_D": "0.005"})
-    assert px4.noise > 1.0
+    assert px4.noise.low > 1.0
 
 
 @pytest.mark.parametrize(
@@ -126,7 +128,9 @@ def test_the_verb_predicts_a_flight_of_the_firmware_itself(firmware_log: Path, t
     (axis,) = json.loads(done.stdout)["axes"]
     assert axis["law"] == "Betaflight 4.6"
     assert axis["off"] < 0.15
-    assert 1.15 < axis["noise"] < 1.45
+    assert 1.15 < axis["noise"]["value"] < 1.45
+    assert axis["tracking"]["high"] < 1.0
+    assert axis["better"] == 1.0
     assert (
         axis["after"]["figures"]["crossover_hz"]["value"] > axis["before"]["figures"]["crossover_hz"]["value"]
     )

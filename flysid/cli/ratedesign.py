@@ -1,0 +1,92 @@
+"""`flysid design LOG...`: gains and D filters of rate loops for the next flight, within a factor of two."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from flysid.cli.checks import Words
+from flysid.cli.display import Display
+from flysid.cli.output import check_target, printable, say
+from flysid.cli.predict import describe_forecast
+from flysid.cli.source import READING_OF_A_LOOK, opened_flights
+from flysid.showing import fold
+
+if TYPE_CHECKING:
+    from flysid.ingest.lake.chosen_flights import Selection
+    from flysid.loops.gain_bounds import RateBounds
+    from flysid.loops.proposal import Proposal
+
+AXES = ("roll", "pitch", "yaw")
+OLD, NEW, DOCUMENT = "old", "new", "design.json"
+
+
+def design_rates(
+    source: Path,
+    axes: Sequence[str],
+    bounds: RateBounds,
+    selection: Selection,
+    told: Words,
+    out: Path | None,
+    *,
+    force: bool,
+    as_json: bool,
+    display: Display,
+) -> int:
+    """Print a proposal, and write its files; exit code 3 where no axis has one.
+
+    Raises
+    ------
+    UsageError : no such log, several vehicles, or a folder that is there.
+    """
+    from flysid.design.firmware import SAFETY
+    from flysid.ingest.lake.chosen_flights import require_one_vehicle, select
+    from flysid.loops.proposal import propose
+    from flysid.progress import part
+
+    if out is not None:
+        check_target(out, force)
+    with display.shown(), opened_flights(source, told, selection=selection) as lake, part(READING_OF_A_LOOK):
+        chosen = select(lake, selection)
+        if not selection.pool:
+            require_one_vehicle(chosen)
+        found = propose(chosen.logs, axes or AXES, bounds)
+    if as_json:
+        click.echo(json.dumps(found.to_dict(), indent=1, allow_nan=False))
+    else:
+        for one in found.axes:
+            click.echo("\n".join(fold(printable(line)) for line in describe_forecast(one)) + "\n")
+        click.echo("\n".join(_stated(found.new, found)))
+    for axis, why in found.refused.items():
+        say(f"{axis}: refused: {why.message}. Try: {why.hint}")
+    if out is not None and found.new:
+        _write(found, out, SAFETY)
+    if found.new and not as_json:
+        say(SAFETY)
+    return 0 if found.new else 3
+
+
+def _stated(settings: Mapping[str, str], found: Proposal) -> list[str]:
+    """Lines of a command line, or parameters."""
+    if not found.command_line:
+        return [f"{name} {value}" for name, value in settings.items()]
+    return [*(f"set {name} = {value}" for name, value in settings.items()), *(["save"] if settings else [])]
+
+
+def _write(found: Proposal, out: Path, safety: str) -> None:
+    from flysid.files import replacing_folder
+
+    end = "txt" if found.command_line else "param"
+    heads = {OLD: "The settings before the design: the way back.", NEW: "For the next flight only."}
+    with replacing_folder(out) as place:
+        for name, settings in ((OLD, found.old), (NEW, found.new)):
+            lines = [f"# {heads[name]}", *(f"# {line}" for line in fold(safety).split("\n"))]
+            text = "\n".join([*lines, *_stated(settings, found)]) + "\n"
+            (place / f"{name}.{end}").write_text(text, "utf-8")
+        document = {"format": "flysid-rate-design", "version": 1, "safety": safety} | found.to_dict()
+        (place / DOCUMENT).write_text(json.dumps(document, indent=1, allow_nan=False) + "\n", "utf-8")
+    say(f"written: {out}: {NEW}.{end} for the next flight, {OLD}.{end} for the way back")
