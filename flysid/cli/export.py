@@ -116,8 +116,16 @@ def command(
     of MPC and of learning: --to casadi is --casadi with the file after -o, or model_casadi.py. A vehicle
     (what 'flysid vehicle -o' wrote) becomes parameters of a simulator, or functions for a controller.
     """
+    named = {"fmu": fmu, "casadi": casadi, "jax": jax, "onnx": onnx}
     if kind in FILES and (kind not in CALLED or is_vehicle(source)):
-        click.echo(str(write_vehicle(source, kind, out, mass_kg, arm_m, force)))
+        named = {**named, kind: named.get(kind) or out or Path(FILES[kind])}
+    elif not is_vehicle(source):
+        named = {}
+    files = {target: place for target, place in named.items() if place is not None}
+    if files:
+        for target, place in files.items():
+            path = write_vehicle(source, target, place, mass_kg, arm_m, force, 3 if fmi == "3" else 2)
+            click.echo(str(path))
         return
     if mass_kg is not None or arm_m is not None:
         raise UsageError("--mass and --arm are of a vehicle", hint=f"--to {' or '.join(FILES)}")

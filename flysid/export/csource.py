@@ -51,7 +51,17 @@ def c_files(program: Program, name: str, single: float | None = None) -> dict[st
 
 def rendered(template: str, program: Program, name: str, words: Mapping[str, Any]) -> str:
     """A template of other code around the C of a program in double."""
-    return _environment(False).get_template(template).render({**_values(program, name, None), **words})
+    return render({**values_of(program, name), **words}, template)
+
+
+def render(values: Mapping[str, Any], template: str) -> str:
+    """A template of code in double with these values."""
+    return _environment(False).get_template(template).render(values)
+
+
+def values_of(program: Program, name: str) -> dict[str, Any]:
+    """What templates name of the C of a program in double."""
+    return _values(program, name, None)
 
 
 def _values(program: Program, name: str, single: float | None) -> dict[str, Any]:

@@ -14,12 +14,13 @@ import subprocess
 import tempfile
 import uuid
 import zipfile
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 from xml.etree import ElementTree
 
 from flysid.errors import FitError
-from flysid.export.csource import c_files, rendered
+from flysid.export.csource import c_files, render, values_of
 from flysid.export.fmu_facts import Facts, as_xml, facts_of
 from flysid.export.fmu_third import fmi3_build, fmi3_description
 from flysid.export.program import Program
@@ -44,18 +45,46 @@ def fmu_bytes(program: Program, name: str, *, version: FMIVersion = 2, binary: b
     """
     texts = c_files(program, name)
     sources = {f: texts[f] for f in (f"{name}.c", f"{name}.h")}
+    facts = facts_of(program, name)
+    convention = " ".join((__doc__ or "").split("\n\n", 1)[1].split())
+    words = (f"{program.title}.", convention)
+    return packed(sources, facts, values_of(program, name), words, version=version, binary=binary)
+
+
+def packed(
+    sources: Mapping[str, str],
+    facts: Facts,
+    values: Mapping[str, Any],
+    paragraphs: Sequence[str],
+    *,
+    version: FMIVersion = 2,
+    binary: bool = True,
+) -> bytes:
+    """The archive of a model whose C has `NAME_reset`, `NAME_output` and `NAME_advance`.
+
+    Parameters
+    ----------
+    sources : file -> text of that C.
+    values : what the template of the interface names of the model.
+    paragraphs : of its documentation.
+
+    Raises
+    ------
+    FitError : the compiler refuses its sources.
+    """
+    name = facts.name
     identity = str(uuid.uuid5(uuid.NAMESPACE_URL, "".join(sources.values())))
-    words = {"guid": identity, "dt_exact": repr(float(program.dt_s)), "version": version}
-    sources[f"fmi{version}.c"] = rendered("fmi.c.j2", program, name, words)
-    files = {f"sources/{f}": text.encode() for f, text in sources.items()}
+    words = {"guid": identity, "dt_exact": repr(facts.dt_s), "version": version}
+    texts = {**sources, f"fmi{version}.c": render({**values, **words}, "fmi.c.j2")}
+    files = {f"sources/{f}": text.encode() for f, text in texts.items()}
     describe = _description if version == 2 else fmi3_description
-    files["modelDescription.xml"] = describe(facts_of(program, name), identity)
+    files["modelDescription.xml"] = describe(facts, identity)
     if version == 3:
         files["sources/buildDescription.xml"] = fmi3_build(name)
-    files["documentation/index.html"] = _documentation(program, name)
+    files["documentation/index.html"] = _documentation(name, paragraphs)
     compiler = shutil.which("cc") or shutil.which("gcc")
     if binary and compiler is not None:
-        files[f"binaries/{PLATFORMS[version]}/{name}.so"] = _compile(compiler, sources)
+        files[f"binaries/{PLATFORMS[version]}/{name}.so"] = _compile(compiler, texts)
     stream = io.BytesIO()
     with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as archive:
         for path in sorted(files):
@@ -108,9 +137,8 @@ def _description(facts: Facts, identity: str) -> bytes:
     return as_xml(root)
 
 
-def _documentation(program: Program, name: str) -> bytes:
+def _documentation(name: str, paragraphs: Sequence[str]) -> bytes:
     from html import escape
 
-    convention = " ".join((__doc__ or "").split("\n\n", 1)[1].split())
-    text = f"<!DOCTYPE html><title>{escape(name)}</title><h1>{escape(name)}</h1>"
-    return (text + f"<p>{escape(program.title)}.</p><p>{escape(convention)}</p>\n").encode()
+    text = "".join(f"<p>{escape(words)}</p>" for words in paragraphs)
+    return f"<!DOCTYPE html><title>{escape(name)}</title><h1>{escape(name)}</h1>{text}\n".encode()

@@ -43,9 +43,7 @@ def onnx_bytes(members: Sequence[Member], name: str) -> bytes:
     ------
     UsageError : the package onnx is not installed.
     """
-    if importlib.util.find_spec("onnx") is None:
-        raise UsageError("the package onnx is not installed", hint='pip install "flysid[mpc]"')
-    graph = _Graph()
+    graph = Graph()
     ends = np.cumsum([0, *(len(m.program.memory) for m in members)])
     memories = []
     outputs = []
@@ -105,10 +103,17 @@ def _entries(program: Program) -> list[dict[str, Any]]:
     ]
 
 
-class _Graph:
-    """Nodes and constants, each under a name of its own."""
+class Graph:
+    """Nodes and constants, each under a name of its own.
+
+    Raises
+    ------
+    UsageError : the package onnx is not installed.
+    """
 
     def __init__(self) -> None:
+        if importlib.util.find_spec("onnx") is None:
+            raise UsageError("the package onnx is not installed", hint='pip install "flysid[mpc]"')
         from onnx import helper, numpy_helper
 
         self._make = helper
@@ -165,7 +170,7 @@ class _Graph:
         return bytes(model.SerializeToString())
 
 
-def _step(graph: _Graph, program: Program, x: Name) -> tuple[Name, Name]:
+def _step(graph: Graph, program: Program, x: Name) -> tuple[Name, Name]:
     """The next memory ("" where there is none) and the outputs of one program."""
     n = program.n
     n_u = len(program.inputs)
@@ -197,7 +202,7 @@ def _step(graph: _Graph, program: Program, x: Name) -> tuple[Name, Name]:
     return graph.add("Gather", every, graph.places(kept), axis=1), y
 
 
-def _ones(graph: _Graph) -> Name:
+def _ones(graph: Graph) -> Name:
     """(B, 1) the constant 1."""
     rows = graph.add("Gather", graph.add("Shape", "u"), graph.places([0]), axis=0)
     shape = graph.add("Concat", rows, graph.places([1]), axis=0)
@@ -207,7 +212,7 @@ def _ones(graph: _Graph) -> Name:
 _OPERATIONS = {"change": "Sub", "magnitude": "Abs", "sign": "Sign", "product": "Mul"}
 
 
-def _work(graph: _Graph, program: Program, cells: Name, place: dict[int, int]) -> Name:
+def _work(graph: Graph, program: Program, cells: Name, place: dict[int, int]) -> Name:
     """The cells, and behind them all that is worked out of them; `place` learns where."""
     worked: dict[int, Name] = {}
 
@@ -225,7 +230,7 @@ def _work(graph: _Graph, program: Program, cells: Name, place: dict[int, int]) -
     return graph.add("Concat", cells, *worked.values(), axis=1) if worked else cells
 
 
-def _conclude(graph: _Graph, program: Program, columns: Any) -> Name:
+def _conclude(graph: Graph, program: Program, columns: Any) -> Name:
     """(B, n) what the rules conclude of the regressors, weighed by how loudly they speak."""
     rules, n, n_x = program.theta.shape
     w = columns(program.regressors)
@@ -239,7 +244,7 @@ def _conclude(graph: _Graph, program: Program, columns: Any) -> Name:
     return graph.add("ReduceSum", graph.add("Mul", phi, apart), graph.places([1]), keepdims=0)
 
 
-def _fire(graph: _Graph, program: Program, m: Memberships, columns: Any) -> Name:
+def _fire(graph: Graph, program: Program, m: Memberships, columns: Any) -> Name:
     """(B, R) how loudly every rule speaks, in sum 1."""
     lags = program.lags
     pairs = list(zip(lags.z_column.tolist(), lags.z_lag.tolist(), lags.z_minus.tolist(), strict=True))
@@ -271,7 +276,7 @@ def _fire(graph: _Graph, program: Program, m: Memberships, columns: Any) -> Name
     return graph.add("Div", phi, graph.add("ReduceSum", phi, rows))
 
 
-def _side(graph: _Graph, reach: Name, m: Memberships) -> Name:
+def _side(graph: Graph, reach: Name, m: Memberships) -> Name:
     """Grades of a triangle or a trapezoid that far from its centre."""
     if m.shape == "triangle":
         sloped = graph.add("Sub", graph.numbers(1.0), graph.add("Div", reach, graph.numbers(2.0)))

@@ -27,8 +27,9 @@ static const double vehicle_trim[3] = {$trim};
 static const double vehicle_damping[3] = {$damping};
 static const double vehicle_effects[3][VEHICLE_MOTORS] = {{$roll}, {$pitch}, {$yaw}};
 
-static void vehicle_derivative(const double *x, const double *u, const double *wind, double *d) {
-  const double thrust = $thrust, curve = $curve, ry = $ry, rz = $rz;
+/* d[13] of position, velocity, quaternion and rate, from x[13] and shares of full thrust. */
+static inline void vehicle_body(const double *x, const double *share, const double *wind, double *d) {
+  const double thrust = $thrust, ry = $ry, rz = $rz;
   const double w = x[6], p = x[7], q = x[8], s = x[9];
   const double r[3][3] = {
       {w * w + p * p - q * q - s * s, 2.0 * (p * q - w * s), 2.0 * (p * s + w * q)},
@@ -41,11 +42,10 @@ static void vehicle_derivative(const double *x, const double *u, const double *w
     turn[k] = vehicle_trim[k];
   }
   for (int i = 0; i < VEHICLE_MOTORS; i++) {
-    const double share = (1.0 - curve) * x[13 + i] + curve * x[13 + i] * x[13 + i];
-    const double root = sqrt(share > 1e-9 ? share : 1e-9);
-    lift += share;
+    const double root = sqrt(share[i] > 1e-9 ? share[i] : 1e-9);
+    lift += share[i];
     spin += root;
-    for (int k = 0; k < 3; k++) turn[k] += vehicle_effects[k][i] * share;
+    for (int k = 0; k < 3; k++) turn[k] += vehicle_effects[k][i] * share[i];
     for (int k = 0; k < 2; k++) hub[k] += vehicle_effects[k][i] * root / thrust;
     const double roll = vehicle_effects[0][i], pitch = ry * vehicle_effects[1][i];
     const double met = $arm / thrust * root, tipping = roll * x[10] + pitch * x[11];
@@ -53,7 +53,6 @@ static void vehicle_derivative(const double *x, const double *u, const double *w
     turn[1] -= met * vehicle_rotor_drag[2] * vehicle_effects[1][i] * tipping;
     turn[2] -= met / rz * x[12]
                * (vehicle_rotor_drag[0] * roll * roll + vehicle_rotor_drag[1] * pitch * pitch);
-    d[13 + i] = (u[i] - x[13 + i]) / $lag;
   }
   const double speed = sqrt(a[0] * a[0] + a[1] * a[1] + a[2] * a[2]);
   for (int k = 0; k < 3; k++) {
@@ -78,8 +77,28 @@ static void vehicle_derivative(const double *x, const double *u, const double *w
           + vehicle_rotor_drag[1] * ry / rz * hub[1] * a[1] + vehicle_rotor_drag[0] / rz * hub[0] * a[0];
 }
 
+/* What a motor lifts at a command after lag, as a share of full thrust. */
+static inline double vehicle_share(double command) {
+  const double curve = $curve;
+  return (1.0 - curve) * command + curve * command * command;
+}
+
+static inline void vehicle_unit(double *x) {
+  const double length = sqrt(x[6] * x[6] + x[7] * x[7] + x[8] * x[8] + x[9] * x[9]);
+  for (int i = 6; i < 10; i++) x[i] /= length;
+}
+
+static inline void vehicle_derivative(const double *x, const double *u, const double *wind, double *d) {
+  double share[VEHICLE_MOTORS];
+  for (int i = 0; i < VEHICLE_MOTORS; i++) {
+    share[i] = vehicle_share(x[13 + i]);
+    d[13 + i] = (u[i] - x[13 + i]) / $lag;
+  }
+  vehicle_body(x, share, wind, d);
+}
+
 /* x moves on by dt seconds: one Runge-Kutta step, the quaternion brought back to length 1. */
-static void vehicle_step(double *x, const double *u, const double *wind, double dt) {
+static inline void vehicle_step(double *x, const double *u, const double *wind, double dt) {
   static const double part[4] = {0.0, 0.5, 0.5, 1.0}, weight[4] = {1.0, 2.0, 2.0, 1.0};
   double sum[VEHICLE_STATES] = {0.0}, d[VEHICLE_STATES] = {0.0}, y[VEHICLE_STATES];
   for (int k = 0; k < 4; k++) {
@@ -88,8 +107,7 @@ static void vehicle_step(double *x, const double *u, const double *wind, double 
     for (int i = 0; i < VEHICLE_STATES; i++) sum[i] += weight[k] * d[i];
   }
   for (int i = 0; i < VEHICLE_STATES; i++) x[i] += dt / 6.0 * sum[i];
-  const double length = sqrt(x[6] * x[6] + x[7] * x[7] + x[8] * x[8] + x[9] * x[9]);
-  for (int i = 6; i < 10; i++) x[i] /= length;
+  vehicle_unit(x);
 }
 #endif
 """

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import zipfile
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -20,20 +21,24 @@ fmpy = pytest.importorskip("fmpy", reason="FMPy is not installed")
 pytestmark = needs_gcc
 
 
-def slave(path: Path, place: Path) -> Any:
+def slave(path: Path, place: Path, starts: Mapping[int, float] | None = None) -> Any:
     from fmpy.fmi2 import FMU2Slave
     from fmpy.fmi3 import FMU3Slave
 
     told = fmpy.read_model_description(str(path))
     fmpy.extract(str(path), str(place))
     kind = FMU2Slave if told.fmiVersion == "2.0" else FMU3Slave
-    found = kind(guid=told.guid, unzipDirectory=str(place), modelIdentifier="plant", instanceName="plant")
+    model = told.coSimulation.modelIdentifier
+    found = kind(guid=told.guid, unzipDirectory=str(place), modelIdentifier=model, instanceName="plant")
     found.instantiate()
     if told.fmiVersion == "2.0":
         found.setupExperiment(startTime=0.0)
         found.enterInitializationMode()
     else:
         found.enterInitializationMode(startTime=0.0)
+    if starts:
+        write = found.setReal if told.fmiVersion == "2.0" else found.setFloat64
+        write(list(starts), list(starts.values()))
     found.exitInitializationMode()
     return found
 
