@@ -13,7 +13,7 @@ import numpy as np
 import pyarrow as pa
 
 from bench.faulty_dataflash import dataflash_bytes
-from bench.faulty_quadrotor import fly
+from bench.faulty_sensors import fly
 from bench.faulty_ulog import ulog_bytes
 from bench.review_faults import draw
 from flysid.flight import BOOT, TIME, Flight

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from bench.faulty_dataflash import dataflash_bytes
-from bench.faulty_quadrotor import Flight, draw_quadrotor, fly
+from bench.faulty_quadrotor import Flight, draw_quadrotor
+from bench.faulty_sensors import fly
 from bench.faulty_ulog import ulog_bytes
 from flysid.reviews.estimator import review
 from flysid.reviews.fact import Fact, Grade, Section

@@ -10,7 +10,8 @@ import pytest
 
 import flysid
 from bench.faulty_dataflash import dataflash_bytes
-from bench.faulty_quadrotor import Flight, critical_gain, draw_quadrotor, fly
+from bench.faulty_quadrotor import Flight, critical_gain, draw_quadrotor
+from bench.faulty_sensors import fly
 from bench.faulty_ulog import ulog_bytes
 from flysid.ingest.align.signals import FlightLog
 from flysid.reviews.logged import LoggedFlight

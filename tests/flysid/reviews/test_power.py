@@ -12,7 +12,8 @@ import pytest
 from scipy import signal, stats
 
 from bench.faulty_dataflash import dataflash_bytes
-from bench.faulty_quadrotor import Flight, draw_quadrotor, fly
+from bench.faulty_quadrotor import Flight, draw_quadrotor
+from bench.faulty_sensors import fly
 from bench.faulty_ulog import ulog_bytes
 from bench.review_faults import FAULTS
 from flysid.dataset import FloatArray
