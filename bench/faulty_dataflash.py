@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -11,16 +11,13 @@ from bench.faulty_logs import (
     AIR_S,
     BEGIN_US,
     DEGREE,
-    FEW,
     LOITER,
-    SATELLITES,
     Rows,
     clips,
     fill,
     geodetic,
     gps_ratio,
     in_the_air,
-    jumped,
     magnetic_field,
     rate_gains,
     vibration_level,
@@ -76,6 +73,7 @@ BARO = MessageKind(150, "BARO", "QBff", "TimeUS,I,Alt,Press", "s#m-", "F-00")
 POWR = MessageKind(151, "POWR", "Qff", "TimeUS,Vcc,VServo", "svv", "F00")
 PARM = MessageKind(152, "PARM", "QNf", "TimeUS,Name,Value", "s--", "F--")
 EV = MessageKind(153, "EV", "QB", "TimeUS,Id", "s-", "F-")
+ERR = MessageKind(158, "ERR", "QBB", "TimeUS,Subsys,ECode", "s--", "F--")
 ARM = MessageKind(154, "ARM", "QBI", "TimeUS,ArmState,ArmChecks", "s--", "F--")
 PSC = tuple(
     MessageKind(
@@ -100,6 +98,7 @@ KINDS = (
     PARM,
     EV,
     ARM,
+    ERR,
     *PSC,
 )
 
@@ -161,8 +160,7 @@ def _ardupilot_tables(flight: Flight, rpm: bool, imu_hz: float) -> list[Rows]:
     angles, wanted = degrees["attitude"], degrees["wanted_attitude"]
     lat, lon, height = geodetic(flight)
     position, velocity, ratio = flight["position"], flight["velocity"], gps_ratio(flight)
-    off, field, used = jumped(flight), 1000.0 * magnetic_field(flight), 1000.0 * flight["used_ah"]
-    few = np.where(off, FEW, SATELLITES)
+    field, used = 1000.0 * magnetic_field(flight), 1000.0 * flight["used_ah"]
     speed = np.hypot(velocity[:, 0], velocity[:, 1])
     thrust, flying = flight["wanted_thrust"], in_the_air(flight)
     tables = [
@@ -214,8 +212,8 @@ def _ardupilot_tables(flight: Flight, rpm: bool, imu_hz: float) -> list[Rows]:
             5.0,
             {
                 "Status": 4,
-                "NSats": few,
-                "HDop": np.where(off, 260, 70),
+                "NSats": flight["satellites"],
+                "HDop": 100 * flight["hdop"],
                 "Lat": lat / DEGREE,
                 "Lng": lon / DEGREE,
                 "Alt": 100 * height,
@@ -232,9 +230,9 @@ def _ardupilot_tables(flight: Flight, rpm: bool, imu_hz: float) -> list[Rows]:
             5.0,
             {
                 "VDop": 110,
-                "HAcc": np.where(off, 700, 80),
+                "HAcc": 100 * flight["accuracy"],
                 "VAcc": 120,
-                "SAcc": np.where(off, 200, 25),
+                "SAcc": 100 * flight["speed_accuracy"],
                 "VV": 1,
             },
         ),
@@ -294,8 +292,13 @@ def _ardupilot_tables(flight: Flight, rpm: bool, imu_hz: float) -> list[Rows]:
             )
             for i, (a, kind) in enumerate(zip("NED", PSC, strict=True))
         ),
-        _moments(flight, EV, {"Id": [(1.0, 10), (GROUND_S, 28), (AIR_S[1], 18), (SECONDS - 1.0, 11)]}),
-        _moments(flight, ARM, {"ArmState": [(1.0, 1), (SECONDS - 1.0, 0)]}),
+        moments(
+            flight,
+            EV,
+            [(at, {"Id": i}) for at, i in ((1.0, 10), (GROUND_S, 28), (AIR_S[1], 18), (SECONDS - 1.0, 11))],
+        ),
+        moments(flight, ARM, [(1.0, {"ArmState": 1}), (SECONDS - 1.0, {"ArmState": 0})]),
+        *incident_rows(flight),
     ]
     for i, name in enumerate(("accel", "accel_2")):
         accel, gyro = flight[name], flight["gyro"]
@@ -352,11 +355,35 @@ def _rows(flight: Flight, kind: MessageKind, rate_hz: float, values: Mapping[str
     return rows
 
 
-def _moments(flight: Flight, kind: MessageKind, values: Mapping[str, list[tuple[float, int]]]) -> Rows:
-    """Messages of one kind at moments."""
-    ((label, moments),) = values.items()
-    moments = [(time_s, value) for time_s, value in moments if time_s <= flight.time_s[-1]]
-    rows = kind.rows(len(moments))
-    rows["TimeUS"] = [BEGIN_US + round(1e6 * time_s) for time_s, _ in moments]
-    rows[label] = [value for _, value in moments]
+def moments(flight: Flight, kind: MessageKind, values: Sequence[tuple[float, Mapping[str, Any]]]) -> Rows:
+    """Messages of one kind at moments, as far as the flight lasts."""
+    stated = [(time_s, cells) for time_s, cells in values if time_s <= flight.time_s[-1]]
+    rows = kind.rows(len(stated))
+    for i, (time_s, cells) in enumerate(stated):
+        rows["TimeUS"][i] = BEGIN_US + round(1e6 * time_s)
+        for label, cell in cells.items():
+            rows[label][i] = cell
     return rows
+
+
+INCIDENTS: Mapping[str, tuple[Sequence[tuple[int, int]], Sequence[str], int]] = {
+    "battery": ([(6, 1)], ["Battery 1 is low 13.92V used 3104 mAh", "Battery Failsafe"], 6),
+    "radio": ([(5, 1)], ["Radio Failsafe"], 6),
+    "EKF": ([(16, 2), (17, 1)], ["EKF variance", "EKF Failsafe: changed to LAND Mode"], 9),
+    "fence": ([(9, 2)], ["Fence Breached"], 6),
+}
+"""Incident -> errors, messages, and the mode that ArduCopter changes to."""
+
+
+def incident_rows(flight: Flight) -> list[Rows]:
+    """What ArduCopter states of an incident."""
+    vehicle = flight.vehicle
+    if not vehicle.incident:
+        return []
+    errors, texts, mode = INCIDENTS[vehicle.incident]
+    at_s = vehicle.incident_s
+    return [
+        moments(flight, ERR, [(at_s, {"Subsys": s, "ECode": code}) for s, code in errors]),
+        moments(flight, dataflash.MSG, [(at_s, {"Message": text.encode()}) for text in texts]),
+        moments(flight, dataflash.MODE, [(at_s + 0.05, {"Mode": mode, "ModeNum": mode, "Rsn": 3})]),
+    ]

@@ -20,6 +20,7 @@ from bench.faulty_quadrotor import (
     SECONDS,
     Flight,
 )
+from bench.faulty_sensors import EARTH_G
 from flysid.dataset import FloatArray
 
 Rows = npt.NDArray[np.void]
@@ -29,7 +30,6 @@ DEGREE = 1e-7
 EARTH_M = 6_371_000.0
 HOME = (47.4, 8.5, 450.0)
 FIELD_G = np.array([0.22, 0.01, 0.42])
-SATELLITES, FEW = 17, 7
 LOITER, POSITION = 5, 2
 
 
@@ -71,11 +71,6 @@ def gps_ratio(flight: Flight) -> FloatArray:
     return ratio
 
 
-def jumped(flight: Flight) -> npt.NDArray[np.bool_]:
-    """(N,) whether the GPS is somewhere else."""
-    return np.asarray(np.linalg.norm(flight["gps"] - flight["position"], axis=1) > 8.0)
-
-
 def geodetic(flight: Flight) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Latitude and longitude in degrees, and height in m, as the GPS receives them."""
     north, east, down = flight["gps"].T
@@ -91,7 +86,8 @@ def magnetic_field(flight: Flight) -> FloatArray:
     y = -np.sin(yaw) * FIELD_G[0] + np.cos(yaw) * FIELD_G[1]
     z = np.full(len(yaw), FIELD_G[2])
     tilted = np.stack([x - pitch * z, y + roll * z, z + pitch * x - roll * y], axis=1)
-    field: FloatArray = tilted + 0.0005 * flight["current"][:, None] * np.array([0.3, -0.2, 0.5])
+    of_wires = 0.0005 + flight.vehicle.wires * EARTH_G
+    field: FloatArray = tilted + of_wires * flight["current"][:, None] * np.array([0.3, -0.2, 0.5])
     return field
 
 

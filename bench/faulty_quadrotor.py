@@ -9,10 +9,9 @@ Axes: forward, right, down; north, east, down. SI units.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, fields
 
 import numpy as np
-from scipy import signal
 
 from flysid.dataset import FloatArray
 
@@ -28,11 +27,9 @@ EXPO = 0.65
 GROUND_S, CLIMB_S = 3.0, 5.0
 POWER_W_N = 17.0
 """Electrical power of a rotor over its thrust, both at full throttle."""
-WANDER_M, WANDER_S = 0.25, 20.0
-"""How far the GPS wanders, and over what time."""
 FULL_CELL_V = 4.15
-BROWNING_S = 1.5
-"""How long the supply of the board falls before the log ends."""
+SLIPS, SLIP_EVERY_S = 3, 6.0
+"""How often a motor loses its beat, and after what time again."""
 DELAY = 1
 """Periods from a gyro's sample to the motors' command."""
 FILTER_HZ, SLOPE_HZ = 60.0, 30.0
@@ -65,6 +62,12 @@ class Quadrotor:
     gain : factor on the rate loop's gains in roll and pitch.
     fails_s : when the first motor stops for good; 0 for never.
     browns_s : when the board's supply goes, and the log with it; 0 for never.
+    slips_s, slip_s : when the second motor first loses its beat, and for how long each of three times.
+    jam_s : when the GPS is jammed, for fifteen seconds; 0 for never.
+    drift_s, drift_m_s : when the GPS begins to walk away, and how fast.
+    wires : change of the magnetic field per ampere, as a share of the earth's.
+    hard_m_s : speed at touch-down; 0 for a soft one.
+    incident, incident_s : what the firmware acts on ("battery", "radio", "EKF", "fence"), and when.
     """
 
     seed: int
@@ -97,6 +100,15 @@ class Quadrotor:
     gain: float = 1.0
     fails_s: float = 0.0
     browns_s: float = 0.0
+    slips_s: float = 0.0
+    slip_s: float = 0.0
+    jam_s: float = 0.0
+    drift_s: float = 0.0
+    drift_m_s: float = 0.0
+    wires: float = 0.0
+    hard_m_s: float = 0.0
+    incident: str = ""
+    incident_s: float = 0.0
 
     @property
     def stated_hover(self) -> float:
@@ -115,7 +127,7 @@ class Flight:
     attitude, wanted_attitude : (N, 3) roll, pitch, yaw in rad.
     rates, wanted_rates : (N, 3) in rad/s.
     gyro, accel, accel_2 : (N, 3) as the sensors give them.
-    gps : (N, 3) position as received.
+    gps : (N, 3) position as received, with satellites, hdop, accuracy and jamming, (N,) each.
     thrusts, throttles : (N, 4) commanded shares of full thrust, and linearised.
     rpm : (N, 4)
     wanted_thrust, torques : (N,) and (N, 3) what the controller commands.
@@ -155,7 +167,7 @@ def draw_quadrotor(rng: np.random.Generator) -> Quadrotor:
     )
 
 
-def fly(vehicles: Sequence[Quadrotor]) -> list[Flight]:
+def move(vehicles: Sequence[Quadrotor]) -> list[Flight]:
     """All vehicles, each on a route of its own."""
     body = _Bodies(vehicles)
     kept: dict[str, list[FloatArray]] = {}
@@ -165,17 +177,7 @@ def fly(vehicles: Sequence[Quadrotor]) -> list[Flight]:
             kept.setdefault(name, []).append(value)
     time_s = np.arange(steps) / RATE_HZ
     tables = {name: np.stack(values, axis=1) for name, values in kept.items()}
-    flights = [Flight(v, time_s, {name: t[i] for name, t in tables.items()}) for i, v in enumerate(vehicles)]
-    return [_cut_off(_measured(flight)) for flight in flights]
-
-
-def _cut_off(flight: Flight) -> Flight:
-    """Until the board's supply is gone."""
-    last_s = flight.vehicle.browns_s
-    if not last_s:
-        return flight
-    n = int(last_s * RATE_HZ)
-    return replace(flight, time_s=flight.time_s[:n], columns={k: v[:n] for k, v in flight.columns.items()})
+    return [Flight(v, time_s, {name: t[i] for name, t in tables.items()}) for i, v in enumerate(vehicles)]
 
 
 class _Bodies:
@@ -244,8 +246,13 @@ class _Bodies:
         throttles = (EXPO - 1.0 + np.sqrt((1.0 - EXPO) ** 2 + 4.0 * EXPO * thrusts)) / (2.0 * EXPO)
         failed = (self.of["fails_s"] > 0.0) & (time_s >= self.of["fails_s"])
         self.effect[failed, 0] = 0.0
+        late_s = time_s - self.of["slips_s"]
+        slips = (self.of["slips_s"] > 0.0) & (late_s >= 0.0) & (late_s < SLIPS * SLIP_EVERY_S)
+        slips &= late_s % SLIP_EVERY_S < self.of["slip_s"]
+        whole, self.effect[slips, 1] = self.effect[:, 1].copy(), 0.0
         self.blow[:] = 0.0
         self._move(throttles, noise, flying)
+        self.effect[:, 1] = whole
         self._hit_ground(flying)
         return {
             "position": self.p.copy(),
@@ -410,45 +417,3 @@ def critical_gain(vehicle: Quadrotor) -> float:
     loop = vehicle.bandwidth_rad_s / s * control * filters * late
     turned = np.unwrap(np.angle(loop))
     return float(1.0 / np.interp(np.pi, -turned, np.abs(loop)))
-
-
-def _measured(flight: Flight) -> Flight:
-    """With what its sensors give: vibration of each motor at its own frequency, noise, rattling, the GPS."""
-    vehicle = flight.vehicle
-    rng = np.random.default_rng(vehicle.seed + 1)
-    rpm = flight["turning"] * vehicle.rpm
-    phase = 2.0 * np.pi * np.cumsum(rpm / 60.0, axis=0) / RATE_HZ + rng.uniform(0.0, 6.0, 4)
-    hover = vehicle.rpm * np.sqrt(vehicle.hover)
-    size = np.full(4, vehicle.shake_m_s2 / 2.0)
-    if vehicle.bent >= 0:
-        size[vehicle.bent] += vehicle.bent_m_s2
-    tones = size * (rpm / hover) ** 2 * np.sin(phase)
-    shake = tones.sum(axis=1)[:, None] * np.array([0.7, 0.7, 1.0])
-    strong = (rpm.mean(axis=1, keepdims=True) / hover) ** 2
-    n = len(flight.time_s)
-    clean = flight["force"] + shake
-    accel = clean + 0.25 * strong * rng.normal(size=(n, 3))
-    accel_2 = clean + 0.25 * strong * rng.normal(size=(n, 3)) + rng.normal(scale=0.05, size=3)
-    if vehicle.loose_m_s2:
-        rattle = np.convolve(rng.normal(size=n), [0.5, 0.3, 0.2], "same") * vehicle.loose_m_s2 / 0.6
-        accel = accel + (rattle * strong[:, 0])[:, None] * np.array([0.6, 0.6, 1.0])
-    gyro = flight["rates"] + 0.01 * shake + 0.01 * strong * rng.normal(size=(n, 3))
-    step = 1.0 / (RATE_HZ * WANDER_S)
-    wander = WANDER_M * signal.lfilter(
-        [np.sqrt(2.0 * step)], [1.0, step - 1.0], rng.normal(size=(n, 3)), axis=0
-    )
-    gps = flight["position"] + wander + 0.02 * rng.normal(size=(n, 3))
-    if vehicle.glitch_m:
-        jumped = (flight.time_s >= vehicle.glitch_s) & (flight.time_s < vehicle.glitch_s + 5.0)
-        gps[jumped, :2] += vehicle.glitch_m * np.array([0.6, 0.8])
-    left_s = vehicle.browns_s - flight.time_s if vehicle.browns_s else np.full(n, np.inf)
-    board = 5.12 - 0.6 * np.clip(BROWNING_S - left_s, 0.0, BROWNING_S)
-    sensed = {
-        "board": board,
-        "rpm": rpm,
-        "accel": np.clip(accel, -157.0, 157.0),
-        "accel_2": accel_2,
-        "gyro": gyro,
-        "gps": gps,
-    }
-    return replace(flight, columns=flight.columns | sensed)

@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
 
 from bench.faulty_logs import (
     BEGIN_US,
-    FEW,
     HOME,
     POSITION,
-    SATELLITES,
     Rows,
     clips,
     fill,
@@ -21,7 +19,6 @@ from bench.faulty_logs import (
     geodetic,
     gps_ratio,
     in_the_air,
-    jumped,
     magnetic_field,
     rate_gains,
     vibration_level,
@@ -52,7 +49,11 @@ TOPICS: dict[str, tuple[float, Fields]] = {
     "actuator_motors": (50.0, [*SAMPLED, ("control", "4<f4")]),
     "battery_status": (
         5.0,
-        [*STAMP, *_of("voltage_v", "current_a", "discharged_mah", "remaining"), ("cell_count", "u1")],
+        [
+            *STAMP,
+            *_of("voltage_v", "current_a", "discharged_mah", "remaining"),
+            *_of("cell_count", "warning", kind="u1"),
+        ],
     ),
     "sensor_gps": (
         5.0,
@@ -88,6 +89,17 @@ TOPICS: dict[str, tuple[float, Fields]] = {
         2.0,
         [*STAMP, *_of("nav_state", "arming_state", "failure_detector_status", kind="u1"), ("failsafe", "?")],
     ),
+    "failsafe_flags": (
+        2.0,
+        [
+            *STAMP,
+            *(
+                (name, "?")
+                for name in ("manual_control_signal_lost", "geofence_breached", "local_velocity_invalid")
+            ),
+            ("battery_warning", "u1"),
+        ],
+    ),
     "vehicle_land_detected": (10.0, [*STAMP, ("landed", "?")]),
     "actuator_armed": (10.0, [*STAMP, ("armed", "?")]),
 }
@@ -104,6 +116,7 @@ def ulog_bytes(flight: Flight, *, second: bool = True) -> bytes:
     layouts = {name: TOPICS[name.partition("#")[0]][1] for name in tables}
     facts = {"sys_name": "PX4", "ver_hw": "SIMULATED", "sys_uuid": f"{flight.vehicle.seed:024d}"}
     parts = [preamble(layouts, facts, BEGIN_US, parameters=px4_parameters(flight))]
+    parts.extend(_messages(flight))
     _, topic, row = in_sending_order(*(1000 * t["timestamp"].astype(np.int64) for t in tables.values()))
     raw = [as_bytes(t) for t in tables.values()]
     for k, r in zip(topic.tolist(), row.tolist(), strict=True):
@@ -152,10 +165,12 @@ def _px4_columns(flight: Flight) -> dict[str, dict[str, Any]]:
     vehicle = flight.vehicle
     position, velocity = flight["position"], flight["velocity"]
     lat, lon, height = geodetic(flight)
-    off, ratio, down = jumped(flight), gps_ratio(flight), -flight["wanted_thrust"]
+    ratio, down = gps_ratio(flight), -flight["wanted_thrust"]
     lift = np.stack([0 * down, 0 * down, down], axis=1)
     flying = in_the_air(flight)
     armed = (flight.time_s >= flight.armed_s[0]) & (flight.time_s < flight.armed_s[1])
+    acts = (flight.time_s >= vehicle.incident_s) & bool(vehicle.incident)
+    happens = {name: acts & (name == vehicle.incident) for name in INCIDENTS}
     hover = follow(flight["wanted_thrust"] * np.cos(flight["attitude"][:, 0]), 0.04)
     status = {
         name: {
@@ -185,19 +200,20 @@ def _px4_columns(flight: Flight) -> dict[str, dict[str, Any]]:
             "discharged_mah": 1000 * flight["used_ah"],
             "remaining": 1 - flight["used_ah"] / vehicle.capacity_ah,
             "cell_count": vehicle.cells,
+            "warning": 2 * happens["battery"],
         },
         "sensor_gps": {
             "latitude_deg": lat,
             "longitude_deg": lon,
             "altitude_msl_m": height,
-            "eph": np.where(off, 7.0, 0.7),
+            "eph": flight["accuracy"],
             "epv": 1.1,
-            "hdop": np.where(off, 2.6, 0.7),
-            "s_variance_m_s": np.where(off, 2.0, 0.2),
-            "jamming_indicator": 12,
+            "hdop": flight["hdop"],
+            "s_variance_m_s": flight["speed_accuracy"],
+            "jamming_indicator": flight["jamming"],
             "vel_m_s": np.hypot(velocity[:, 0], velocity[:, 1]),
             "fix_type": 3,
-            "satellites_used": np.where(off, FEW, SATELLITES),
+            "satellites_used": flight["satellites"],
         },
         "estimator_status": {
             "hdg_test_ratio": 0.05,
@@ -222,14 +238,40 @@ def _px4_columns(flight: Flight) -> dict[str, dict[str, Any]]:
         },
         "system_power": {"voltage5v_v": flight["board"]},
         "vehicle_status": {
-            "nav_state": POSITION,
+            "nav_state": np.where(acts, INCIDENTS.get(vehicle.incident, ("", 0))[1], POSITION),
             "arming_state": np.where(armed, 2, 1),
             "failure_detector_status": 0,
-            "failsafe": False,
+            "failsafe": acts,
+        },
+        "failsafe_flags": {
+            "manual_control_signal_lost": happens["radio"],
+            "geofence_breached": happens["fence"],
+            "local_velocity_invalid": happens["EKF"],
+            "battery_warning": 2 * happens["battery"],
         },
         "vehicle_land_detected": {"landed": ~flying},
         "actuator_armed": {"armed": armed},
     }
+
+
+INCIDENTS = {
+    "battery": ("Critical battery", 5),
+    "radio": ("Manual control signal lost", 5),
+    "EKF": ("Position estimate invalid", 12),
+    "fence": ("Geofence breached", 5),
+}
+"""Incident -> PX4's message, and the state of navigation that it changes to."""
+
+
+def _messages(flight: Flight) -> Iterator[bytes]:
+    """What PX4 states of an incident."""
+    vehicle = flight.vehicle
+    if not vehicle.incident:
+        return
+    stamp = struct.pack("<Q", BEGIN_US + round(1e6 * vehicle.incident_s))
+    reason, _ = INCIDENTS[vehicle.incident]
+    for text in (f"[health_and_arming_checks] {reason}\t", "[failsafe] Failsafe activated\t"):
+        yield record("L", b"4" + stamp + text.encode())
 
 
 def _topic(flight: Flight, name: str, values: Mapping[str, Any]) -> Rows:

@@ -22,7 +22,8 @@ import numpy as np
 
 import flysid
 from bench.faulty_dataflash import dataflash_bytes
-from bench.faulty_quadrotor import GROUND_S, Flight, Quadrotor, critical_gain, draw_quadrotor, fly
+from bench.faulty_quadrotor import GROUND_S, Flight, Quadrotor, critical_gain, draw_quadrotor
+from bench.faulty_sensors import fly
 from bench.faulty_ulog import ulog_bytes
 from flysid.ingest.align.signals import FlightLog
 from flysid.reviews.fact import Grade
@@ -104,7 +105,69 @@ def _hot(vehicle: Quadrotor, rng: Rng) -> Quadrotor:
     return replace(vehicle, gain=rng.uniform(1.15, 1.5) * critical_gain(vehicle))
 
 
+def _draw_moment(rng: Rng) -> float:
+    return float(rng.uniform(20.0, 42.0))
+
+
+def _dead_motor(vehicle: Quadrotor, rng: Rng) -> Quadrotor:
+    return replace(vehicle, fails_s=_draw_moment(rng))
+
+
+def _lost_propeller(vehicle: Quadrotor, rng: Rng) -> Quadrotor:
+    return replace(vehicle, fails_s=_draw_moment(rng), propeller=True)
+
+
+def _slipping(vehicle: Quadrotor, rng: Rng) -> Quadrotor:
+    return replace(vehicle, slips_s=_draw_moment(rng), slip_s=rng.uniform(0.15, 0.22))
+
+
+def _brown(vehicle: Quadrotor, rng: Rng) -> Quadrotor:
+    return replace(vehicle, browns_s=_draw_moment(rng))
+
+
+def _jammed(vehicle: Quadrotor, rng: Rng) -> Quadrotor:
+    return replace(vehicle, jam_s=_draw_moment(rng))
+
+
+def _disturbed(vehicle: Quadrotor, rng: Rng) -> Quadrotor:
+    """A compass beside the battery's wires: 0.7 to 1.5 of the earth's field over the range of the current."""
+    hover_a = vehicle.mass_kg * 9.81 * 17.0 * np.sqrt(vehicle.hover) / (3.9 * vehicle.cells)
+    return replace(vehicle, wires=rng.uniform(0.7, 1.5) / hover_a)
+
+
+def _lost_estimate(vehicle: Quadrotor, rng: Rng) -> Quadrotor:
+    at_s = _draw_moment(rng)
+    drift = rng.uniform(1.0, 3.0)
+    return replace(vehicle, drift_s=at_s - 4.0, drift_m_s=drift, incident="EKF", incident_s=at_s)
+
+
+def _incident(name: str) -> Callable[[Quadrotor, Rng], Quadrotor]:
+    return lambda vehicle, rng: replace(vehicle, incident=name, incident_s=_draw_moment(rng))
+
+
+def _empty(vehicle: Quadrotor, rng: Rng) -> Quadrotor:
+    hover_a = vehicle.mass_kg * 9.81 * 17.0 * np.sqrt(vehicle.hover) / (3.9 * vehicle.cells)
+    at_s = _draw_moment(rng)
+    used_ah = hover_a * at_s / 3600.0
+    return replace(vehicle, capacity_ah=used_ah / 0.8, incident="battery", incident_s=at_s)
+
+
+def _dropped(vehicle: Quadrotor, rng: Rng) -> Quadrotor:
+    return replace(vehicle, hard_m_s=rng.uniform(2.2, 4.5))
+
+
 FAULTS = {
+    "motor failure": Fault(_dead_motor, _holds(r"[Mm]otor 1")),
+    "propeller loss": Fault(_lost_propeller, _holds(r"[Mm]otor 1|propeller 1|[Pp]ropeller")),
+    "desync": Fault(_slipping, _holds(r"[Mm]otor 2")),
+    "brown-out": Fault(_brown, _holds(r"brown-out|supply")),
+    "GPS interference": Fault(_jammed, _holds(r"GPS|satellites|[Jj]am")),
+    "compass interference": Fault(_disturbed, _holds(r"[Cc]ompass|magnetic")),
+    "EKF failure": Fault(_lost_estimate, _holds(r"EKF|[Ee]stimat")),
+    "battery failsafe": Fault(_empty, _holds(r"[Bb]attery|\b[Cc]ell")),
+    "radio failsafe": Fault(_incident("radio"), _holds(r"[Rr]adio")),
+    "fence breach": Fault(_incident("fence"), _holds(r"[Ff]ence")),
+    "hard landing": Fault(_dropped, _holds(r"[Ll]anded hard")),
     "weak motor": Fault(_weak_motor, _names_motor),
     "bent shaft": Fault(_bent_shaft, _names_tone),
     "mass +20 %": Fault(_heavy, _holds(r"[Hh]over")),

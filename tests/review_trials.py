@@ -14,7 +14,7 @@ import pyarrow as pa
 
 from bench.faulty_dataflash import dataflash_bytes
 from bench.faulty_quadrotor import Flight as Flown
-from bench.faulty_quadrotor import fly
+from bench.faulty_sensors import fly
 from bench.faulty_ulog import ulog_bytes
 from bench.review_faults import draw
 from flysid.flight import BOOT, TIME, Flight

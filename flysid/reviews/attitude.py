@@ -1,4 +1,4 @@
-"""How a vehicle lies in the air, and how far that is from what was commanded."""
+"""How a vehicle lies in the air, how far that is from what was commanded, and how fast it sinks."""
 
 from __future__ import annotations
 
@@ -79,3 +79,13 @@ def lean_towards(flight: LoggedFlight, first_s: float, last_s: float) -> tuple[f
         return None
     furthest = axis[inside][np.argmin(axis[inside][:, 2])]
     return -float(furthest[0]), -float(furthest[1])
+
+
+def sink_speed(flight: LoggedFlight) -> Column | None:
+    """Downward speed in m/s, as the estimator gives it."""
+    estimate = next((thing for name in ("XKF1", "NKF1") for thing in flight.things(name)[:1]), "XKF1")
+    down = flight.quantity(f"{estimate}.VD", "vehicle_local_position.vz", unit="m/s", stated="m/s")
+    if down is not None:
+        return down
+    up = flight.quantity("CTUN.CRt", "main.navVel[2]", unit="m/s", stated="cm/s")
+    return None if up is None else Column(up.address, "m/s", up.time_s, -up.values)

@@ -8,8 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from flysid.ingest.lake.events import Event
+from flysid.ingest.lake.failures import plain_words
 from flysid.reviews.attitude import lean_towards
 from flysid.reviews.battery import read_battery
+from flysid.reviews.failures import Failure
 from flysid.reviews.gps import find_jump, read_receiver
 from flysid.reviews.limits import limit
 from flysid.reviews.logged import Column, LoggedFlight
@@ -42,13 +44,15 @@ class Cause:
     evidence: str
 
 
-def rank_causes(flight: LoggedFlight, begins_s: float, events: Sequence[Event]) -> list[Cause]:
+def rank_causes(
+    flight: LoggedFlight, begins_s: float, events: Sequence[Event], stated: Sequence[Failure]
+) -> list[Cause]:
     """The likeliest first; empty where the log does not tell.
 
     Parameters
     ----------
     begins_s : when it went wrong, on the log's clock.
-    events : of the log.
+    events, stated : of the log, and the failures that it states.
     """
     motors = read_motors(flight)
     found = [
@@ -57,7 +61,7 @@ def rank_causes(flight: LoggedFlight, begins_s: float, events: Sequence[Event]) 
         *_brown_out(flight, begins_s),
         *_glitch(flight, begins_s),
         *_shaken(flight, begins_s),
-        *_stated(flight, begins_s, events),
+        *_stated(begins_s, stated),
     ]
     return sorted(found, key=lambda cause: -cause.weight)
 
@@ -89,20 +93,6 @@ def _message_between(flight: LoggedFlight, events: Sequence[Event], first_s: flo
         if e.kind == "message" and first_s <= flight.clock.seconds(e.boot, e.time_ns) <= last_s
     ]
     return plain_words(texts[0]) if texts else ""
-
-
-def plain_words(message: str) -> str:
-    """A message without its sender, and without PX4's word for a check that also runs in the air.
-
-    Examples
-    --------
-    >>> plain_words("[health_and_arming_checks] Preflight Fail: Attitude failure (roll)")
-    'Attitude failure (roll)'
-    """
-    text = message.strip()
-    while text.startswith("[") and "]" in text:
-        text = text.partition("]")[2].strip()
-    return text.removeprefix("Preflight Fail:").strip()
 
 
 def _motor_lost(flight: LoggedFlight, motors: Sequence[Motor], begins_s: float) -> Iterator[Cause]:
@@ -179,27 +169,33 @@ def _shaken(flight: LoggedFlight, begins_s: float) -> Iterator[Cause]:
 
 
 STATED = {
+    "crash": ("", 0.0),
+    "more than": ("", 0.0),
     "radio": ("radio lost", 0.5),
-    "throttle failsafe": ("radio lost", 0.5),
-    "rc lost": ("radio lost", 0.5),
+    "throttle": ("radio lost", 0.5),
+    "rc ": ("radio lost", 0.5),
     "manual control": ("radio lost", 0.4),
     "battery": ("battery failsafe", 0.5),
     "ekf": ("estimator failed", 0.5),
+    "estimate": ("estimator failed", 0.5),
+    "gps": ("GPS glitch", 0.5),
     "kill": ("stopped by the pilot", 0.6),
     "motor": ("motor failure", 0.6),
+    "thrust": ("motor failure", 0.6),
+    "esc ": ("motor failure", 0.6),
 }
-"""Words of a failsafe's or error's message -> cause and its weight."""
+"""Words of a stated failure -> cause and its weight; 0 for what is the crash itself."""
 
 
-def _stated(flight: LoggedFlight, begins_s: float, events: Sequence[Event]) -> Iterator[Cause]:
+def _stated(begins_s: float, stated: Sequence[Failure]) -> Iterator[Cause]:
     """What the firmware states in the seconds before."""
     named: set[str] = set()
-    stated = [(flight.clock.seconds(m.boot, m.span[0]), m.what) for m in flight.mishaps]
-    stated += [(flight.clock.seconds(e.boot, e.time_ns), e.text) for e in events if e.kind == "message"]
-    for at_s, text in stated:
-        if not begins_s - BEFORE_S <= at_s <= begins_s:
+    for failure in stated:
+        if not begins_s - BEFORE_S <= failure.at_s <= begins_s:
             continue
         for word, (name, weight) in STATED.items():
-            if word in text.lower() and "logger" not in text.lower() and name not in named:
+            if word in f"{failure.words.lower()} " and name not in named:
                 named.add(name)
-                yield Cause(name, weight, f"{plain_words(text)!r} at {at_s:.1f} s")
+                if weight:
+                    yield Cause(name, weight, f"{failure.words!r} at {failure.at_s:.1f} s")
+                break

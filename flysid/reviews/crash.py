@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from flysid.reviews.attitude import tilt
+from flysid.reviews.attitude import sink_speed, tilt
 from flysid.reviews.logged import Column, LoggedFlight
 from flysid.reviews.motors import Motor, read_motors
 
@@ -16,6 +16,10 @@ IMPACT_M_S2 = 60.0
 """Six times gravity: no more than aerobatics take."""
 OUTSTANDING = 3.0
 """An impact is so many times what 99.9 % of the flight before feels."""
+UPRIGHT_DEG = 30.0
+"""ArduPilot's crash check: it leans more."""
+FALLING_M_S = 5.0
+"""Faster than any landing: the fall from little more than a metre."""
 BEFORE_S = 5.0
 """Tipping over comes at most so long before the impact."""
 
@@ -74,7 +78,7 @@ def find_crash(flight: LoggedFlight) -> Crash | None:
     if hardest < IMPACT_M_S2 or not len(usual) or hardest < OUTSTANDING * np.percentile(usual, 99.9):
         return None
     tipped_s = _tipped(flight, impact_s)
-    if not np.isfinite(tipped_s) and not _never_carries(read_motors(flight), impact_s, first_s):
+    if not np.isfinite(tipped_s) and not _breaks_off(flight, impact_s, first_s):
         return None
     begins_s = tipped_s if np.isfinite(tipped_s) else impact_s
     return Crash(begins_s, tipped_s, impact_s, hardest, felt.address)
@@ -96,6 +100,38 @@ def _tipped(flight: LoggedFlight, impact_s: float) -> float:
     inside = lean.where((lean.time_s >= impact_s - BEFORE_S) & (lean.time_s <= impact_s + 0.5))
     over = inside.values > TIPPED_DEG
     return float(inside.time_s[np.argmax(over)]) if over.any() else float("nan")
+
+
+def _breaks_off(flight: LoggedFlight, impact_s: float, first_s: float) -> bool:
+    """Whether the flight ends at an impact that is no landing: it stood upright, and had hardly sunk."""
+    if _lands(flight, impact_s):
+        return False
+    return _never_carries(read_motors(flight), impact_s, first_s) or _never_moves(flight, impact_s)
+
+
+def _lands(flight: LoggedFlight, impact_s: float) -> bool:
+    """Whether it came down upright and no faster than a landing that went wrong, at the end of a flight."""
+    lean, down = tilt(flight), sink_speed(flight)
+    if lean is None or down is None:
+        return False
+    after = lean.where((lean.time_s > impact_s - 0.5) & (lean.time_s < impact_s + 1.0))
+    before = down.where((down.time_s > impact_s - 1.0) & (down.time_s <= impact_s + 0.1))
+    if not len(after) or not len(before):
+        return False
+    return bool(after.values.max() < UPRIGHT_DEG and before.values.max() < FALLING_M_S)
+
+
+def _never_moves(flight: LoggedFlight, impact_s: float) -> bool:
+    """Whether a vehicle that flew or drove fast stands still for good from the impact on."""
+    thing = next(iter(flight.things("GPS")), "GPS")
+    speed = flight.quantity(f"{thing}.Spd", "sensor_gps.vel_m_s", unit="m/s", stated="m/s")
+    if speed is None:
+        return False
+    before = speed.where((speed.time_s > impact_s - BEFORE_S) & (speed.time_s < impact_s - 0.5))
+    after = speed.where(speed.time_s > impact_s + BEFORE_S)
+    if len(before) < 3 or len(after) < 3:
+        return False
+    return bool(np.median(before.values) > FALLING_M_S and after.values.max() < 1.0)
 
 
 def _never_carries(motors: tuple[Motor, ...], impact_s: float, first_s: float) -> bool:

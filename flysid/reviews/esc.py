@@ -17,6 +17,8 @@ LOST = 0.5
 """Of the speed that a command usually gives: a slower motor has lost its beat, or its power."""
 IN_A_ROW = 2
 """Samples: one alone may be a reading that went wrong, or a step of the command."""
+ANSWERS_S, DRIVEN_UP = 0.3, 0.85
+"""So soon, and to so much of the range, a controller drives up a motor that gives no thrust."""
 LEAST_SHARE = 0.1
 """Of the range: below it speeds follow their command too loosely."""
 
@@ -96,8 +98,17 @@ def _first_loss(flight: LoggedFlight, motor: Motor) -> float:
         return float("nan")
     usual = speed.values[driven] / np.sqrt(share[driven])
     lost = driven & (speed.values < LOST * np.median(usual) * np.sqrt(np.where(driven, share, 1.0)))
-    runs = np.convolve(lost, np.ones(IN_A_ROW), "valid") >= IN_A_ROW
-    return float(speed.time_s[np.argmax(runs)]) if runs.any() else float("nan")
+    for i in np.flatnonzero(lost):
+        lasts = lost[i : i + IN_A_ROW].sum() == IN_A_ROW
+        if lasts or _is_driven_up(motor, float(speed.time_s[i]), float(np.median(share[driven]))):
+            return float(speed.time_s[i])
+    return float("nan")
+
+
+def _is_driven_up(motor: Motor, at_s: float, usual: float) -> bool:
+    """Whether a controller answered at once: what it read then was no slip of the telemetry."""
+    near = np.abs(motor.command.time_s - at_s) <= ANSWERS_S
+    return bool(near.any()) and float(motor.command.values[near].max()) > max(DRIVEN_UP, 1.5 * usual)
 
 
 def findings(stated: Sequence[Fact]) -> Iterator[Finding]:

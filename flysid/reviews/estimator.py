@@ -111,7 +111,7 @@ def _findings(ratios: Sequence[Fact], of_gps: Sequence[Fact]) -> Iterator[Findin
         text = f"The estimator agrees with its sensors: largest test ratio {worst.value:.2f}"
         yield Finding(text, Grade.GOOD, 0.2, worst.key, worst.note)
         return
-    jumped = any(fact.key == "estimator.gps_jump" and fact.grade is not Grade.GOOD for fact in of_gps)
+    of_receiver = what in ("position", "velocity") and gps.is_disturbed(of_gps)
     verb = "rejects" if worst.grade is Grade.BAD else "doubts"
     whose = "its compass" if what == "compass" else f"the measured {what}"
     text = f"The estimator {verb} {whose}: test ratio {worst.value:.1f}"
@@ -120,7 +120,7 @@ def _findings(ratios: Sequence[Fact], of_gps: Sequence[Fact]) -> Iterator[Findin
     yield Finding(
         text,
         worst.grade,
-        0.3 if jumped else 0.8 if worst.grade is Grade.BAD else 0.45,
+        0.3 if of_receiver else 0.8 if worst.grade is Grade.BAD else 0.45,
         worst.key,
         limit("estimator.test_ratio").source,
     )

@@ -17,6 +17,8 @@ SENTINEL_M = 1e4
 """Accuracies beyond it are a receiver's word for none: 4.29e6 m of PX4, 65535 cm of MAVLink times ten."""
 LEAST = 5
 """Samples."""
+LASTS_S, MOST_SHARE = 3.0, 0.05
+"""A receiver that sees little for so long, or for so much of a short flight, is worth a word."""
 NOWHERE_M = 1e5
 """From one sample to the next: it is no place at all, such as 0 degrees, 0 degrees."""
 SAME = 0.8
@@ -143,11 +145,11 @@ def facts(receiver: Receiver) -> Iterator[Fact]:
         yield Fact("estimator.gps_fix", "time with a fix", 100.0 * share, "%", None, grade, "", fields, at_s)
         if share == 0.0:
             return
-    yield from _low_fact("satellites", "fewest satellites", receiver.satellites, "", 5.0)
-    yield from _low_fact("hdop", "worst horizontal dilution", receiver.hdop, "", 95.0)
-    yield from _low_fact("eph", "worst horizontal accuracy", receiver.accuracy, "m", 95.0)
-    yield from _low_fact("speed_accuracy", "worst speed accuracy", receiver.speed_accuracy, "m/s", 95.0)
-    yield from _low_fact("jamming", "worst jamming indicator", receiver.jamming, "", 95.0)
+    yield from _worst("satellites", "fewest satellites", receiver.satellites, "")
+    yield from _worst("hdop", "worst horizontal dilution", receiver.hdop, "")
+    yield from _worst("eph", "worst horizontal accuracy", receiver.accuracy, "m")
+    yield from _worst("speed_accuracy", "worst speed accuracy", receiver.speed_accuracy, "m/s")
+    yield from _worst("jamming", "worst jamming indicator", receiver.jamming, "")
     jump_m, at_s = find_jump(receiver)
     if np.isfinite(jump_m) and receiver.north is not None:
         known = limit("estimator.gps_jump")
@@ -163,23 +165,32 @@ def facts(receiver: Receiver) -> Iterator[Fact]:
         )
 
 
-def _low_fact(key: str, label: str, column: Column | None, unit: str, percentile: float) -> Iterator[Fact]:
-    """The value that all but a twentieth of the flight keeps."""
+def _worst(key: str, label: str, column: Column | None, unit: str) -> Iterator[Fact]:
+    """The worst value that lasts: of a twentieth of the flight, or of three seconds of a long one."""
     if column is None or len(column) < LEAST:
         return
-    value = float(np.percentile(column.values, percentile))
     known = limit(f"estimator.{key}")
-    worst = np.argmin(column.values) if percentile < 50.0 else np.argmax(column.values)
+    share = min(MOST_SHARE, LASTS_S / max(column.covered_s, LASTS_S))
+    sign = 1.0 if known.bad >= known.watch else -1.0
+    value = sign * float(np.quantile(sign * column.values, 1.0 - share))
+    first = int(np.argmax(sign * column.values >= sign * value))
     yield Fact(
         f"estimator.{key}",
         label,
         value,
         unit,
         grade=known.grade(value),
-        note=f"of 95 % of the flight; {known.source}",
+        note=f"for {share * column.covered_s:.0f} s in all; {known.source}",
         fields=(column.address,),
-        at_s=float(column.time_s[worst]),
+        at_s=float(column.time_s[first]),
     )
+
+
+def is_disturbed(stated: Sequence[Fact]) -> bool:
+    """Whether the receiver itself shows that it jumped, was jammed, or saw too few satellites."""
+    by_key = {fact.key.partition(".")[2]: fact for fact in stated}
+    worst = {name: by_key[name].grade for name in ("gps_jump", "jamming", "satellites") if name in by_key}
+    return worst.get("gps_jump", Grade.GOOD) is not Grade.GOOD or Grade.BAD in worst.values()
 
 
 def findings(stated: Sequence[Fact], receiver: Receiver) -> Iterator[Finding]:
@@ -201,12 +212,14 @@ def findings(stated: Sequence[Fact], receiver: Receiver) -> Iterator[Finding]:
         yield Finding(text, fix.grade, 0.7 if lost else 0.2, fix.key, more)
     few = by_key.get("satellites")
     if few is not None and few.grade is not Grade.GOOD and _is_inaccurate(by_key):
-        text = f"The GPS has only {few.value:.0f} satellites"
-        yield Finding(text, few.grade, 0.35, few.key, few.note.partition("; ")[2])
+        text = f"The GPS has only {few.value:.0f} satellites at {few.at_s:.0f} s"
+        weight = 0.82 if few.grade is Grade.BAD else 0.35
+        yield Finding(text, few.grade, weight, few.key, few.note.partition("; ")[2])
     jammed = by_key.get("jamming")
     if jammed is not None and jammed.grade is not Grade.GOOD:
-        text = f"Something jams the GPS: indicator {jammed.value:.0f}"
-        yield Finding(text, jammed.grade, 0.55, jammed.key, jammed.note.partition("; ")[2])
+        text = f"Something jams the GPS at {jammed.at_s:.0f} s: indicator {jammed.value:.0f}"
+        weight = 0.84 if jammed.grade is Grade.BAD else 0.55
+        yield Finding(text, jammed.grade, weight, jammed.key, jammed.note.partition("; ")[2])
 
 
 def _is_inaccurate(by_key: Mapping[str, Fact]) -> bool:

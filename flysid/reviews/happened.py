@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from flysid.ingest.lake.events import Event, events
+from flysid.ingest.lake.failures import plain_words
 from flysid.reviews.attitude import tilt_error
-from flysid.reviews.causes import Cause, plain_words, rank_causes
+from flysid.reviews.causes import Cause, rank_causes
 from flysid.reviews.crash import Crash, acceleration, find_crash
 from flysid.reviews.fact import Fact, Finding, Grade, Section, Table
+from flysid.reviews.failures import Failure, stated_failures
+from flysid.reviews.landing import HardLanding, find_hard_landing
+from flysid.reviews.limits import limit
 from flysid.reviews.logged import LoggedFlight
 
 ROWS = 60
@@ -20,41 +26,78 @@ BOOKKEEPING = ("STAT_", "SR0_", "SR1_", "SR2_", "SR3_", "MIS_TOTAL", "COMPASS_OF
 APART_DEG = 20.0
 """Of the commanded tilt: ArduPilot's crash check takes 30, so that this comes first."""
 LASTING_S = 0.3
+LIKELY = 0.7
+"""Weight of a cause that the headline names."""
 JUST_S = 0.5
 """Before a failsafe the vehicle still flew, although it may have been disarmed by it."""
 
 
 def review(flight: LoggedFlight) -> Section:
     """Section "What happened"."""
-    stated_events = events(flight.log)
-    crash = find_crash(flight)
-    causes = rank_causes(flight, _begin(flight, crash), stated_events) if _ended_badly(flight, crash) else []
-    facts = tuple(_facts(flight, stated_events, crash, causes))
-    findings = tuple(_findings(flight, stated_events, crash, causes))
-    return Section(
-        "happened", "What happened", facts, findings, (), tuple(_tables(flight, stated_events, crash, causes))
-    )
+    story = Story(flight, tuple(events(flight.log)))
+    findings = tuple(_findings(story)) if flight.was_flown else ()
+    return Section("happened", "What happened", tuple(_facts(story)), findings, (), tuple(_tables(story)))
 
 
-def _ended_badly(flight: LoggedFlight, crash: Crash | None) -> bool:
-    return crash is not None or np.isfinite(flight.ends_s)
+@dataclass(frozen=True)
+class Story:
+    """What a log states of its flight, and how the flight ended."""
 
+    flight: LoggedFlight
+    events: tuple[Event, ...]
 
-def _begin(flight: LoggedFlight, crash: Crash | None) -> float:
-    return flight.ends_s if crash is None else min(crash.begins_s, flight.ends_s)
+    @cached_property
+    def failures(self) -> list[Failure]:
+        """That the log states."""
+        return stated_failures(self.flight, self.events)
 
+    @cached_property
+    def crash(self) -> Crash | None:
+        """By its sensors."""
+        return find_crash(self.flight)
 
-def _seconds(flight: LoggedFlight, event: Event) -> float:
-    return flight.clock.seconds(event.boot, event.time_ns)
+    @cached_property
+    def landing(self) -> HardLanding | None:
+        """A hard one, where it did not crash."""
+        return find_hard_landing(self.flight) if self.crash is None else None
+
+    @property
+    def ended_badly(self) -> bool:
+        """By its sensors, or by the log's own words."""
+        return self.crash is not None or bool(np.isfinite(self.flight.ends_s))
+
+    @property
+    def begins_s(self) -> float:
+        """When it went wrong; infinite where it did not."""
+        return self.flight.ends_s if self.crash is None else min(self.crash.begins_s, self.flight.ends_s)
+
+    @cached_property
+    def causes(self) -> list[Cause]:
+        """The likeliest first."""
+        return self.causes_before(self.begins_s) if self.ended_badly else []
+
+    def causes_before(self, time_s: float) -> list[Cause]:
+        """What the seconds before a time speak for."""
+        return rank_causes(self.flight, time_s, self.events, self.failures)
+
+    def seconds(self, event: Event) -> float:
+        """Of an event, on the log's clock."""
+        return self.flight.clock.seconds(event.boot, event.time_ns)
+
+    @cached_property
+    def changed(self) -> list[Event]:
+        """Changes of parameters that somebody made while it flew."""
+        found = [e for e in self.events if e.kind == "parameter" and not e.text.startswith(BOOKKEEPING)]
+        times = np.array([self.seconds(event) for event in found])
+        return [event for event, flying in zip(found, self.flight.flying(times), strict=True) if flying]
 
 
 # ------------------------------------------------------------------------------------------- facts
 
 
-def _facts(
-    flight: LoggedFlight, stated_events: Sequence[Event], crash: Crash | None, causes: Sequence[Cause]
-) -> Iterator[Fact]:
-    modes = [event.text for event in stated_events if event.kind == "mode"]
+def _facts(story: Story) -> Iterator[Fact]:
+    flight = story.flight
+    modes = [event.text for event in story.events if event.kind == "mode"]
     if modes:
         yield Fact("happened.modes", "flight modes", ", ".join(dict.fromkeys(modes)))
     else:
@@ -62,23 +105,22 @@ def _facts(
     if flight.flown.seconds:
         spans = "; ".join(f"{clock_words(a)} to {clock_words(b)}" for a, b in flight.air_s[:5])
         yield Fact("happened.air", "in the air", spans)
-    failsafes = _failsafes(flight, stated_events)
-    words = "; ".join(f"{text} at {at_s:.1f} s" for at_s, text in failsafes[:3])
-    first_s = failsafes[0][0] if failsafes else None
-    grade = Grade.WATCH if failsafes else Grade.GOOD
+    words = "; ".join(f"{failure.words} at {failure.at_s:.1f} s" for failure in story.failures[:3])
+    first_s = story.failures[0].at_s if story.failures else None
+    grade = Grade.WATCH if story.failures else Grade.GOOD
     yield Fact("happened.failsafes", "failsafes and errors", words or "none", grade=grade, at_s=first_s)
-    changed = _changed_in_the_air(flight, stated_events)
-    value = "; ".join(event.text for event in changed[:3]) or "none"
+    value = "; ".join(event.text for event in story.changed[:3]) or "none"
     yield Fact("happened.parameter_changes", "parameters changed in the air", value)
     yield from _departure(flight)
-    yield from _impact(flight, crash)
+    yield from _impact(story)
+    crash = story.crash
     if crash is not None and np.isfinite(crash.tipped_s):
         yield Fact(
             "happened.tipped_over", "tipped over", crash.tipped_s, "s", grade=Grade.BAD, at_s=crash.tipped_s
         )
-    if _ended_badly(flight, crash):
-        likely = f"{causes[0].name}: {causes[0].evidence}" if causes else None
-        missing = "" if causes else "nothing in the ten seconds before speaks for one cause"
+    if story.ended_badly:
+        likely = f"{story.causes[0].name}: {story.causes[0].evidence}" if story.causes else None
+        missing = "" if story.causes else "nothing in the ten seconds before speaks for one cause"
         yield Fact("happened.cause", "likely cause", likely, grade=Grade.BAD, missing=missing)
 
 
@@ -106,7 +148,8 @@ def _departure(flight: LoggedFlight) -> Iterator[Fact]:
         yield Fact("happened.departure", label, text, "", None, Grade.GOOD, "", fields)
 
 
-def _impact(flight: LoggedFlight, crash: Crash | None) -> Iterator[Fact]:
+def _impact(story: Story) -> Iterator[Fact]:
+    crash, landing = story.crash, story.landing
     if crash is not None:
         yield Fact(
             "happened.impact",
@@ -118,43 +161,29 @@ def _impact(flight: LoggedFlight, crash: Crash | None) -> Iterator[Fact]:
             at_s=crash.impact_s,
         )
         return
-    felt = acceleration(flight)
+    if landing is not None:
+        note = f"at touch-down; {limit('happened.landing').source}"
+        yield Fact(
+            "happened.landing",
+            "blow of the landing",
+            landing.impact_m_s2,
+            "m/s2",
+            None,
+            landing.grade,
+            note,
+            (landing.field,),
+            landing.at_s,
+        )
+    felt = acceleration(story.flight)
     if felt is None:
         return
-    flown = felt.where(flight.flying(felt.time_s))
+    flown = felt.where(story.flight.flying(felt.time_s))
     if len(flown):
         at = int(np.argmax(flown.values))
         value, at_s = float(flown.values[at]), float(flown.time_s[at])
         yield Fact(
             "happened.impact", "largest acceleration", value, "m/s2", fields=(felt.address,), at_s=at_s
         )
-
-
-# ------------------------------------------------------------------------------------------- events
-
-
-def _failsafes(flight: LoggedFlight, stated_events: Sequence[Event]) -> list[tuple[float, str]]:
-    """When, and what: by the firmware's state, and by its messages where the state stays silent."""
-    found = [(flight.clock.seconds(m.boot, m.span[0]), m.what) for m in flight.mishaps]
-    messages = [(_seconds(flight, event), event.text) for event in stated_events if event.kind == "message"]
-    for i, (at_s, text) in enumerate(messages):
-        words = plain_words(text)
-        if (
-            "failsafe" not in text.lower()
-            or "prearm" in text.lower()
-            or not any(word in words.lower() for word in ("activated", "on", "failsafe:"))
-        ):
-            continue
-        reason = next((t for s, t in reversed(messages[:i]) if at_s - s < 1.0), "")
-        found.append((at_s, plain_words(reason) if "failsafe" not in reason.lower() and reason else words))
-    return sorted(found)
-
-
-def _changed_in_the_air(flight: LoggedFlight, stated_events: Sequence[Event]) -> list[Event]:
-    """Changes of parameters that somebody made while it flew."""
-    changed = [e for e in stated_events if e.kind == "parameter" and not e.text.startswith(BOOKKEEPING)]
-    times = np.array([_seconds(flight, event) for event in changed])
-    return [event for event, flying in zip(changed, flight.flying(times), strict=True) if flying]
 
 
 def clock_words(seconds: float) -> str:
@@ -165,30 +194,44 @@ def clock_words(seconds: float) -> str:
 # ------------------------------------------------------------------------------------------- findings
 
 
-def _findings(
-    flight: LoggedFlight, stated_events: Sequence[Event], crash: Crash | None, causes: Sequence[Cause]
-) -> Iterator[Finding]:
-    if not flight.was_flown:
-        return
-    likely = f"likely cause: {causes[0].evidence}" if causes else "the cause is not determined"
+def _findings(story: Story) -> Iterator[Finding]:
+    flight, crash, landing = story.flight, story.crash, story.landing
+    likely = f"likely cause: {story.causes[0].evidence}" if story.causes else "the cause is not determined"
     if crash is not None:
         impact = f"impact {crash.impact_m_s2:.0f} m/s2 at {crash.impact_s:.1f} s"
         tipped = np.isfinite(crash.tipped_s)
         text = f"Tipped over at {crash.tipped_s:.0f} s, {impact}" if tipped else f"Crashed: {impact}"
+        if story.causes and story.causes[0].weight >= LIKELY:
+            text = f"{text}: {story.causes[0].name}"
         yield Finding(text, Grade.BAD, 1.0, "happened.impact", likely)
-    elif np.isfinite(flight.ends_s):
-        last = next(m for m in flight.mishaps if flight.clock.seconds(m.boot, m.span[0]) == flight.ends_s)
+    elif story.ended_badly:
+        last = next(
+            m for m in flight.failures if m.ends and flight.clock.seconds(m.boot, m.span[0]) == flight.ends_s
+        )
         text = f"The flight ended badly at {flight.ends_s:.0f} s: {last.what}"
         yield Finding(text, Grade.BAD, 1.0, "happened.cause", likely)
-    stated = _failsafes(flight, stated_events)
-    flying = flight.flying(np.array([at_s for at_s, _ in stated]) - JUST_S)
-    begins_s = _begin(flight, crash)
-    failsafes = [found for found, flew in zip(stated, flying, strict=True) if flew and found[0] < begins_s]
-    if failsafes:
-        at_s, text = failsafes[0]
-        yield Finding(f"Failsafe at {at_s:.0f} s: {text}", Grade.WATCH, 0.6, "happened.failsafes")
-    if _ends_in_the_air(flight) and crash is None:
-        yield from _cut_off(flight, stated_events)
+    yield from _failure_finding(story)
+    if landing is not None:
+        grade = landing.grade
+        text = f"Landed hard at {landing.at_s:.0f} s: {landing.impact_m_s2:.0f} m/s2"
+        more = f"sinking at {landing.sink_m_s:.1f} m/s" if np.isfinite(landing.sink_m_s) else ""
+        yield Finding(text, grade, 0.75, "happened.landing", more)
+    if crash is None and _ends_in_the_air(flight):
+        yield _cut_off(story)
+
+
+def _failure_finding(story: Story) -> Iterator[Finding]:
+    """The first failure in the air, before it crashed: grave where the firmware acted on it."""
+    flight = story.flight
+    flying = flight.flying(np.array([failure.at_s for failure in story.failures]) - JUST_S)
+    flown = [f for f, flew in zip(story.failures, flying, strict=True) if flew and f.at_s < story.begins_s]
+    if not flown:
+        return
+    first = next((failure for failure in flown if failure.mode), flown[0])
+    acted = first.stated or bool(first.mode)
+    others = [f"{f.words} at {f.at_s:.0f} s" for f in flown if f is not first]
+    grade, weight = (Grade.BAD, 0.85) if acted else (Grade.WATCH, 0.6)
+    yield Finding(first.sentence, grade, weight, "happened.failsafes", "; ".join(others[:2]))
 
 
 def _ends_in_the_air(flight: LoggedFlight) -> bool:
@@ -198,44 +241,41 @@ def _ends_in_the_air(flight: LoggedFlight) -> bool:
     return max(last for _, last in flight.air_s) >= flight.duration_s - 0.5
 
 
-def _cut_off(flight: LoggedFlight, stated_events: Sequence[Event]) -> Iterator[Finding]:
-    causes = [c for c in rank_causes(flight, flight.duration_s, stated_events) if c.weight >= 0.7]
-    at_s = flight.duration_s
+def _cut_off(story: Story) -> Finding:
+    at_s = story.flight.duration_s
+    causes = [c for c in story.causes_before(at_s) if c.weight >= LIKELY]
     if causes:
         text = f"The log ends in the air at {at_s:.0f} s: {causes[0].name}"
-        yield Finding(text, Grade.BAD, 0.95, "happened.air", causes[0].evidence)
-    else:
-        more = "power lost, a crash, or a log that was cut: not determined"
-        yield Finding(f"The log ends in the air at {at_s:.0f} s", Grade.PLAIN, 0.4, "happened.air", more)
+        return Finding(text, Grade.BAD, 0.95, "happened.air", causes[0].evidence)
+    more = "power lost, a crash, or a log that was cut: not determined"
+    return Finding(f"The log ends in the air at {at_s:.0f} s", Grade.PLAIN, 0.4, "happened.air", more)
 
 
 # ------------------------------------------------------------------------------------------- tables
 
 
-def _tables(
-    flight: LoggedFlight, stated_events: Sequence[Event], crash: Crash | None, causes: Sequence[Cause]
-) -> Iterator[Table]:
+def _tables(story: Story) -> Iterator[Table]:
+    flight, crash = story.flight, story.crash
     lines = [
-        (_seconds(flight, event), event.kind, plain_words(event.text))
-        for event in stated_events
+        (story.seconds(event), event.kind, plain_words(event.text))
+        for event in story.events
         if event.kind != "parameter" and "logger" not in event.text.lower()
     ]
-    lines += [
-        (_seconds(flight, event), "parameter", event.text)
-        for event in _changed_in_the_air(flight, stated_events)
-    ]
+    lines += [(story.seconds(event), "parameter", event.text) for event in story.changed]
     for first, last in flight.air_s if flight.flown.seconds else ():
         lines += [(first, "flight", "in the air"), (last, "flight", "on the ground, or the end of the log")]
-    lines += [(flight.clock.seconds(m.boot, m.span[0]), "failsafe", m.what) for m in flight.mishaps]
+    lines += [(flight.clock.seconds(m.boot, m.span[0]), "failure", m.what) for m in flight.failures]
     if crash is not None:
         if np.isfinite(crash.tipped_s):
             lines.append((crash.tipped_s, "crash", "tipped over"))
         lines.append((crash.impact_s, "crash", f"impact {crash.impact_m_s2:.0f} m/s2"))
     if lines:
-        lines = sorted(lines, key=lambda line: line[0])
-        shown = lines[:ROWS]
-        rows = tuple((f"{max(0.0, at_s):.1f} s", kind, text) for at_s, kind, text in shown)
-        yield Table("Events", ("time", "kind", "what"), rows, tuple(at_s for at_s, _, _ in shown))
-    if causes:
-        rows = tuple((f"{i}", cause.name, cause.evidence) for i, cause in enumerate(causes, 1))
+        yield _event_table(sorted(lines, key=lambda line: line[0])[:ROWS])
+    if story.causes:
+        rows = tuple((f"{i}", cause.name, cause.evidence) for i, cause in enumerate(story.causes, 1))
         yield Table("Likely causes", ("rank", "cause", "evidence"), rows)
+
+
+def _event_table(lines: Sequence[tuple[float, str, str]]) -> Table:
+    rows = tuple((f"{max(0.0, at_s):.1f} s", kind, text) for at_s, kind, text in lines)
+    return Table("Events", ("time", "kind", "what"), rows, tuple(at_s for at_s, _, _ in lines))

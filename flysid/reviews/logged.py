@@ -20,13 +20,13 @@ from flysid.facts.clock import LogClock, log_clock
 from flysid.facts.vehicle import firmware_of
 from flysid.flight import Damage, split_address
 from flysid.ingest.align.recipe import SignalSpec, Source
-from flysid.ingest.align.resample import FOREVER
 from flysid.ingest.align.signals import Loaded, Log, find_source, load_source
 from flysid.ingest.align.things import find_stream, things_of
 from flysid.ingest.align.transforms import TRANSFORMS
 from flysid.ingest.lake.events import settings
+from flysid.ingest.lake.failures import Mishap
 from flysid.ingest.lake.flown import Flown, flown_of
-from flysid.ingest.lake.mishaps import Mishap, mishaps
+from flysid.ingest.lake.mishaps import failures
 
 if TYPE_CHECKING:
     from flysid.loops.judged import Judged
@@ -171,14 +171,14 @@ class LoggedFlight:
         return flown_of(self.log)
 
     @cached_property
-    def mishaps(self) -> tuple[Mishap, ...]:
-        """Crashes, failsafes and losses of control."""
-        return tuple(mishaps(self.log))
+    def failures(self) -> tuple[Mishap, ...]:
+        """All that went wrong by the log's own words and by its attitude."""
+        return tuple(failures(self.log))
 
     @cached_property
     def ends_s(self) -> float:
         """When the flight ended badly, on the log's clock: what follows says nothing of how it flies."""
-        final = [self.clock.seconds(m.boot, m.span[0]) for m in self.mishaps if m.span[1] == FOREVER]
+        final = [self.clock.seconds(m.boot, m.span[0]) for m in self.failures if m.ends]
         return min([*final, self.crashed_s])
 
     @cached_property

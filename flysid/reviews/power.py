@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from flysid.reviews import battery_facts, esc, motor_balance
+from flysid.reviews import battery_facts, esc, motor_balance, thrust_loss
 from flysid.reviews.battery import read_battery
 from flysid.reviews.fact import Action, Change, Fact, Finding, Grade, Section, Shown
 from flysid.reviews.hover import STATED, Hover, measure_hover
@@ -24,12 +24,14 @@ def review(flight: LoggedFlight) -> Section:
     balance = motor_balance.weigh(flight, motors)
     hover = measure_hover(flight)
     battery = read_battery(flight)
+    loss = thrust_loss.find_thrust_loss(flight, motors)
     found = battery_facts.facts(flight, battery, remedy(flight, "current"))
     facts = (
         *_hover_facts(flight, hover),
         *_range_facts(flight, motors if balance is not None else ()),
         *motor_balance.facts(balance, motors, remedy(flight, "motors")),
         *esc.facts(flight, motors),
+        *thrust_loss.facts(loss),
         *found,
         *_board_facts(flight),
     )
@@ -39,6 +41,7 @@ def review(flight: LoggedFlight) -> Section:
         *_hover_findings(flight, level),
         *_range_findings(flight, facts),
         *esc.findings(facts),
+        *thrust_loss.findings(loss),
         *battery_facts.findings(facts),
     )
     actions = (

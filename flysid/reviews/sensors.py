@@ -15,6 +15,8 @@ from flysid.reviews.logged import Column, LoggedFlight
 LEAST_S = 5.0
 NORMAL_80 = 1.2816
 """Deviations within which four fifths of normal values lie."""
+BEFORE_S = 10.0
+"""Before take-off the motors draw nothing: the field that they add shows most from there to hovering."""
 FOLLOWS = 0.3
 """Share of the field's variance from which on the current is its cause."""
 AXES = "XYZ"
@@ -34,8 +36,13 @@ def facts(flight: LoggedFlight) -> Iterator[Fact]:
 # ------------------------------------------------------------------------------------------- compass
 
 
-def _field(flight: LoggedFlight) -> Column | None:
-    """Strength of the magnetic field in the air, in the log's unit: only its change counts."""
+def _field(flight: LoggedFlight, before_s: float = 0.0) -> Column | None:
+    """Strength of the magnetic field in the air, in the log's unit: only its change counts.
+
+    Parameters
+    ----------
+    before_s : take so much of the time before each take-off, too.
+    """
     thing = (flight.things("MAG") or ["MAG"])[0]
     addresses = [f"{thing}.Mag{axis}" for axis in AXES]
     if flight.has("vehicle_magnetometer"):
@@ -47,7 +54,8 @@ def _field(flight: LoggedFlight) -> Column | None:
         return None
     strength = np.sqrt(sum(part.values**2 for part in known))
     column = Column(addresses[0], "", known[0].time_s, strength)
-    return column.where(flight.flying(column.time_s) & (strength > 0.0))
+    in_the_air = flight.flying(column.time_s) | flight.flying(column.time_s + before_s)
+    return column.where(in_the_air & (strength > 0.0))
 
 
 def _field_change(flight: LoggedFlight) -> Iterator[Fact]:
@@ -83,7 +91,7 @@ def _effort(flight: LoggedFlight) -> Column | None:
 
 
 def _compass(flight: LoggedFlight) -> Iterator[Fact]:
-    field, effort = _field(flight), _effort(flight)
+    field, effort = _field(flight, BEFORE_S), _effort(flight)
     key, label = "estimator.compass_change", "change of the magnetic field with the current"
     if field is None or effort is None or field.covered_s < LEAST_S:
         yield Fact(key, label, missing="compass, or current and throttle, are not logged in the air")
@@ -272,7 +280,8 @@ def findings(stated: Sequence[Fact], flight: LoggedFlight) -> Iterator[Finding]:
     compass = by_key.get("compass_change")
     if compass is not None and compass.grade.rank >= Grade.WATCH.rank:
         text = f"The current turns the compass's field by {compass.value:.0f} %"
-        yield Finding(text, compass.grade, 0.5, compass.key, compass.note.partition("; ")[2])
+        weight = 0.8 if compass.grade is Grade.BAD else 0.5
+        yield Finding(text, compass.grade, weight, compass.key, compass.note.partition("; ")[2])
     field = by_key.get("field_change")
     if (
         field is not None

@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bench.faulty_quadrotor import Flight, Quadrotor, critical_gain, draw_quadrotor, fly
+from bench.faulty_quadrotor import Flight, Quadrotor, critical_gain, draw_quadrotor
+from bench.faulty_sensors import fly
 from bench.review_faults import FAULTS
 from tests.shared import make_once
 
@@ -42,6 +43,9 @@ def fleet() -> dict[str, dict[str, Quadrotor]]:
             "sound": happened,
             "motor": replace(happened, fails_s=34.0),
             "brown-out": replace(happened, browns_s=41.0),
+            "dropped": replace(happened, hard_m_s=3.5),
+            "fence": replace(happened, incident="fence", incident_s=30.0),
+            "battery": replace(happened, incident="battery", incident_s=30.0),
         },
         "plain": {
             "sound": plain,

@@ -50,7 +50,7 @@ def test_a_real_crash_and_its_cause() -> None:
     assert impact.value == pytest.approx(size.max(), rel=1e-5)
     assert impact.at_s == pytest.approx(time_s[np.argmax(size)] - boot_s, abs=0.01)
     (crash,) = (finding for finding in section.findings if finding.grade is Grade.BAD)
-    assert crash.text == "Tipped over at 68 s, impact 392 m/s2 at 69.0 s"
+    assert crash.text == "Tipped over at 68 s, impact 392 m/s2 at 69.0 s: motors switched off in the air"
     assert "all motors were commanded to stop at 67.2 s" in crash.more
     assert "Landing detected" in crash.more
 
@@ -110,6 +110,7 @@ def test_a_motor_that_stops(flights: Mapping[str, Flight], suffix: str, tmp_path
     section = reviewed(flights["motor"], suffix, tmp_path)
     (crash,) = (finding for finding in section.findings if finding.grade is Grade.BAD)
     assert crash.text.startswith("Tipped over at 3")
+    assert crash.text.endswith(("motor 1 failed", "thrust of motor 1 lost"))
     assert "motor 1 was driven at full" in crash.more
     causes = next(s for s in section.shown if isinstance(s, Table) and s.title == "Likely causes")
     assert "motor 1" in causes.rows[0][1]
@@ -123,6 +124,29 @@ def test_a_supply_that_goes(flights: Mapping[str, Flight], suffix: str, tmp_path
     section = reviewed(flights["brown-out"], suffix, tmp_path)
     (cut,) = (finding for finding in section.findings if finding.grade is Grade.BAD)
     assert cut.text == "The log ends in the air at 41 s: brown-out"
+
+
+@pytest.mark.parametrize("suffix", WRITERS)
+def test_a_hard_landing_is_no_crash(flights: Mapping[str, Flight], suffix: str, tmp_path: Path) -> None:
+    section = reviewed(flights["dropped"], suffix, tmp_path)
+    (blow,) = section.findings
+    assert blow.text.startswith("Landed hard at 56 s: 1")
+    assert blow.more == "sinking at 3.5 m/s"
+    assert fact_of(section, "landing").value == pytest.approx(157.0, abs=20.0)
+
+
+@pytest.mark.parametrize("suffix", WRITERS)
+@pytest.mark.parametrize(("kind", "what"), [("fence", "fence breached"), ("battery", "battery")])
+def test_a_failsafe_names_its_reason_and_its_mode(
+    flights: Mapping[str, Flight], kind: str, what: str, suffix: str, tmp_path: Path
+) -> None:
+    """It is no bad end: the vehicle flies home."""
+    section = reviewed(flights[kind], suffix, tmp_path)
+    (failsafe,) = section.findings
+    assert failsafe.grade is Grade.BAD
+    assert failsafe.text.startswith("Failsafe at 30 s: ")
+    assert what in failsafe.text
+    assert failsafe.text.endswith("RTL")
 
 
 @pytest.mark.parametrize("suffix", WRITERS)

@@ -11,7 +11,8 @@ from flysid.flight import BOOT, TIME, Flight, Source
 from flysid.ingest.align.conditions import ALWAYS
 from flysid.ingest.align.resample import FOREVER
 from flysid.ingest.align.signals import FlightLog
-from flysid.ingest.lake.mishaps import Mishap, mishaps
+from flysid.ingest.lake.failures import Mishap
+from flysid.ingest.lake.mishaps import mishaps
 from flysid.ingest.lake.stretches import Part, Stretches, held_spans, parse_between, parse_part
 
 S = 10**9
@@ -104,7 +105,7 @@ def test_a_failsafe_is_left_out_until_it_ends_and_a_crash_for_good() -> None:
     found = mishaps(log(ERR=stream([10.0, 15.0, 30.0, 31.0], Subsys=[5, 5, 12, 12], ECode=[1, 0, 1, 0])))
     assert found == [
         Mishap(0, (START + 10 * S, START + 15 * S), "radio failsafe"),
-        Mishap(0, (START + 30 * S, FOREVER), "crash into the ground"),
+        Mishap(0, (START + 30 * S, FOREVER), "crash into the ground", ends=True),
     ]
 
 
