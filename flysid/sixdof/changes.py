@@ -21,7 +21,6 @@ from flysid.sixdof.fitted import FittedVehicle
 from flysid.sixdof.layout import CURVE, EFFECTS, LAG, POWER, ROTOR_DRAG, THRUST
 from flysid.sixdof.torque_fit import BLOCK_S
 from flysid.sixdof.vehicle import Vehicle
-from flysid.stretch import FloatArray
 
 LEVEL = 0.01
 """Chance that a flight without a change shows one."""
@@ -167,7 +166,7 @@ def _factor(before: FittedVehicle, after: FittedVehicle, places: Sequence[int]) 
     """The one factor between two sets of numbers, by generalised least squares."""
     index = np.ix_(places, places)
     b, a = before.theta[list(places)], after.theta[list(places)]
-    weight: FloatArray = np.linalg.pinv(before.covariance[index] + after.covariance[index])
+    weight = np.linalg.pinv(before.covariance[index] + after.covariance[index])
     size = float(b @ weight @ b)
     return float(b @ weight @ a) / size, size**-0.5
 
