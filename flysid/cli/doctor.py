@@ -27,6 +27,7 @@ from flysid.cli.output import (
     shorten,
 )
 from flysid.cli.source import date_order_option, format_option, time_unit_option
+from flysid.cli.telemetry import telemetry
 from flysid.cli.trust import Own
 from flysid.errors import UsageError
 from flysid.facts.losses import lost_words, repeat_lines
@@ -121,15 +122,19 @@ def command(
             else:
                 surveys[path] = outcome
             _begin(found.paths, done)
+        telemetered = telemetry(surveys, limits, bounds)
     say_skipped(skipped)
     moved = motions(list(surveys), limits, bounds, display) if kinematics else {}
     if as_json:
         shown = [
-            as_document(path, s) | moved.get(path, Motion()).as_document() for path, s in surveys.items()
+            as_document(path, s)
+            | {"telemetry": list(telemetered.get(path, ()))}
+            | moved.get(path, Motion()).as_document()
+            for path, s in surveys.items()
         ]
         click.echo(json.dumps({"logs": shown}, indent=1))
     elif surveys:
-        click.echo("\n".join(lines(surveys)))
+        click.echo("\n".join(lines(surveys, telemetered)))
     if moved and not as_json:
         click.echo("\n".join(line for path, motion in moved.items() for line in motion.lines(path)))
     if correct:
@@ -152,8 +157,15 @@ def _begin(logs: Sequence[Path], done: int) -> None:
         tell("examining", log=logs[done].name, share=done / len(logs))
 
 
-def lines(surveys: Mapping[Path, Survey]) -> Iterator[str]:
-    """A row for every log, and below them what there is to say of some: each thing once."""
+def lines(
+    surveys: Mapping[Path, Survey], telemetered: Mapping[Path, Sequence[str]] | None = None
+) -> Iterator[str]:
+    """A row for every log, and below them what there is to say of some: each thing once.
+
+    Parameters
+    ----------
+    telemetered : what is wrong with the telemetry of a log's motors and instruments, in words.
+    """
     from flysid.ingest.formats.opening import short_name
 
     columns = list(zip(HEADINGS, *map(row, surveys.values()), strict=True))
@@ -166,8 +178,8 @@ def lines(surveys: Mapping[Path, Survey]) -> Iterator[str]:
     if rates:
         yield f"{', '.join(rates)}: rate of {', '.join(rates.values())} in Hz"
     about: dict[str, list[str]] = {}
-    for name, found in zip(names, surveys.values(), strict=True):
-        for remark in remarks(found):
+    for name, (path, found) in zip(names, surveys.items(), strict=True):
+        for remark in [*remarks(found), *(telemetered or {}).get(path, ())]:
             about.setdefault(remark, []).append(name)
     for remark, those in about.items():
         yield fold(printable(f"{first_of(those, NAMES_SHOWN)}: {remark}"))

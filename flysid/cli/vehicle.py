@@ -54,6 +54,7 @@ RECIPE = "sixdof"
     help="Write the vehicle here.",
 )
 @click.option("--force", cls=Own, is_flag=True, help="Replace the folder if it exists.")
+@click.option("--judge/--no-judge", default=True, help="Fit some flights anew, and judge on the others.")
 @click.option("--json", "as_json", is_flag=True, help="Print everything as JSON.")
 @reading_options
 @progress_options
@@ -66,6 +67,7 @@ def command(
     calm: bool,
     output: Path | None,
     force: bool,
+    judge: bool,
     as_json: bool,
     told: Words,
     quiet: bool,
@@ -82,6 +84,7 @@ def command(
     from flysid.ingest.align.recipe import load_recipe
     from flysid.ingest.align.vehicle_channel import vehicle_data
     from flysid.sixdof.fitted import FILE
+    from flysid.sixdof.judging import judge_vehicle
     from flysid.sixdof.vehicle import Vehicle
 
     estimator = Vehicle(zero=zero, full=full_scale, calm=True if calm else None)
@@ -89,10 +92,13 @@ def command(
     with display.shown(), _flights(logs, told, selection) as flights:
         data = vehicle_data(flights, chosen)
         vehicle = estimator.fit(data.dataset)
+        found = judge_vehicle(estimator, data.dataset, vehicle) if judge else None
     if as_json:
-        click.echo(json.dumps(vehicle.to_dict(), indent=1, allow_nan=False))
+        document = vehicle.to_dict() | ({"judged": found.to_dict()} if found is not None else {})
+        click.echo(json.dumps(document, indent=1, allow_nan=False))
     else:
-        click.echo("\n".join(fold(printable(line)) for line in vehicle.lines()))
+        lines = [*vehicle.lines(), *(found.lines() if found is not None else [])]
+        click.echo("\n".join(fold(printable(line)) for line in lines))
     if data.lacking:
         say(f"not logged: {', '.join(data.lacking)}", quiet)
     if output is not None:

@@ -15,10 +15,13 @@ from typing import TYPE_CHECKING
 
 import click
 
+from flysid.cli import complete
 from flysid.cli.addresses import SOURCE
 from flysid.cli.bounds import ALARM_RATE, POSITIVE
 from flysid.cli.output import ExitCode, check_target, printable, say
-from flysid.cli.trust import Own, Setting
+from flysid.cli.trust import Own, ProjectFile, Setting
+from flysid.cli.vehicleexport import is_vehicle
+from flysid.cli.vehiclewatch import watch_vehicle
 from flysid.errors import DataError, UsageError
 from flysid.showing import counted, one_of
 from flysid.surroundings import environment_of_the_user
@@ -55,7 +58,16 @@ KINDS = ("udp:", "udpout:", "tcp:", "serial:")
     metavar="COMMAND",
     help="Command to run at every event; it reads the event as JSON from stdin.",
 )
-@click.option("--fail", is_flag=True, help="Exit with 6 if there was an alarm.")
+@click.option(
+    "--recipe",
+    "-r",
+    cls=ProjectFile,
+    default="sixdof",
+    show_default=True,
+    shell_complete=complete.recipes,
+    help="Of a vehicle: where its log keeps motors and instruments.",
+)
+@click.option("--fail", is_flag=True, help="Exit with 6 if there was an alarm, or a vehicle changed.")
 @click.option("--json", "as_json", is_flag=True, help="Print events as JSON lines.")
 @click.option("-q", "--quiet", is_flag=True, help="Only events and errors.")
 def command(
@@ -69,6 +81,7 @@ def command(
     heartbeat: bool,
     seconds: float | None,
     hook: str | None,
+    recipe: str,
     fail: bool,
     as_json: bool,
     quiet: bool,
@@ -76,9 +89,13 @@ def command(
     """Raise an alarm when a vehicle no longer behaves as a RUN's models predict, on a LINK or in a LOG.
 
     Thresholds come from the run's held-out flights. An input outside the training range is shown, but is
-    not an alarm. The vehicle is never commanded.
+    not an alarm. The vehicle is never commanded. Where RUN is what 'flysid vehicle -o' wrote, the LOG is
+    fitted anew, and it is said which motor, mass or drag has changed.
     """
     from flysid.validate.runs.run import open_run
+
+    if is_vehicle(run):
+        return watch_vehicle(run, Path(source), recipe, fail=fail, as_json=as_json)
 
     opened = open_run(run)
     check_watch(opened, source, channels, label, hook)

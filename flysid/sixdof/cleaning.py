@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,6 +15,8 @@ BoolArray = npt.NDArray[np.bool_]
 STRAIGHT_S = 0.08
 STRAIGHT_ROWS = 8
 """A shorter straight line, or one of fewer samples, may be chance."""
+CHANCE = 1e-6
+"""Chance runs that may be expected in a flight beyond the length that counts."""
 LINE = 1e-5
 """Of a signal's spread: a second difference below it is what writing in decimals leaves of a line."""
 BEYOND = 1.0005
@@ -79,6 +82,8 @@ class Damage:
 def straight_lines(signals: FloatArray, dt_s: float, *, standing: bool = False) -> BoolArray:
     """(N,) samples in stretches of at least 80 ms and 8 samples over which every column is a straight line.
 
+    Stretches that a coarse instrument shows by chance do not count, see `longest_by_chance`.
+
     Parameters
     ----------
     standing : lines along which nothing moves count, too: an instrument always moves, a motor at its stop
@@ -93,12 +98,42 @@ def straight_lines(signals: FloatArray, dt_s: float, *, standing: bool = False) 
     size = np.maximum(spread[spread > 0.0], np.abs(moving[1:-1]))
     bend = np.abs(np.diff(moving, 2, axis=0)) <= LINE * size
     straight = np.concatenate([[False], bend.all(axis=1), [False]])
+    bends = runs(straight)
     least = max(round(STRAIGHT_S / dt_s), STRAIGHT_ROWS) - 1
-    for first, last in runs(straight):
+    least = max(least, longest_by_chance([last - first for first, last in bends], least))
+    for first, last in bends:
         moved = np.abs(moving[last] - moving[first - 1]).max() > 0.0
         if last - first >= least and (standing or moved):
             found[first - 1 : last + 1] = True
     return found
+
+
+def longest_by_chance(lengths: Sequence[int], least: int) -> int:
+    """Samples that a straight run must have so that it is no chance: coarse instruments often repeat a value.
+
+    Runs shorter than `least` show how likely a run goes on for another sample. A longer run counts where
+    fewer than `CHANCE` of its length are to be expected in the flight.
+    """
+    short = np.array([n for n in lengths if n < least])
+    if not len(short) or least < 3 or short.mean() <= 1.0:
+        return 0
+    places = np.arange(1, least)
+
+    def beyond(goes_on: float) -> float:
+        weights = goes_on**places
+        return float((weights * places).sum() / weights.sum() - short.mean())
+
+    if beyond(1.0) <= 0.0:
+        return int(np.iinfo(np.int64).max)
+    goes_on = _root(beyond)
+    return 1 + int(np.ceil(np.log(CHANCE / len(lengths)) / np.log(goes_on)))
+
+
+def _root(rising: Callable[[float], float]) -> float:
+    """Where a rising function of a share passes zero."""
+    from scipy.optimize import brentq
+
+    return float(brentq(rising, 1e-9, 1.0))
 
 
 def runs(mask: BoolArray) -> list[tuple[int, int]]:

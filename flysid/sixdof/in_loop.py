@@ -40,6 +40,8 @@ COARSE_S = 0.04
 """Torques are averaged over pieces this long: fine ones near the start, coarse ones later."""
 WEIGHTS = (1e-3, 1e-2, 3e-2, 1e-1)
 """Ridges that are tried."""
+STILL = 1e-3
+"""Of the mean square of all flights: a flight that moves less weighs no more."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,8 +58,17 @@ class Ridge:
 
 
 def fit_ridge(features: Sequence[FloatArray], targets: Sequence[FloatArray], weight: float) -> Ridge:
-    """A ridge in which every flight counts alike."""
-    share = np.concatenate([np.full(len(x), 1.0 / (len(x) * len(features))) for x in features])
+    """A ridge in which every flight counts alike, a gentle one as much as a fierce one.
+
+    A flight's errors grow with its motion, so that its samples weigh as the inverse of its targets' squares.
+    """
+    each = np.array([np.mean(y**2, axis=0) for y in targets])
+    size = (each / np.maximum(each.mean(axis=0), np.finfo(float).tiny)).mean(axis=1)
+    size = np.maximum(size, STILL)
+    share = np.concatenate(
+        [np.full(len(x), 1.0 / (len(x) * own)) for x, own in zip(features, size, strict=True)]
+    )
+    share /= share.sum()
     x = np.concatenate(features)
     y = np.concatenate(targets)
     mean = share @ x
@@ -249,7 +260,7 @@ def _fit_moves(
 
 
 def _choose_weight(seen: Sequence[_Seen]) -> float:
-    """The ridge that predicts rates best of flights that are left out in turn."""
+    """The ridge that predicts rates best of flights that are left out in turn, as shares of their motion."""
     steps = np.unique(np.geomspace(1, seen[0].starts.steps, 4).round().astype(int))
 
     def error(weight: float) -> float:
@@ -261,7 +272,7 @@ def _choose_weight(seen: Sequence[_Seen]) -> float:
                 for axis in range(3):
                     told = row[axis](seen[left_out].turn_features(int(step), axis))
                     wanted = seen[left_out].turn_targets(int(step), axis)
-                    total += float(np.abs(told - wanted)[:, 1].mean())
+                    total += float(np.abs(told - wanted)[:, 1].mean() / np.abs(wanted)[:, 1].mean())
         return total
 
     return min(WEIGHTS, key=error)

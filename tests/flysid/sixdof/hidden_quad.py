@@ -40,6 +40,7 @@ class HiddenQuad:
     wind: tuple[float, float] = (0.0, 0.0)
     gust: float = 0.0
     noise: float = 1.0
+    strength: tuple[float, float, float, float] = (1.0, 1.0, 1.0, 1.0)
     trim: tuple[float, float, float] = field(default=(0.5, -0.8, 0.2))
 
 
@@ -66,7 +67,7 @@ def fly(quad: HiddenQuad, seconds: float, seed: int) -> tuple[FloatArray, FloatA
     for i in range(round(seconds / STEP_S)):
         t = i * STEP_S
         r = turn.as_matrix()
-        lift = (1.0 - quad.curve) * x + quad.curve * x**2
+        lift = np.array(quad.strength) * ((1.0 - quad.curve) * x + quad.curve * x**2)
         air = r.T @ (v - wind)
         hubs = -quad.drag * np.sqrt(lift)[:, None] * air * [1.0, 1.0, 0.0]  # drag acts at the hubs
         force = hubs.sum(axis=0) + np.array([0.0, 0.0, quad.thrust * lift.sum()])

@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
+from scipy.signal import butter, sosfilt
 
 import flysid
+from flysid.cli import root
 from flysid.dataset import Dataset
 from flysid.sixdof.cleaning import Damage, clock_offsets, straight_lines
 from flysid.sixdof.records import Scale, find_scale, flights_of
+from tests.flysid.sixdof.hidden_quad import write_table
 
 
 def damaged(data: Dataset, first: int, length: int, times: float) -> Dataset:
@@ -55,6 +61,18 @@ def test_what_stands_still_is_a_line_of_an_instrument_only(standing: bool) -> No
     assert straight_lines(x, 0.01, standing=standing)[50:80].all() == standing
 
 
+def test_a_slow_coarse_gyro_shows_no_line_by_chance_and_still_a_loss() -> None:
+    sos = butter(2, 0.02, output="sos")
+    for seed in range(40):
+        gyro = sosfilt(sos, np.random.default_rng(seed).standard_normal((3000, 3)), axis=0)
+        coarse = np.round(0.25 * gyro / gyro.std() / 0.05) * 0.05
+        assert not straight_lines(coarse, 0.02, standing=True).any()
+        coarse[1000:1060] = coarse[1000] + np.linspace(0.0, 1.0, 60)[:, None] * (
+            coarse[1059] + 0.37 - coarse[1000]
+        )
+        assert straight_lines(coarse, 0.02, standing=True)[1003:1057].mean() > 0.9
+
+
 def test_a_wandering_clock_is_measured() -> None:
     rng = np.random.default_rng(5)
     t = np.arange(0.0, 60.0, 0.01)
@@ -79,3 +97,15 @@ def test_a_wandering_clock_is_measured() -> None:
 )
 def test_the_scale_of_commands_is_found(values: list[float], scale: Scale) -> None:
     assert find_scale(np.repeat(values, 10)) == scale
+
+
+def test_doctor_tells_of_damage_as_vehicle_does(still: Dataset, tmp_path: Path) -> None:
+    table = write_table(tmp_path / "flight.csv", damaged(still, 500, 200, 73.0))
+    done = CliRunner().invoke(root, ["doctor", str(table), "-q"])
+    told = " ".join(done.stdout.split())
+    assert "link losses: " in told
+    assert "as far as 73 times full scale" in told
+    done = CliRunner().invoke(root, ["doctor", str(table), "--json"])
+    assert len(json.loads(done.stdout)["logs"][0]["telemetry"]) == 2
+    done = CliRunner().invoke(root, ["doctor", str(write_table(tmp_path / "whole.csv", still)), "-q"])
+    assert "link losses" not in done.stdout

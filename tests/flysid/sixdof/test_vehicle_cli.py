@@ -18,7 +18,7 @@ from tests.flysid.sixdof.hidden_quad import HiddenQuad, write_table
 
 
 def vehicle(*arguments: str | Path) -> Result:
-    return CliRunner().invoke(root, ["vehicle", *map(str, arguments)])
+    return CliRunner().invoke(root, ["vehicle", "--no-judge", *map(str, arguments)])
 
 
 @pytest.fixture(scope="module")
