@@ -29,10 +29,12 @@ class RateBounds:
     ----------
     ms : largest sensitivity.
     noise : root mean square of the output's noise, over that of the present settings.
+    angle_peak : largest answer of an angle loop around it to its setpoint.
     """
 
     ms: float = 1.7
     noise: float = 1.5
+    angle_peak: float = 1.1
 
 
 @dataclass(frozen=True, eq=False)

@@ -78,6 +78,19 @@ def test_px4_and_ardupilot_are_designed_by_their_parameters(log: Any, names: set
     assert found.axes[0].tracking.high < 1.0
 
 
+def test_the_angle_loop_gets_what_the_new_rate_loop_carries() -> None:
+    """A gain that made the angle overshoot goes down, a timid one up; neither beyond a factor of two."""
+    found = {}
+    for gain in (3.0, 30.0):
+        log = px4_log(90.0, 3, {"MC_ROLL_P": gain}, vehicle=Vehicle(11.0, 0.04, 10))
+        (found[gain],) = propose([log], ["roll"], RateBounds(noise=2.0)).angles
+    assert 3.0 < found[3.0].new <= 6.0
+    assert 15.0 <= found[30.0].new < 30.0
+    assert found[3.0].peak[1] <= 1.1
+    assert found[30.0].peak[0] > 1.1
+    assert "roll angle: MC_ROLL_P 3 -> " in found[3.0].line()
+
+
 def test_what_the_sticks_do_not_show_is_refused_with_the_flight_to_fly() -> None:
     found = propose([log_of(60.0, stick=2.0, disturbance=300.0)], ["roll"])
     assert not found.new
