@@ -130,8 +130,10 @@ def propose(logs: Sequence[Any], axes: Sequence[str], bounds: RateBounds | None 
     return Proposal({}, {}, (), (), refused, False)
 
 
-def _angles(ready: Sequence[_Axis], changes: Mapping[str, str], bounds: RateBounds) -> tuple[AngleLoop, ...]:
-    """The angle loops of the designed axes, as far as the log states them."""
+def _angles(
+    ready: Sequence[_Axis], changes: Mapping[str, str], bounds: RateBounds, refused: dict[str, DataError]
+) -> tuple[AngleLoop, ...]:
+    """The angle loops of the designed axes, as far as the log states them; why not goes into `refused`."""
     found = []
     for one in ready:
         own = {name: value for name, value in changes.items() if name in {s.name for s in one.settings}}

@@ -155,3 +155,18 @@ def test_a_real_flight_gets_gains_that_lower_its_sensitivity() -> None:
     assert roll["after"]["figures"]["ms"]["high"] < 1.75
     assert body["refused"].keys() == {"pitch", "yaw"}
     assert all(why["try"] for why in body["refused"].values())
+
+
+def test_an_angle_gain_that_changed_in_flight_leaves_the_rate_loop_its_proposal() -> None:
+    log = px4_log(90.0, 3, {"MC_ROLL_P": 6.0}, vehicle=Vehicle(11.0, 0.04, 10))
+    table = log.tables["parameters"]
+    for column, values in table.items():
+        more = {"name": "MC_ROLL_P", "value": 7.0}.get(column, values[-1])
+        table[column] = [*values, more]
+    place = [k for k, name in enumerate(table["name"]) if name == "MC_ROLL_P"]
+    for column in table.keys() - {"name", "value"}:
+        table[column][place[-1]] = table[column][place[0]]
+    found = propose([log], ["roll"], RateBounds(noise=2.0))
+    assert found.new
+    assert not found.angles
+    assert "MC_ROLL_P was changed from 6 to 7 in flight" in found.refused["roll angle"].message
