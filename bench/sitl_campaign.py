@@ -1,14 +1,19 @@
-"""Loops of Betaflight's own firmware, predicted from one flight and flown.
+"""Betaflight's own firmware on vehicles that nobody knows: identify, predict, redesign, fly again, compare.
 
-    python -m bench.sitl_campaign OUT [--vehicles 20] [--sets 5]
+    python -m bench.sitl_campaign OUT [--vehicles 20] [--first 0] [--fly] > ROWS
+    python -m bench.sitl_campaign ROWS...
 
-Every vehicle (inertia, motors' lag and gyro noise drawn, unknown to the fit) flies the firmware's own gains
-first. From that flight's plant the response from setpoint to rate is predicted under other sets of gains,
-which are then flown. The firmware runs on wall time, and the campaign resumes: flights in OUT are kept.
+Every vehicle (mass, inertia, motors' lag, noise, battery drawn) flies the firmware's own gains for 60 s, and
+other sets of gains and filters for 40 s. From the first flight
 
-Printed: the share of lines between 1 and 30 Hz, as far as both flights know them, within 2 dB and 10 deg, for
-the prediction and for "nothing changed". The loop of the firmware runs at the pace that the machine allows,
-and the law takes the pace of the flight that it predicts.
+- the response from setpoint to rate is predicted under each other set, with intervals, and compared with what
+  that flight shows: within 2 dB and 10 deg from 1 to 30 Hz, as far as both flights know it;
+- `flysid design` proposes settings. Their lines are typed into the firmware and flown with the same sticks.
+  The error over the flight, noise and overshoot are compared with what was promised.
+
+Flights in OUT are kept: the campaign resumes. With --fly it only flies. Several processes share the work by
+--first, and the second form makes one table of what they printed. To an interval of one flight the scatter of
+the other one is added before a line counts as missed, as in `bench.greenreaper`.
 """
 
 from __future__ import annotations
@@ -16,12 +21,10 @@ from __future__ import annotations
 import argparse
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from bench.sitl import Vehicle, fly
 from flysid.errors import DataError
@@ -29,11 +32,12 @@ from flysid.ingest.lake.batch import ingest_logs
 from flysid.ingest.lake.finding import find_logs
 from flysid.ingest.lake.lake import open as open_lake
 from flysid.ingest.lake.workers import Bounds
-from flysid.loops.betaflight import betaflight
-from flysid.loops.blackbox_loops import record_of, settings_of
-from flysid.loops.controller import Controller
-from flysid.loops.margins import least_off, trusted_band
-from flysid.loops.stick_response import ComplexArray, Loop
+from flysid.loops.flight_errors import HIGHEST, NOISE_FROM_HZ, powers
+from flysid.loops.forecast import Forecast, step_of
+from flysid.loops.gain_bounds import RateBounds
+from flysid.loops.known_axis import KnownAxis
+from flysid.loops.proposal import Proposal, propose
+from flysid.loops.stick_response import closed_loop
 
 SETS: Sequence[Sequence[str]] = (
     (),
@@ -42,28 +46,13 @@ SETS: Sequence[Sequence[str]] = (
     ("set p_roll = 34", "set i_roll = 110", "set p_pitch = 36", "set i_pitch = 110"),
     ("set dterm_lpf1_dyn_min_hz = 0", "set dterm_lpf1_static_hz = 50", "set p_roll = 55", "set p_pitch = 57"),
 )
+AXES = ("roll", "pitch")
 REFERENCE_S, OTHER_S = 60.0, 40.0
 WITHIN_DB, WITHIN_DEG = 2.0, 10.0
 FROM_HZ, TO_HZ = 1.0, 30.0
 STICKS = 180.0
 """us of the steps of the sticks."""
-
-
-@dataclass(frozen=True, eq=False)
-class Seen:
-    """What one flight shows of an axis: Hz, the plant there, and the law that flew."""
-
-    f: npt.NDArray[np.float64]
-    plant: ComplexArray
-    law: Controller
-
-    def response(self, f: npt.NDArray[np.float64], law: Controller) -> ComplexArray:
-        """From setpoint to rate under a law."""
-        g = np.interp(f, self.f, np.log(np.abs(self.plant))) + 1j * np.interp(
-            f, self.f, np.unwrap(np.angle(self.plant))
-        )
-        own = np.exp(g)
-        return np.asarray(own * law.reference(f) / (1.0 + own * law.feedback(f)))
+LEVEL = 0.95
 
 
 def drawn(seed: int) -> Vehicle:
@@ -86,72 +75,195 @@ def drawn(seed: int) -> Vehicle:
     )
 
 
-def seen(log: Any, axis: str) -> Seen:
-    """The plant of a flight where its sticks tell it, and its law."""
-    settings = settings_of(log)
-    record, conditions = record_of(log, axis, settings)
-    loop = Loop.of([record])
-    low, high = trusted_band(loop)
-    at = (loop.f >= low) & (loop.f <= high)
-    centre, _, _ = least_off(loop, at)
-    return Seen(loop.f[at], centre, betaflight(settings, axis, conditions))
+def compare(first: KnownAxis, later: KnownAxis) -> dict[str, Any]:
+    """Lines that both flights know: predicted, and unchanged, against the measured response."""
+    low = max(FROM_HZ, first.f[0], later.f[0])
+    high = min(TO_HZ, first.f[-1], later.f[-1])
+    at, of = ((own.f >= low) & (own.f <= high) for own in (later, first))
+    law = later.last.controller
+    true = later.answers(law)[0][at]  # under its own law: as it was measured
+    told, draws = (part[..., of] for part in first.answers(law))
+    before, _ = first.answers(first.last.controller)
+    found: dict[str, Any] = {"lines": int(at.sum()), "to_hz": float(high)}
+    for name, own in (("predicted", told), ("unchanged", before[of])):
+        off = own / true
+        near = np.abs(20.0 * np.log10(np.abs(off))) <= WITHIN_DB
+        found[name] = float(np.mean(near & (np.abs(np.degrees(np.angle(off))) <= WITHIN_DEG)))
+        found[f"{name}_db"] = float(np.median(np.abs(20.0 * np.log10(np.abs(off)))))
+    measured = closed_loop(later.last.loop.mean)[np.isin(later.last.loop.f, later.f[at])]
+    scatter = closed_loop(later.last.loop.draws)[:, np.isin(later.last.loop.f, later.f[at])] - measured
+    reach = np.quantile(np.abs(draws + scatter - told), LEVEL, axis=0)
+    return found | {"held": float(np.mean(np.abs(measured - told) <= reach))}
 
 
-def compare(reference: Seen, later: Seen) -> dict[str, float]:
-    """Shares of lines inside the bounds: of the prediction, and of the reference's own response."""
-    low = max(FROM_HZ, reference.f[0], later.f[0])
-    high = min(TO_HZ, reference.f[-1], later.f[-1])
-    f = later.f[(later.f >= low) & (later.f <= high)]
-    true = later.response(f, later.law)
-    found = {"lines": float(len(f)), "to_hz": float(high)}
-    for name, law in (("predicted", later.law), ("unchanged", reference.law)):
-        off = reference.response(f, law) / true
-        inside = (np.abs(20.0 * np.log10(np.abs(off))) <= WITHIN_DB) & (
-            np.abs(np.degrees(np.angle(off))) <= WITHIN_DEG
-        )
-        found[name] = float(inside.mean())
-    return found
+def promised(told: Forecast, first: KnownAxis, later: KnownAxis) -> dict[str, Any]:
+    """What a proposal promised, with its interval, and what it did when it was flown."""
+    return {
+        "tracking": _pair(told.tracking, _error(later) / _error(first)),
+        "noise": _pair(told.noise, _noise(later) / _noise(first)),
+        "overshoot": _pair(told.after.step.overshoot, _overshoot(later)),
+        "ms": _pair(told.after.figures["ms"], _ms(later)),
+        "better": told.better,
+    }
 
 
-def read(path: Path, folder: Path) -> Any:
+def _pair(figure: Any, flown: float) -> dict[str, float | None]:
+    return {"told": figure.value, "low": figure.low, "high": figure.high, "flown": flown}
+
+
+def _error(known: KnownAxis) -> float:
+    """Root mean square of setpoint less rate, over that of the setpoint: flights differ in their sticks."""
+    _, sticks, errors = powers(known, known.band_hz[1])
+    return float(np.sqrt(errors.sum() / sticks.sum()))
+
+
+def _noise(known: KnownAxis) -> float:
+    """Root mean square of the output above what the sticks move, without their part, thousandths."""
+    loop, record = known.last.loop, known.last.record
+    at = (loop.f >= NOISE_FROM_HZ) & (loop.f < HIGHEST * record.rate_hz)
+    s = loop.mean[:, :, at]
+    alone = s[1, 1].real - np.abs(s[0, 1]) ** 2 / s[0, 0].real
+    levels = alone / np.abs(1.0 - np.exp(-2j * np.pi * loop.f[at] / record.rate_hz)) ** 2
+    return float(np.sqrt(levels.sum() / sum(len(own) for own in loop.blocks)))
+
+
+def _overshoot(known: KnownAxis) -> float:
+    """Of a step, by the flight's own plant under its own law."""
+    return float(step_of(known, known.last.controller).overshoot.value or 0.0)
+
+
+def _ms(known: KnownAxis) -> float:
+    back = known.last.controller.at_rest().feedback(known.f)
+    return float(np.abs(1.0 / (1.0 + known.centre * back)).max())
+
+
+def read(folder: Path) -> Any:
     """A log as flysid reads it."""
     if not (folder / "data").is_dir():
+        path = sorted(folder.glob("LOG*.BF"))[-1]
         list(ingest_logs(find_logs([path], Bounds()), folder / "data", bounds=Bounds()))
     (log,) = open_lake(folder / "data").logs
     return log
 
 
-def main() -> None:
-    """Fly what is not flown yet, and print the table."""
-    parser = argparse.ArgumentParser()
-    parser.add_argument("out", type=Path)
-    parser.add_argument("--vehicles", type=int, default=20)
-    parser.add_argument("--sets", type=int, default=len(SETS))
-    options = parser.parse_args()
-    rows: list[dict[str, Any]] = []
-    for seed in range(options.vehicles):
-        flights = []
-        for k, settings in enumerate(SETS[: options.sets]):
-            folder = options.out / f"vehicle-{seed:02d}" / f"set-{k}"
-            known = sorted(folder.glob("LOG*.BF"))
-            seconds = OTHER_S if k else REFERENCE_S
-            path = known[-1] if known else fly(folder, seconds, 100 * seed + k, settings, drawn(seed), STICKS)
-            flights.append(read(path, folder))
-        for axis in ("roll", "pitch"):
-            for k, other in enumerate(flights[1:], 1):
-                row: dict[str, Any] = {"vehicle": seed, "axis": axis, "set": k}
-                try:
-                    row |= compare(seen(flights[0], axis), seen(other, axis))
-                    rows.append(row)
-                except DataError as error:
-                    row["refused"] = error.message
-                print(json.dumps(row), flush=True)
-    lines = sum(float(row["lines"]) for row in rows)
-    for name in ("predicted", "unchanged"):
-        share = sum(float(row["lines"]) * float(row[name]) for row in rows) / max(lines, 1.0)
-        print(
-            f"{name}: {100.0 * share:.0f} % of {lines:.0f} lines within {WITHIN_DB} dB and {WITHIN_DEG} deg"
+def flown(folder: Path, seed: int, k: int, settings: Sequence[str]) -> Path:
+    """The folder of a flight, flown where it is not there yet; k of 0: with the sticks of the first one."""
+    if not sorted(folder.glob("LOG*.BF")):
+        fly(folder, OTHER_S if k else REFERENCE_S, 100 * seed + k, settings, drawn(seed), STICKS)
+    return folder
+
+
+def judge_sets(first: Any, others: Sequence[tuple[int, Any]], seed: int) -> list[dict[str, Any]]:
+    """Every other set of gains, on each axis."""
+    rows = []
+    for axis in AXES:
+        for k, other in others:
+            row: dict[str, Any] = {"vehicle": seed, "axis": axis, "set": k}
+            try:
+                row |= compare(KnownAxis.of([first], axis), KnownAxis.of([other], axis))
+            except DataError as error:
+                row["refused"] = error.message
+            rows.append(row)
+    return rows
+
+
+def judge_proposal(out: Path, first: Any, seed: int) -> list[dict[str, Any]]:
+    """The proposal of a vehicle, flown."""
+    folder = out / f"vehicle-{seed:02d}" / "proposed"
+    found = propose([first], AXES, RateBounds())
+    rows: list[dict[str, Any]] = [
+        {"vehicle": seed, "axis": axis, "no proposal": why.message} for axis, why in found.refused.items()
+    ]
+    if not found.new:
+        return rows
+    lines = [f"set {name} = {value}" for name, value in found.new.items()]
+    later = read(flown(folder, seed, 0, lines))
+    for told in found.axes:
+        row: dict[str, Any] = {"vehicle": seed, "axis": told.axis, "lines": lines_of(found, told.axis)}
+        try:
+            row |= promised(told, KnownAxis.of([first], told.axis), KnownAxis.of([later], told.axis))
+        except DataError as error:
+            row["refused"] = error.message
+        rows.append(row)
+    return rows
+
+
+def lines_of(found: Proposal, axis: str) -> str:
+    """The changes of an axis, for people."""
+    own = {name: value for name, value in found.new.items() if not name.endswith(_others(axis))}
+    return ", ".join(f"{name} {found.old[name]} -> {value}" for name, value in own.items())
+
+
+def _others(axis: str) -> tuple[str, ...]:
+    return tuple(f"_{other}" for other in ("roll", "pitch", "yaw") if other != axis)
+
+
+def table(sets: Sequence[dict[str, Any]], proposals: Sequence[dict[str, Any]]) -> list[str]:
+    """Lines of what came out."""
+    known = [row for row in sets if "lines" in row]
+    weight = np.array([row["lines"] for row in known], dtype=np.float64)
+    vehicles = len({row["vehicle"] for row in sets})
+    lines = [
+        f"{vehicles} vehicles, {len(known)} of {len(sets)} loops compared, {weight.sum():.0f} lines",
+        *(
+            f"{name}: {100.0 * float(np.average([row[name] for row in known], weights=weight)):.1f} % {words}"
+            for name, words in (
+                ("predicted", f"of lines within {WITHIN_DB:g} dB and {WITHIN_DEG:g} deg"),
+                ("unchanged", "the same, if nothing had changed"),
+                ("held", "of lines in the interval"),
+            )
+        ),
+    ]
+    flew = [row for row in proposals if "tracking" in row]
+    if not flew:
+        return lines
+    errors = np.array([row["tracking"]["flown"] for row in flew])
+    lines.append(
+        f"proposals: {len(flew)} axes flown, {len(proposals) - len(flew)} without; error down by a fifth on "
+        f"{int((errors <= 0.8).sum())}, by anything on {int((errors < 1.0).sum())}, "
+        f"in the median to {np.median(errors):.2f} times"
+    )
+    for name in ("tracking", "noise", "overshoot", "ms"):
+        inside = [
+            row[name]["low"] <= row[name]["flown"] <= row[name]["high"] for row in flew if row[name]["told"]
+        ]
+        off = [abs(row[name]["flown"] / row[name]["told"] - 1.0) for row in flew if row[name]["told"]]
+        lines.append(
+            f"  {name}: promised to {100.0 * np.median(off):.1f} % in the median, "
+            f"the interval holds {sum(inside)} of {len(inside)}"
         )
+    return lines
+
+
+def run(out: Path, seeds: Sequence[int], only_fly: bool) -> None:
+    """Fly what is not flown yet, and print a row for every loop."""
+    for seed in seeds:
+        folder = out / f"vehicle-{seed:02d}"
+        folders = [flown(folder / f"set-{k}", seed, k, own) for k, own in enumerate(SETS)]
+        if only_fly:
+            continue
+        first, *others = (read(own) for own in folders)
+        for row in judge_sets(first, list(enumerate(others, 1)), seed):
+            print(json.dumps(row), flush=True)
+        for row in judge_proposal(out, first, seed):
+            print(json.dumps(row), flush=True)
+
+
+def main() -> None:
+    """Fly, or print the table of what was printed."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("paths", type=Path, nargs="+")
+    parser.add_argument("--vehicles", type=int, default=20)
+    parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--fly", action="store_true")
+    options = parser.parse_args()
+    if not options.paths[0].is_file():
+        run(options.paths[0], range(options.first, options.first + options.vehicles), options.fly)
+        return
+    lines = [line for path in options.paths for line in path.read_text("utf-8").splitlines()]
+    rows = [json.loads(line) for line in lines if line.startswith("{")]
+    sets = [row for row in rows if "set" in row]
+    print("\n".join(table(sets, [row for row in rows if "set" not in row])))
 
 
 if __name__ == "__main__":

@@ -207,7 +207,7 @@ def _refuse_given(context: click.Context, names: Sequence[str], source: str, doe
         options = {parameter.name: parameter.opts[0] for parameter in context.command.params}
         raise UsageError(
             f"{', '.join(options[name] for name in given)}: not for {source}: flysid {does}",
-            hint="leave it out; flysid design --help",
+            hint="leave it out; a run has channels, logs have axes",
         )
 
 

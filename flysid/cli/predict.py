@@ -149,6 +149,11 @@ def describe_forecast(one: Forecast) -> list[str]:
         f"  known from {low:.0f} to {high:.0f} Hz; the intervals hold for {scope}",
         f"  the law of {one.law} gives the flown response to {100.0 * one.off:.0f} %",
     ]
+    if one.moved_db < one.known_to_db:
+        rows.append(
+            f"  not determined: the response changes by {one.moved_db:.1f} dB, and is known to "
+            f"{one.known_to_db:.1f} dB; the next flight may be nearer to this one"
+        )
     if after.unstable > 0.0:
         rows.append(
             f"  caution: {100.0 * after.unstable:.0f} % of the plants that fit make this loop unstable"

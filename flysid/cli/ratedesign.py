@@ -60,6 +60,8 @@ def design_rates(
     else:
         for one in found.axes:
             click.echo("\n".join(fold(printable(line)) for line in describe_forecast(one)) + "\n")
+        for angle in found.angles:
+            click.echo(printable(angle.line()))
         click.echo("\n".join(_stated(found.new, found)))
     for axis, why in found.refused.items():
         say(f"{axis}: refused: {why.message}. Try: {why.hint}")

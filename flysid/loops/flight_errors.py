@@ -31,12 +31,14 @@ class Errors:
     ----------
     f : (F,) Hz, up to the end of the band.
     plants : (1 + D, F) the plant, and what else it may be.
+    misses : (1 + D, F) of the law, see `KnownAxis`.
     sticks : (F,) power of the setpoint.
     rest : (1 + D, F) power of the error that the setpoint does not make, times |1 + G C|^2 as it flew.
     """
 
     f: FloatArray
     plants: ComplexArray
+    misses: ComplexArray
     sticks: FloatArray
     rest: FloatArray
 
@@ -45,9 +47,10 @@ class Errors:
         """Of the last flight, with the law that flew it."""
         f, sticks, errors = powers(known, known.band_hz[1])
         plants, law = _plants(known, f), known.last.controller
-        left, turned = _loops(plants, law.feedback(f), law.reference(f))
+        misses = known.misses_at(f)
+        left, turned = _loops(plants, misses, law.feedback(f), law.reference(f))
         rest = np.maximum(errors - np.abs(left) ** 2 * sticks, 0.0) * np.abs(turned) ** 2
-        return cls(f, plants, sticks, rest)
+        return cls(f, plants, misses, sticks, rest)
 
     def under(self, controller: Controller) -> FloatArray:
         """(1 + D,) deg/s, root mean square, of every plant."""
@@ -55,11 +58,11 @@ class Errors:
 
     def of_plant(self) -> Errors:
         """Those of the plant alone."""
-        return replace(self, plants=self.plants[:1], rest=self.rest[:1])
+        return replace(self, plants=self.plants[:1], misses=self.misses[:1], rest=self.rest[:1])
 
     def between(self, back: ComplexArray, forward: ComplexArray) -> FloatArray:
         """As `under`, of a controller's answers (F,) to the rate and to the setpoint."""
-        left, turned = _loops(self.plants, back, forward)
+        left, turned = _loops(self.plants, self.misses, back, forward)
         power = np.abs(left) ** 2 * self.sticks + self.rest / np.abs(turned) ** 2
         return np.asarray(np.sqrt(power.sum(axis=1) * (self.f[1] - self.f[0])))
 
@@ -89,11 +92,11 @@ def _plants(known: KnownAxis, f: FloatArray) -> ComplexArray:
 
 
 def _loops(
-    plants: ComplexArray, back: ComplexArray, forward: ComplexArray
+    plants: ComplexArray, misses: ComplexArray, back: ComplexArray, forward: ComplexArray
 ) -> tuple[ComplexArray, ComplexArray]:
     """(1 + D, F) 1 - T and 1 + G C."""
     turned = 1.0 + plants * back
-    return np.asarray(1.0 - plants * forward / turned), np.asarray(turned)
+    return np.asarray(1.0 - misses * plants * forward / turned), np.asarray(turned)
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,11 +108,13 @@ class Noise:
     f : (F,) Hz.
     plants : (1 + D, F), see `KnownAxis.everywhere`.
     rate : (1 + D, F) power of the rate, times |1 + G C|^2 as it flew: what a loop that is open would see.
+    others : (1 + D,) what the noise of another stretch of flight is of this one's.
     """
 
     f: FloatArray
     plants: ComplexArray
     rate: FloatArray
+    others: FloatArray
 
     @classmethod
     def of(cls, known: KnownAxis) -> Noise:
@@ -122,7 +127,12 @@ class Noise:
         power = loop.mean[2, 2][at].real / np.abs(1.0 - np.exp(-2j * np.pi * f * step_s)) ** 2
         plants = np.vstack([part.reshape(-1, len(f)) for part in known.everywhere(f)])
         turned = np.abs(1.0 + plants * known.last.controller.feedback(f)) ** 2
-        return cls(f, plants, power * turned)
+        back = np.abs(known.last.controller.feedback(f)) ** 2
+        blocks = np.concatenate(loop.blocks)[:, 2, 2][:, at].real
+        sizes = np.log((blocks * back * power / loop.mean[2, 2][at].real).sum(axis=1))
+        scatter = 0.5 * sizes.std() * np.random.default_rng(0).standard_normal(len(plants))
+        scatter[0] = 0.0
+        return cls(f, plants, power * turned, np.exp(scatter))
 
     def under(self, controller: Controller) -> FloatArray:
         """(1 + D,) root mean square of the controller's output, in units that two controllers share."""
@@ -130,7 +140,7 @@ class Noise:
 
     def of_plant(self) -> Noise:
         """That of the plant alone."""
-        return replace(self, plants=self.plants[:1], rate=self.rate[:1])
+        return replace(self, plants=self.plants[:1], rate=self.rate[:1], others=self.others[:1])
 
     def between(self, back: ComplexArray) -> FloatArray:
         """As `under`, of a controller's answer (F,) to the rate."""

@@ -113,6 +113,16 @@ class Forecast:
     off: float
     law: str
 
+    @property
+    def moved_db(self) -> float:
+        """By how much the response changes, median over the band."""
+        return float(np.median(np.abs(20.0 * np.log10(np.abs(self.after.response / self.before.response)))))
+
+    @property
+    def known_to_db(self) -> float:
+        """Half the width of the new response's interval, median over the band."""
+        return float(0.5 * np.median(np.ptp(self.after.db, axis=0)))
+
     def to_dict(self) -> dict[str, Any]:
         """JSON types only."""
         return {
@@ -127,6 +137,8 @@ class Forecast:
             "noise": _plain(self.noise),
             "tracking": _plain(self.tracking),
             "better": self.better,
+            "moved_db": self.moved_db,
+            "known_to_db": self.known_to_db,
             "off": self.off,
         }
 
@@ -193,8 +205,7 @@ def _side(known: KnownAxis, controller: Controller, limit: float, errors: Errors
     every = np.array([list_figures(f, g, back, forward) for g in draws])
     one = list_figures(f, centre, back, forward)
     figures = {name: _figure(one[k], every[:, k], f) for k, name in enumerate(NAMES)}
-    answers = _answer(draws, f, controller)
-    response = _answer(centre, f, controller)
+    response, answers = known.answers(controller)
     turn = np.degrees(np.angle(answers / response)) + np.degrees(np.unwrap(np.angle(response)))
     answer, others = _step_answers(known, controller)
     lost = (every[:, 1] <= 0.0) | (every[:, 2] <= 0.0)
@@ -248,6 +259,11 @@ def _step_answers(known: KnownAxis, controller: Controller) -> tuple[FloatArray,
     return np.asarray(answers[0]), np.asarray(answers[1:])
 
 
+def step_of(known: KnownAxis, controller: Controller) -> StepFigures:
+    """The answer of an axis to a step of the setpoint under a controller."""
+    return _step_figures(*_step_answers(known, controller))
+
+
 def _step_figures(answer: FloatArray, others: FloatArray) -> StepFigures:
     rows = [_rise_and_peak(own) for own in (answer, *others)]
     rises, peaks = np.array(rows).T
@@ -284,5 +300,5 @@ def _limited(known: KnownAxis, controller: Controller, limit: float) -> float:
 def _noise(known: KnownAxis, old: Controller, new: Controller) -> Figure:
     """Root mean square of the output above what the sticks move, new over old, from the flight's own gyro."""
     noise = Noise.of(known)
-    found = noise.under(new) / noise.under(old)
+    found = noise.under(new) / noise.under(old) * noise.others
     return _figure_of(found[0], found[1:])

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+import numpy.typing as npt
 
 from flysid.dataset import FloatArray
 from flysid.loops.controller import Controller
@@ -28,10 +29,12 @@ class RateBounds:
     ----------
     ms : largest sensitivity.
     noise : root mean square of the output's noise, over that of the present settings.
+    angle_peak : largest answer of an angle loop around it to its setpoint.
     """
 
     ms: float = 1.7
     noise: float = 1.5
+    angle_peak: float = 1.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,14 +147,14 @@ class Bounded:
         late = np.quantile(crossing, QUANTILE) * CLEAR / self.high_hz
         over = {"ms": ms / self.bounds.ms, "noise": noise / self.bounds.noise, "crossover": late}
         found = {name: max(0.0, float(np.log(value))) for name, value in over.items()}
-        return found | {"stability": float(np.mean(~stable))}
+        return found | {"stability": 1.0 - float(np.mean(stable))}
 
 
 PENALTY = 100.0
 """Of a bound passed by 1 %, an error larger by as much again: no bound is worth it."""
 
 
-def _crossings(f: FloatArray, loop: ComplexArray) -> tuple[FloatArray, FloatArray]:
+def _crossings(f: FloatArray, loop: ComplexArray) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
     """(D,) Hz where the gain is last 1, and whether the loop has turned by less than 180 deg there."""
     large = np.abs(loop) >= 1.0
     last = loop.shape[1] - 1 - np.argmax(large[:, ::-1], axis=1)

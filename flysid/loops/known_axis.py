@@ -4,6 +4,12 @@ Flights differ in their plants (battery, air, throttle). With three flights or m
 differences and hold for one more flight; with fewer they come from the scatter inside the flights, and hold
 for these. Where the sticks move nothing, the plant is gain / (s (lag s + 1)) e^(-delay s), the one that fits
 the measured band best; every draw stays as far from it there as it is at the band's end.
+
+A law in small motions leaves out what moves with the flight: D that grows, an integral that relaxes, limits.
+The law's miss is the response to the sticks that the last flight shows, over the one that plant and law give.
+It enters every response, so that one under the present settings is the measured one. How far it holds under
+others is not known: draws have it to the power of 1 and a normal deviate, so that some have none and some
+twice as much.
 """
 
 from __future__ import annotations
@@ -13,16 +19,18 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
+from scipy.ndimage import convolve1d
 
 from flysid.dataset import FloatArray
 from flysid.loops.betaflight import NO_CONDITIONS, Conditions
 from flysid.loops.controller import Controller, refuse_misfit
 from flysid.loops.flown_axis import Turning
 from flysid.loops.judged import kind_of
-from flysid.loops.margins import least_off, smooth, trusted_band
+from flysid.loops.margins import NEIGHBOURS, least_off, smooth, trusted_band
 from flysid.loops.new_settings import with_settings
 from flysid.loops.prediction import FEW_POWERS, fit_turning, weights
-from flysid.loops.stick_response import ComplexArray, Loop, StickRecord, plant
+from flysid.loops.stick_response import ComplexArray, Loop, StickRecord, closed_loop, plant
 
 FLIGHTS_FOR_THE_NEXT = 3
 
@@ -68,6 +76,8 @@ class KnownAxis:
     f, band_hz : (F,) Hz, the lines of the band in which the plant is known.
     centre, draws : (F,) the plant there, and (D, F) what else it may be.
     turning : that fits the plant.
+    miss : (F,) of the law, a factor of the response to the setpoint.
+    missed : (D, F) what else that may be.
     """
 
     axis: str
@@ -79,6 +89,8 @@ class KnownAxis:
     centre: ComplexArray
     draws: ComplexArray
     turning: Turning
+    miss: ComplexArray
+    missed: ComplexArray
 
     @classmethod
     def of(cls, logs: Sequence[Any], axis: str) -> KnownAxis:
@@ -100,7 +112,10 @@ class KnownAxis:
             apart = np.log(np.array([plant(loop.mean)[at] for loop in loops]) / plant(together.mean)[at])
             draws = centre * np.exp(weights(len(loops)) @ apart)
         turning = fit_turning(together, at, 1.0 / flights[-1].record.rate_hz)
-        return cls(axis, logs[-1], flights, together, together.f[at], band, centre, draws, turning)
+        miss, missed = _misses(flights[-1], at, len(draws))
+        return cls(
+            axis, logs[-1], flights, together, together.f[at], band, centre, draws, turning, miss, missed
+        )
 
     @property
     def last(self) -> Flown:
@@ -124,12 +139,47 @@ class KnownAxis:
         _, conditions = kind.record(self.log, self.axis, other)
         return kind.controller(other, self.axis, _scaled(conditions, self.last.conditions)), conditions
 
+    def answers(self, controller: Controller) -> tuple[ComplexArray, ComplexArray]:
+        """(F,) from setpoint to rate under a controller, and (D, F) what else it may be."""
+        back, forward = controller.feedback(self.f), controller.reference(self.f)
+        found = (g * forward / (1.0 + g * back) for g in (self.centre, self.draws))
+        centre, draws = (own * factor for own, factor in zip(found, (self.miss, self.missed), strict=True))
+        return np.asarray(centre), np.asarray(draws)
+
+    def misses_at(self, f: FloatArray) -> ComplexArray:
+        """(1 + D, F) the law's miss and what else it may be; it fades below the band, where loops follow."""
+        at = np.append(0.0, self.f)
+        rows = np.log(np.vstack([self.miss, self.missed]))
+        padded = np.hstack([np.zeros((len(rows), 1)), rows])
+        return np.asarray(np.exp([np.interp(f, at, x.real) + 1j * np.interp(f, at, x.imag) for x in padded]))
+
     def everywhere(self, f: FloatArray) -> tuple[ComplexArray, ComplexArray]:
         """(F,) the plant that fits and (D, F) what else it may be, at any frequencies above 0, Hz."""
         fitted = self.turning.response(f, 1.0 / self.last.record.rate_hz)
         x, at, away = np.log(f), np.log(self.f), np.log(self.draws / self.centre)
         off = np.array([np.interp(x, at, row.real) + 1j * np.interp(x, at, row.imag) for row in away])
         return fitted, np.asarray(fitted * np.exp(off))
+
+
+def _misses(flight: Flown, at: npt.NDArray[np.bool_], count: int) -> tuple[ComplexArray, ComplexArray]:
+    """(F,) the measured response over that of plant and law, and (count, F) what else it may be."""
+    f, law = flight.loop.f[at], flight.controller
+    g = plant(flight.loop.mean)[at]
+    measured, scattered = (closed_loop(own)[..., at] for own in (flight.loop.mean, flight.loop.draws))
+    miss = _even(np.log(measured * (1.0 + g * law.feedback(f)) / (g * law.reference(f))))
+    away = _even(np.log(scattered / measured))
+    holds = 1.0 + np.random.default_rng(0).standard_normal((count, 1))
+    return np.exp(miss), np.exp(holds * miss + away[np.arange(count) % len(away)])
+
+
+def _even(logarithms: ComplexArray) -> ComplexArray:
+    """(..., F) lines with their neighbours: one alone is as ragged as its windows are few."""
+    weight = np.hanning(NEIGHBOURS + 2)[1:-1]
+    turned = np.unwrap(logarithms.imag, axis=-1)
+    size, turn = (
+        convolve1d(part, weight / weight.sum(), axis=-1, mode="nearest") for part in (logarithms.real, turned)
+    )
+    return np.asarray(size + 1j * turn)
 
 
 def _scaled(new: Conditions, old: Conditions) -> Conditions:

@@ -20,6 +20,7 @@ import numpy as np
 
 from flysid.dataset import FloatArray
 from flysid.errors import DataError
+from flysid.loops.angle_loops import AngleLoop, angle_loop
 from flysid.loops.betaflight import AXES
 from flysid.loops.controller import Controller
 from flysid.loops.forecast import Forecast, forecast_of
@@ -49,6 +50,7 @@ class Proposal:
     ----------
     old, new : settings by name, present and proposed, those that change.
     axes : what each axis would do.
+    angles : the angle loops around them.
     refused : axis -> why there is no proposal for it.
     command_line : whether names are those of a command line; else of parameters.
     """
@@ -56,6 +58,7 @@ class Proposal:
     old: Mapping[str, str]
     new: Mapping[str, str]
     axes: tuple[Forecast, ...]
+    angles: tuple[AngleLoop, ...]
     refused: Mapping[str, DataError]
     command_line: bool
 
@@ -65,6 +68,7 @@ class Proposal:
             "old": dict(self.old),
             "new": dict(self.new),
             "axes": [own.to_dict() for own in self.axes],
+            "angles": [own.to_dict() for own in self.angles],
             "refused": {axis: {"why": why.message, "try": why.hint} for axis, why in self.refused.items()},
         }
 
@@ -108,14 +112,38 @@ def propose(logs: Sequence[Any], axes: Sequence[str], bounds: RateBounds | None 
             found.append(told)
             changes |= own_changes
         if not failed:
+            angles = _angles(ready, changes, bounds or RateBounds(), refused)
+            moved = [own for own in angles if own.new != own.old]
+            changes |= {own.name: f"{own.new:g}" for own in moved}
             present = {own.name: f"{own.value:g}" for one in ready for own in one.settings}
-            command_line = "Firmware revision" in ready[0].known.last.settings
+            present |= {own.name: f"{own.old:g}" for own in moved}
             return Proposal(
-                {name: present[name] for name in changes}, changes, tuple(found), refused, command_line
+                {name: present[name] for name in changes},
+                changes,
+                tuple(found),
+                angles,
+                refused,
+                "Firmware revision" in ready[0].known.last.settings,
             )
         refused |= failed
         ready = [one for one in ready if one.known.axis not in failed]
-    return Proposal({}, {}, (), refused, False)
+    return Proposal({}, {}, (), (), refused, False)
+
+
+def _angles(
+    ready: Sequence[_Axis], changes: Mapping[str, str], bounds: RateBounds, refused: dict[str, DataError]
+) -> tuple[AngleLoop, ...]:
+    """The angle loops of the designed axes, as far as the log states them; why not goes into `refused`."""
+    found = []
+    for one in ready:
+        own = {name: value for name, value in changes.items() if name in {s.name for s in one.settings}}
+        try:
+            loop = angle_loop(one.known, one.known.law_under(own)[0], bounds)
+        except DataError as error:
+            refused[f"{one.known.axis} angle"] = error
+            continue
+        found += [loop] if loop is not None else []
+    return tuple(found)
 
 
 def _filters_move(ready: Sequence[_Axis]) -> bool:

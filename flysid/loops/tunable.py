@@ -64,12 +64,17 @@ def list_tunable(stated: Mapping[str, Any], axis: str) -> list[Setting]:
     """
     if "Firmware revision" in stated:
         return _of_header(blackbox_law(stated["Firmware revision"]), stated, axis)
-    law = px4_law(stated) if any(name.startswith("MC_") for name in stated) else parameter_law("arducopter")
+    law = own_law(stated)
     own = law.part("axes")[axis]
     roles = {"p": "p", "i": "i", "d": "d", "slope_hz": "filters"}
     names = {law.name_of(role, axis=own): part for role, part in roles.items()}
     values = {name: float(f"{stated.get(name, 0.0):.6g}") for name in names}  # logs keep single precision
     return [Setting(name, part, values[name], False) for name, part in names.items() if values[name] > 0.0]
+
+
+def own_law(stated: Mapping[str, float]) -> Law:
+    """The law of an autopilot that states parameters."""
+    return px4_law(stated) if any(name.startswith("MC_") for name in stated) else parameter_law("arducopter")
 
 
 def _of_header(law: Law, stated: Mapping[str, str], axis: str) -> list[Setting]:

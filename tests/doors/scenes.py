@@ -169,6 +169,7 @@ SCENES: dict[str, Scene] = {
             )
         },
     ),
+    "docs/rate-design.md": Scene(before={"": real("blackbox/hiro_highP_lowD.bfl", "flight.bfl")}),
     "docs/recording.md": Scene(
         drives={"flysid record udp:0.0.0.0:14550 -o flight.tlog": recorded("flight.tlog")},
     ),
@@ -270,6 +271,7 @@ LONG: dict[str, int] = {
     "docs/own-models.md": 13,
     "docs/plan.md": 18,
     "docs/predict.md": 15,
+    "docs/rate-design.md": 15,
     "docs/recipes.md": 13,
     "docs/report.md": 20,
     "docs/review.md": 18,

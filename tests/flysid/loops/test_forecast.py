@@ -14,7 +14,9 @@ from flysid.cli.predict import command
 from flysid.errors import DataError, UsageError
 from flysid.loops.betaflight import NO_CONDITIONS, betaflight
 from flysid.loops.forecast import forecast
+from flysid.loops.known_axis import KnownAxis
 from flysid.loops.new_settings import read_settings, settings_in, with_settings
+from flysid.loops.stick_response import closed_loop
 from tests.flysid.loops.autopilots import ardupilot_log, px4_log
 from tests.flysid.loops.simulated import Vehicle, truth
 from tests.flysid.loops.test_loops import HEADER, log_of
@@ -153,5 +155,23 @@ def test_a_real_flight_predicts_another_under_its_own_gains() -> None:
     f = f[f <= seen["f_hz"][-1]]
     real = np.interp(f, seen["f_hz"], seen["before"]["response"]["db"])
     off = [np.median(np.abs(told[side]["response"]["db"][: len(f)] - real)) for side in ("after", "before")]
-    assert off[0] < 1.0
-    assert off[0] < 0.5 * off[1]
+    assert off[0] < off[1]
+    assert off[0] < 1.2
+    assert told["moved_db"] < told["known_to_db"]  # one flight alone does not tell so small a change
+    printed = CliRunner().invoke(command, words[:-1], standalone_mode=False).stdout
+    assert "not determined: the response changes by" in printed
+
+
+def test_under_the_present_settings_the_response_is_the_measured_one() -> None:
+    """Where the law misses by a tenth, both sides of a prediction missed by it."""
+    log = log_of(60.0)
+    log.tables["setpoint"]["setpoint[0]"] = 1.1 * log.tables["setpoint"]["setpoint[0]"]
+    known = KnownAxis.of([log], "roll")
+    lines = np.isin(known.last.loop.f, known.f)
+    measured = closed_loop(known.last.loop.mean)[lines]
+    told, draws = known.answers(known.last.controller)
+    assert abs(np.median(np.abs(told / measured)) - 1.0) < 0.02
+    assert np.median(np.abs(told / known.miss / measured)) > 1.06
+    low, high = np.quantile(np.abs(draws), (0.025, 0.975), axis=0)
+    bare = np.abs(told / known.miss)
+    assert np.mean((low <= bare) & (bare <= high)) > 0.9  # the law alone is not ruled out

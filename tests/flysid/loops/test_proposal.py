@@ -78,6 +78,19 @@ def test_px4_and_ardupilot_are_designed_by_their_parameters(log: Any, names: set
     assert found.axes[0].tracking.high < 1.0
 
 
+def test_the_angle_loop_gets_what_the_new_rate_loop_carries() -> None:
+    """A gain that made the angle overshoot goes down, a timid one up; neither beyond a factor of two."""
+    found = {}
+    for gain in (3.0, 30.0):
+        log = px4_log(90.0, 3, {"MC_ROLL_P": gain}, vehicle=Vehicle(11.0, 0.04, 10))
+        (found[gain],) = propose([log], ["roll"], RateBounds(noise=2.0)).angles
+    assert 3.0 < found[3.0].new <= 6.0
+    assert 15.0 <= found[30.0].new < 30.0
+    assert found[3.0].peak[1] <= 1.1
+    assert found[30.0].peak[0] > 1.1
+    assert "roll angle: MC_ROLL_P 3 -> " in found[3.0].line()
+
+
 def test_what_the_sticks_do_not_show_is_refused_with_the_flight_to_fly() -> None:
     found = propose([log_of(60.0, stick=2.0, disturbance=300.0)], ["roll"])
     assert not found.new
@@ -142,3 +155,18 @@ def test_a_real_flight_gets_gains_that_lower_its_sensitivity() -> None:
     assert roll["after"]["figures"]["ms"]["high"] < 1.75
     assert body["refused"].keys() == {"pitch", "yaw"}
     assert all(why["try"] for why in body["refused"].values())
+
+
+def test_an_angle_gain_that_changed_in_flight_leaves_the_rate_loop_its_proposal() -> None:
+    log = px4_log(90.0, 3, {"MC_ROLL_P": 6.0}, vehicle=Vehicle(11.0, 0.04, 10))
+    table = log.tables["parameters"]
+    for column, values in table.items():
+        more = {"name": "MC_ROLL_P", "value": 7.0}.get(column, values[-1])
+        table[column] = [*values, more]
+    place = [k for k, name in enumerate(table["name"]) if name == "MC_ROLL_P"]
+    for column in table.keys() - {"name", "value"}:
+        table[column][place[-1]] = table[column][place[0]]
+    found = propose([log], ["roll"], RateBounds(noise=2.0))
+    assert found.new
+    assert not found.angles
+    assert "MC_ROLL_P was changed from 6 to 7 in flight" in found.refused["roll angle"].message
