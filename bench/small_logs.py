@@ -2,7 +2,7 @@
 
 python -m bench.small_logs [-n 15] [-k words]
 
-ULogs beside pyulog, telemetry beside pymavlink's `recv_match` loop, a table beside pandas.
+ULogs beside pyulog, telemetry and DataFlash beside pymavlink's `recv_match` loop, a table beside pandas.
 """
 
 from __future__ import annotations
@@ -19,6 +19,8 @@ from pathlib import Path
 from bench.harness import LOGS
 
 TABLE_ROWS = 12_000
+DATAFLASH = LOGS / "dataflash" / "sitl_copter_49s.BIN"
+DATAFLASH_BYTES = 50_000
 TABLE = LOGS / "ardrone" / "ardrone2_flight_nav_198hz.parquet"
 
 
@@ -54,6 +56,11 @@ def cases(folder: Path) -> Iterator[tuple[Path, Callable[[Path], object]]]:
         yield path, read_with_pyulog
     for path in sorted((LOGS / "tlog").glob("sitl_copter_*.tlog")):
         yield path, read_with_pymavlink
+    if DATAFLASH.exists():
+        begun = folder / "sitl_copter_50kB.bin"
+        begun.write_bytes(DATAFLASH.read_bytes()[:DATAFLASH_BYTES])
+        yield begun, read_with_pymavlink
+        yield DATAFLASH.with_name("copter_437s.bin"), read_with_pymavlink
     if TABLE.exists():
         import pandas as pd
 

@@ -157,5 +157,5 @@ def _walked(blob: bytes) -> tuple[np.ndarray[tuple[int], np.dtype[np.int64]], di
     """Where messages begin, the lengths of their ids, and how many bytes are none."""
     walker = Walker()
     messages, _ = walker.walk(memoryview(blob), 0, len(blob))
-    lengths = dict(enumerate(walker.definitions.lengths().tolist()))
+    lengths = dict(enumerate(walker.lengths.tolist()))
     return messages.start, lengths, walker.damage().bytes_skipped

@@ -50,4 +50,12 @@ def say_skipped(skipped: Sequence[tuple[str | Path, str]]) -> None:
                 say(f"skipped: {path}: {reason}")
         else:
             names = first_of([str(path) for path, _ in alike], NAMES_SHOWN)
-            say(f"skipped: {counted(len(alike), 'file')}: {names}: {alike[0][1]}")
+            say(f"skipped: {counted(len(alike), 'file')}: {names}: {_shared(alike[0][1], alike)}")
+
+
+def _shared(reason: str, alike: Sequence[tuple[str | Path, str]]) -> str:
+    """The reason of files that are skipped for one kind of reason: without what is of the first one only."""
+    if all(other == reason for _, other in alike):
+        return reason
+    what, mark, hint = reason.partition("; try: ")
+    return what.partition(":")[0] + mark + hint

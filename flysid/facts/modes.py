@@ -1,7 +1,7 @@
 """Names of flight modes, which logs carry as numbers only.
 
 The tables stand in `modes.toml`: ArduPilot's numbers by kind of vehicle, PX4's by release, the flags of
-Betaflight and INAV by release. A number without a name stays a number, with the vehicle it is of.
+Betaflight and its relatives by release. A number without a name stays a number, with the vehicle it is of.
 """
 
 from __future__ import annotations

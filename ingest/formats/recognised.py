@@ -210,7 +210,7 @@ STRANGERS = (
         "a list of parameters",
         "it holds settings, not a flight: give the log",
         _text(
-            rb"(#[^\n]*\n)*(((\d+\t){2})?[A-Z][A-Z0-9_]{2,15}[ ,\t]+-?[0-9.]+(e[+-]?\d+)?(\t\d+)?\s*\n){3}"
+            rb"((#[^\n]*\n)*((\d+\t){2})?[A-Z][A-Z0-9_]{2,15}[ ,\t]+-?[0-9.]+(e[+-]?\d+)?(\t\d+)?\s*\n){3}"
         ),
     ),
     Stranger(
@@ -242,6 +242,19 @@ STRANGERS = (
         "a copy of a symbolic link", "copy the file that it points to", _begins(b"XSym\n", b"!<symlink>")
     ),
     Stranger("a property list of macOS", "give the log", _begins(b"bplist00"), "document"),
+    Stranger(
+        "a note of macOS about another file",
+        "give the file of the same name without ._ in front",
+        _begins(b"\0\5\x16\7"),
+        "note of macOS",
+    ),
+    Stranger("a note of macOS about a folder", "give the log", _begins(b"\0\0\0\1Bud1"), "note of macOS"),
+    Stranger(
+        "a shortcut of Windows",
+        "give the file that it points to",
+        _begins(b"L\0\0\0\1\x14\2\0"),
+        "shortcut",
+    ),
     Stranger(
         "observations of a GPS receiver (RINEX)",
         "the autopilot's own log holds the positions, too",

@@ -268,6 +268,12 @@ def _of_text(head: bytes, meant: list[Format]) -> Cause | None:
     shown = repr(line if len(line) <= _SHOWN else line[:_SHOWN] + "...")
     if line[:1] in ("{", "["):
         return Cause(f"a JSON document that is no log of mavlogdump: {shown}", "give the log itself")
+    if b"\n" not in head and head.strip().count(b"\r"):
+        return Cause(
+            f"text whose lines end with CR alone, as old programs of the Mac write them: {shown}",
+            "turn them: tr '\\r' '\\n' < IN > OUT; or save it again with line ends of Unix or Windows",
+            head.index(b"\r"),
+        )
     if not head.strip().count(b"\n"):
         return Cause(f"one line of text: {shown}", "give the log itself; a table has rows below its names")
     if any(fmt.name == "csv" for fmt in meant):

@@ -75,6 +75,7 @@ MOVED_RAD = np.radians(2.0)
 SHARE_LOGGED = 0.9
 """Of the flight: a stream that is there for less of it is told to be."""
 
+RECORD_ANYTHING = "the log ends where its records would begin: copy it again, or fly with logging on"
 ADVICE = {
     "blackbox": "log every fourth loop or more: blackbox_sample_rate, before Betaflight 4.3 blackbox_p_ratio",
     "dataflash": "set LOG_BITMASK bit 0 (fast attitude); LOG_FILE_RATEMAX 0",
@@ -244,7 +245,10 @@ def verdict(found: Survey) -> tuple[str, str]:
             "a table: 'flysid show' lists its columns",
             "name two of its columns to 'flysid fit': --from, --to",
         )
-    if not attitude and not velocity and not rates:
+    nothing = not attitude and not velocity and not rates
+    if nothing and not round(found.duration_s, 3):
+        return "empty: no record behind the definitions", RECORD_ANYTHING
+    if nothing:
         return "unusable: no attitude and no velocity", advice
     if found.duration_s < MIN_DURATION_S:
         return f"too short: {found.duration_s:.0f} s", FLY_MORE

@@ -134,6 +134,10 @@ CAUSES: list[Row] = [
     ),
     ("annex.ulg", b"/annex/objects/SHA256E-s12345--4d7a.ulg\n", "git-annex", "git annex get", 0),
     ("link.bin", b"XSym\n0012\n3f2a\nlogs/a.bin", "symbolic link", "points to", 0),
+    ("mac.csv", TABLE.replace("\n", "\r").encode(), "lines end with CR alone", "tr '", 6),
+    ("._a.bin", b"\0\5\x16\7\0\2\0\0Mac OS X" + bytes(66), "note of macOS", "without ._", 0),
+    (".DS_Store.bin", b"\0\0\0\1Bud1" + bytes(66), "about a folder", "give the log", 0),
+    ("a.bin.lnk", b"L\0\0\0\1\x14\2\0" + bytes(66), "shortcut of Windows", "points to", 0),
     ("names.csv", b"time,x\n", "one line of text: 'time,x'", "rows below", 0),
     ("short.ulg.gz", lambda: gzip.compress(ulog.build())[:12], "end early", "download or copy", None),
     # ------------------------------------------------------------------ packed
@@ -178,7 +182,7 @@ CAUSES: list[Row] = [
     ("settings.csv", PARAMETERS, "a list of parameters", "settings, not a flight", 0),
     (
         "qgc.ulg",
-        b"# Onboard parameters\n#\n" + b"1\t1\tACRO_P\t4.5\t9\n" * 5,
+        b"# Onboard parameters\n#\n" + b"1\t1\tACRO_P\t4.5\t9\n# a note\n" * 5,
         "a list of parameters",
         "flight",
         0,
@@ -265,6 +269,27 @@ def test_a_damaged_log_that_was_copied_as_text_is_told_so(tmp_path: Path) -> Non
     (tmp_path / "a.bin").write_bytes(dataflash.build().replace(b"\n", b"\r\n"))
     done = call("doctor", "a.bin", cwd=tmp_path)
     assert "it was copied as text, which put a byte 0D ahead of every 0A" in " ".join(done.stderr.split())
+
+
+def test_a_log_without_records_is_told_so(tmp_path: Path) -> None:
+    """Two of these were advised to log more often."""
+    blob = dataflash.build()
+    last = max(record.end for record in dataflash.records(blob) if blob[record.start + 2] == 128)
+    (tmp_path / "formats.bin").write_bytes(blob[:last])
+    (tmp_path / "header.bbl").write_bytes(one_session()[: one_session().index(b"H Field")])
+    done = call("doctor", "formats.bin", "header.bbl", cwd=tmp_path)
+    told = " ".join((done.stdout + done.stderr).split())
+    assert "formats.bin, header.bbl: empty: no record behind the definitions" in told, told
+
+
+def test_files_that_are_skipped_for_one_kind_of_reason_share_no_words_of_one(tmp_path: Path) -> None:
+    names = [f"{k}.log" for k in range(5)]
+    for name in names:
+        (tmp_path / name).write_text(f"note {name}")
+    done = call("doctor", *names, cwd=tmp_path)
+    assert (
+        "skipped: 5 files: 0.log, 1.log, 2.log and 2 more: one line of text; try: give the log" in done.stderr
+    )
 
 
 def test_random_bytes_never_stop_a_refusal(fresh_seed: int) -> None:

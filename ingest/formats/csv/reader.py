@@ -41,6 +41,7 @@ from flysid.ingest.formats.csv.preamble import read_preamble
 
 STREAM = "table"
 MAX_LINE_BYTES = 1 << 20
+TAIL_BYTES = 1 << 12
 BATCH_BYTES = 1 << 22
 _AROUND = re.compile(rb"(?m)^[ \t]+|[ \t]+(?=\r?$)")
 _BETWEEN = re.compile(rb"[ \t]+")
@@ -96,11 +97,20 @@ def _with_time(layout: Layout, view: memoryview, name: str, limits: Limits) -> L
     time = layout.time
     if time is None:
         return layout
-    tail = bytes(view[max(layout.start, len(view) - MAX_LINE_BYTES) :]).rpartition(b"\n")[0]
-    cells = cells_of(tail.rpartition(b"\n")[2].decode("utf-8", "replace"), layout.separator)
+    cells = cells_of(_last_line(view, layout.start).decode("utf-8", "replace"), layout.separator)
     last = [] if time.forms else numbers_in(cells[time.parts[0] : time.parts[0] + 1], time.style)
     told = time.resolved(last[0] if last else time.first[-1], limits.time_unit, limits.date_order, name)
     return replace(layout, time=told)
+
+
+def _last_line(view: memoryview, start: int) -> bytes:
+    """The last line that has an end, of those from `start` on; a megabyte is searched where it is long."""
+    for size in (TAIL_BYTES, MAX_LINE_BYTES):
+        first = max(start, len(view) - size)
+        _, mark, line = bytes(view[first:]).rpartition(b"\n")[0].rpartition(b"\n")
+        if mark or first == start:
+            break
+    return line
 
 
 def _schema(layout: Layout) -> pa.Schema:

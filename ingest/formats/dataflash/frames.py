@@ -37,6 +37,7 @@ from flysid.ingest.formats.dataflash.inner import (
 from flysid.ingest.formats.dataflash.layouts import (
     FMT_ID,
     HEADER_BYTES,
+    IDS,
     Definitions,
     is_consistent,
     may_define,
@@ -101,6 +102,14 @@ class Walker:
     _lost_at: int | None = None
     _reason: str = ""
     _last_ns: int | None = None
+    _ids: Ids = field(init=False)
+    _codes: CodeArray = field(init=False)  # (256,) the definition of every id
+
+    def __post_init__(self) -> None:
+        self._ids = meaning(self.definitions)
+        self._codes = np.zeros(IDS, dtype=np.uint16)
+        for number, index in self.definitions.current.items():
+            self._codes[number] = index
 
     def walk(self, content: memoryview, base: int, limit: int) -> tuple[Messages, int]:
         """Messages that start in content[:limit], and where in the file the next batch begins.
@@ -109,20 +118,21 @@ class Walker:
         """
         batch = _prepare(content, limit, self._last_ns)
         data = content
-        ids, codes = self._learnt()
+        ids, codes = self._ids, self._codes
         kinds: list[CodeArray] = []
         position = self._search(batch, base, 0, ids) if self._lost_at is not None else 0
         while position < min(limit, batch.end) and self._lost_at is None:
             first = len(batch.starts)
-            position = _clean_stretch(batch, position, ids)
+            if not _is_definition(batch, position):
+                position = _clean_stretch(batch, position, ids)
             kinds.extend(codes[batch.raw[found + 2]] for found in batch.starts[first:])
             if position >= min(limit, batch.end):
                 break
             if self._accepts(batch, position, ids):
                 batch.starts.append(np.array([position], dtype=np.int64))
                 number = data[position + 2]
-                if number == FMT_ID and self._define(data, position):
-                    ids, codes = self._learnt()
+                if number == FMT_ID:
+                    self._define(data, position)
                 kinds.append(codes[[number]])
                 position += int(ids.lengths[number])
             else:
@@ -136,9 +146,10 @@ class Walker:
         self._last_ns = batch.last_ns(ids)
         return Messages(batch.raw, start, code), base + position
 
-    def _learnt(self) -> tuple[Ids, CodeArray]:
-        """What the ids mean, and the index of the definition of every id, (256,)."""
-        return meaning(self.definitions), self.definitions.codes()
+    @property
+    def lengths(self) -> IntArray:
+        """(256,) bytes of a message of each id, as it is defined now; 0 where unknown."""
+        return self._ids.lengths
 
     def damage(self) -> Damage:
         """What was lost so far."""
@@ -159,8 +170,14 @@ class Walker:
         time_ns = stated_ns(data, at, ids) if self._lost_at is not None else None
         return time_ns is None or batch.neighbours(end, ids).admit(time_ns)
 
-    def _define(self, data: memoryview, at: int) -> bool:
-        return self.definitions.add(*stated_definition(data, at))
+    def _define(self, data: memoryview, at: int) -> None:
+        """Take in the FMT at `at`."""
+        stated = stated_definition(data, at)
+        if self.definitions.add(*stated):
+            number = stated[0]
+            index = self.definitions.current[number]
+            self._ids.learn(number, self.definitions.items[index])
+            self._codes[number] = index
 
     def _note_reason(self, data: memoryview, at: int, lengths: IntArray) -> None:
         if data[at : at + 2] != HEAD or at + 2 >= len(data):
@@ -227,6 +244,12 @@ def _content_end(raw: npt.NDArray[np.uint8]) -> int:
         if len(raw) - end >= MIN_PADDING:
             return end
     return len(raw)
+
+
+def _is_definition(batch: _Batch, at: int) -> bool:
+    """Whether a FMT's header stands at `at`: a stretch of other messages is over before it begins."""
+    head = batch.data[at : at + HEADER_BYTES]
+    return bool(head[:2] == HEAD) and len(head) == HEADER_BYTES and head[2] == FMT_ID
 
 
 def _clean_stretch(batch: _Batch, position: int, ids: Ids) -> int:

@@ -9,11 +9,20 @@ be wrong, and headers inside count that lead to its end, or to two messages in a
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
 
 from flysid.ingest.formats.common.clock import BACK_STEP_NS, IntArray
-from flysid.ingest.formats.dataflash.layouts import FMT_ID, Definitions, is_consistent, stated_definition
+from flysid.ingest.formats.dataflash.layouts import (
+    FMT_ID,
+    IDS,
+    Definition,
+    Definitions,
+    is_consistent,
+    stated_definition,
+)
 
 HEAD = b"\xa3\x95"
 LOOK_AROUND = 64
@@ -32,25 +41,32 @@ class Ids:
     """
 
     lengths: IntArray
-    clocks: Mapping[int, tuple[int, int, int]]
-    doubtful: frozenset[int]
+    clocks: dict[int, tuple[int, int, int]] = field(default_factory=dict)
+    doubtful: set[int] = field(default_factory=set)
+
+    def learn(self, number: int, definition: Definition) -> None:
+        """An id has been defined; a small log consists of definitions, so that each costs its own."""
+        self.lengths[number] = definition.length
+        self.doubtful.discard(number)
+        self.clocks.pop(number, None)
+        layout = definition.layout
+        if layout is None:
+            self.doubtful.add(number)
+            return
+        names = layout.dtype.names or ()
+        for label, tick in TICKS_NS.items():
+            if label in names and layout.dtype[label].kind == "u":
+                kind, at = layout.dtype.fields[label][:2]  # type: ignore[index]
+                self.clocks[number] = at + 3, kind.itemsize, tick
+                break
 
 
 def meaning(definitions: Definitions) -> Ids:
     """The ids as they are defined now."""
-    clocks = {}
-    doubtful = set()
+    ids = Ids(np.zeros(IDS, dtype=np.int64))
     for number, index in definitions.current.items():
-        layout = definitions.items[index].layout
-        if layout is None:
-            doubtful.add(number)
-            continue
-        for label, tick in TICKS_NS.items():
-            if label in (layout.dtype.names or ()) and layout.dtype[label].kind == "u":
-                kind, at = layout.dtype.fields[label][:2]  # type: ignore[index]
-                clocks[number] = at + 3, kind.itemsize, tick
-                break
-    return Ids(definitions.lengths(), clocks, frozenset(doubtful))
+        ids.learn(number, definitions.items[index])
+    return ids
 
 
 @dataclass(frozen=True)

@@ -23,6 +23,7 @@ from flysid.ingest.formats.common.columns import Field, RecordLayout
 from flysid.ingest.formats.common.instance_names import INSTANCE_NAMES, TIMES
 
 FMT_ID = 128
+IDS = 256  # that a byte can tell apart
 FMT_LENGTH = 89
 HEADER_BYTES = 3
 MAX_DEFINITIONS = 4096
@@ -117,20 +118,6 @@ class Definitions:
         self.current[number] = index
         return True
 
-    def lengths(self) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
-        """(256,) length of each message id; 0 where unknown."""
-        table = np.zeros(256, dtype=np.int64)
-        for number, index in self.current.items():
-            table[number] = self.items[index].length
-        return table
-
-    def codes(self) -> np.ndarray[tuple[int], np.dtype[np.uint16]]:
-        """(256,) index into `items` of each message id."""
-        table = np.zeros(256, dtype=np.uint16)
-        for number, index in self.current.items():
-            table[number] = index
-        return table
-
     def _stream_key(self, number: int, name: str, form: str, columns: tuple[str, ...]) -> str:
         name = name or f"#{number}"
         variants = self._names.setdefault(name, [])
@@ -150,9 +137,13 @@ def packed_length(form: str) -> int:
 
 def stated_definition(data: memoryview, at: int) -> tuple[int, int, str, str, str]:
     """Type, length, name, format and labels of the FMT message at `at`."""
-    body = bytes(data[at + HEADER_BYTES : at + FMT_LENGTH]).ljust(FMT_LENGTH - HEADER_BYTES, b"\0")
-    name, form, labels = (_text(body[a:b]) for a, b in ((2, 6), (6, 22), (22, 86)))
-    return body[0], body[1], name, form, labels
+    return _stated(bytes(data[at + HEADER_BYTES : at + FMT_LENGTH]).ljust(FMT_LENGTH - HEADER_BYTES, b"\0"))
+
+
+@lru_cache(maxsize=1024)
+def _stated(body: bytes) -> tuple[int, int, str, str, str]:
+    """The same of a message's body; logs of one firmware share theirs."""
+    return body[0], body[1], _text(body[2:6]), _text(body[6:22]), _text(body[22:86])
 
 
 def may_define(raw: npt.NDArray[np.uint8], at: npt.NDArray[np.int64]) -> npt.NDArray[np.bool_]:
@@ -179,6 +170,7 @@ def _text(raw: bytes) -> str:
     return raw.split(b"\0", 1)[0].decode("ascii", "replace")
 
 
+@lru_cache(maxsize=1024)
 def is_consistent(number: int, length: int, name: str, form: str, labels: str) -> bool:
     """Does a FMT agree with itself: plain name, a label per field, the right length?"""
     columns = tuple(labels.split(",")) if labels else ()

@@ -31,6 +31,8 @@ from flysid.ingest.formats.dataflash.inner import HEAD
 from flysid.ingest.formats.dataflash.layouts import FMT_ID, HEADER_BYTES, Definition, Units
 
 SNIFF_BYTES = 16384
+FIRST_BYTES = 2048
+SNIFF_MESSAGES = 3
 SYSTEM = 1
 GPS_EPOCH_NS = 315_964_800 * SECOND_NS
 LEAP_SECONDS = ((1_483_228_800, 18), (1_435_708_800, 17), (1_341_100_800, 16), (1_230_768_000, 15), (0, 14))
@@ -46,8 +48,12 @@ def sniff(head: bytes, name: str) -> float:  # noqa: ARG001
     """Confidence that these bytes begin a DataFlash log: does it define a message, and chain?"""
     if HEAD + bytes([FMT_ID]) not in head[:SNIFF_BYTES]:
         return 0.0
-    messages, _ = Walker().walk(memoryview(head), 0, len(head))
-    return 0.95 if len(messages) >= 3 else 0.6 if len(messages) else 0.0
+    few = 0
+    for part in (head[:FIRST_BYTES], head):  # most logs show in their first formats what they are
+        few = len(Walker().walk(memoryview(part), 0, len(part))[0])
+        if few >= SNIFF_MESSAGES:
+            return 0.95
+    return 0.6 if few else 0.0
 
 
 @dataclass

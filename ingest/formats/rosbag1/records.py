@@ -44,8 +44,10 @@ _NEEDS: Mapping[int, Mapping[bytes, int]] = {  # size of each field; 0 for any
     Op.CHUNK_INFO: {b"ver": 4, b"chunk_pos": 8, b"start_time": 8, b"end_time": 8, b"count": 4},
     Op.CONNECTION: {b"conn": 4, b"topic": 0},
 }
-_MESSAGE = re.compile(rb"(?s)\x26\0\0\0\x09\0\0\0conn=(.{4})\x04\0\0\0op=\x02\x0d\0\0\0time=(.{8})(.{4})")
-"""A message as recorders write it, most of what there is: up to its data, whose length is last."""
+_MESSAGE = re.compile(
+    rb"(?s)\x26\0\0\0(?:\x09\0\0\0conn=(.{4})|\x04\0\0\0op=(\x02)|\x0d\0\0\0time=(.{8})){3}(.{4})"
+)
+"""A message, most of what there is: its three fields in any order, up to its data, whose length is last."""
 _START = re.compile(
     rb"(?s)..\0\0..\0\0(?:op|conn|topic|time|ver|count|size|compression|index_pos|conn_count|chunk_count"
     rb"|chunk_pos|start_time|end_time)="
@@ -94,9 +96,10 @@ def split_fields(raw: bytes) -> dict[bytes, bytes] | None:
 
 def record_at(view: memoryview | bytes, at: int, limit: int) -> BagRecord | None:
     """The record that begins at `at`; its end may be behind `limit`. None where there is none."""
-    if (message := _MESSAGE.match(view, at, limit)) is not None:
-        fields = {b"conn": message[1], b"op": b"\2", b"time": message[2]}
-        return BagRecord(Op.MESSAGE, fields, at, message.end(), message.end() + _U32.unpack(message[3])[0])
+    message = _MESSAGE.match(view, at, limit)
+    if message is not None and None not in message.groups():
+        fields = {b"conn": message[1], b"op": b"\2", b"time": message[3]}
+        return BagRecord(Op.MESSAGE, fields, at, message.end(), message.end() + _U32.unpack(message[4])[0])
     if at + 8 > limit:
         return None
     (length,) = _U32.unpack_from(view, at)

@@ -75,6 +75,10 @@ def test_a_heartbeat_of_px4_names_main_mode_and_the_mode_below(name: str) -> Non
         ("betaflight", "2025.12.0", 1 | 1 << 9 | 1 << 1, "POSHOLD"),
         ("inav", "7.1.0", 1 | 1 << 8 | 1 << 1, "NAVRTH"),
         ("inav", "7.1.0", 1 | 1 << 35, "NAVCOURSEHOLD"),
+        ("emuflight", "0.4.3", 1 | 1 << 1 | 1 << 8, "NFE_RACE"),
+        ("emuflight", "0.4.3", 1 | 1 << 9, "ACRO"),  # gravity compensation alone
+        ("rotorflight", "4.5.0", 1 | 1 << 5 | 1 << 1, "RESCUE"),
+        ("rotorflight", "4.5.0", 1 | 1 << 10, "ACRO"),
     ],
 )
 def test_flags_of_a_blackbox_are_modes(autopilot: str, firmware: str, flags: int, name: str) -> None:
