@@ -50,6 +50,7 @@ soak: $(VENV)/.installed  ## hours: long campaigns (docs/reliability.md), the ve
 	$(BIN)/python -m bench.monte_carlo 1000
 	FLYSID_ALL_SIZES=1 $(BIN)/python -m pytest tests/flysid/studio/test_journey.py
 	ALL_DOORS=1 $(BIN)/python -m pytest tests/doors
+	DRAWS=50 $(BIN)/python -m pytest tests
 	$(BIN)/python -m soak
 
 bench-model: $(VENV)/.installed  ## linear and fuzzy models against their peers (installed with pip beforehand), ratios

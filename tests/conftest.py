@@ -41,6 +41,16 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
         metafunc.parametrize("fresh_seed", range(draws()), indirect=True, scope="module")
 
 
+@pytest.hookimpl(trylast=True)  # the Hypothesis plugin marks its tests before
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Where tests are drawn more than once, those that draw nothing are left out."""
+    if draws() == 1:
+        return
+    plain = [i for i in items if not {"fresh_seed", "hypothesis"} & {*i.fixturenames, *i.keywords}]  # type: ignore[attr-defined]
+    config.hook.pytest_deselected(items=plain)
+    items[:] = [item for item in items if item not in set(plain)]
+
+
 @pytest.fixture(scope="module")
 def fresh_seed() -> int:
     """Another one in every run; see `tests.drawn`."""

@@ -1,8 +1,8 @@
 """Fresh seeds, and how much chance a test may take for a fault.
 
 A test that draws takes the fixture `fresh_seed`: it is another one in every run, and pytest prints it with
-the failure. `DRAWN_SEED=123 python -m pytest FILE` repeats a run, `DRAWS=1000 python -m pytest FILE` makes a
-thousand of each such test in FILE. Decision 33 says what a drawn test has to prove before it may stand here.
+the failure. `DRAWN_SEED=123 python -m pytest FILE` repeats a run, `DRAWS=50 python -m pytest FILE` makes
+fifty of each such test in FILE. Decision 33 says what a drawn test has to prove before it may stand here.
 """
 
 from __future__ import annotations
@@ -13,8 +13,9 @@ import secrets
 from scipy.special import bdtr, bdtrc
 
 SEEDS = 2**40
-CHANCE = 1e-6
-"""The share of runs in which one bound fails by chance: with the ten that the tests have, 1 in 100,000."""
+CHANCE = 1e-7
+"""The share of runs in which one bound fails by chance: with the forty that the tests have, fewer than 1 in
+100,000."""
 
 
 def draws() -> int:

@@ -21,7 +21,7 @@ LEAST = 0.8
 """Share of the records in which the interval of a figure holds the truth."""
 FALSE_SHARE = 0.05
 """Share of the records in which a figure without a truth may be printed."""
-ANSWERED = 0.5
+ANSWERED = 0.8
 """Share of the records that have most of their figures printed."""
 
 

@@ -62,3 +62,11 @@ def test_an_oscillation_that_does_not_decay_remembers_its_start() -> None:
         none = np.zeros((1, 0))
         parameters = Parameters(theta, none, none, np.zeros((2, 0)), far)
         assert is_contracting(runs(), SEEN, layout.depth, layout.lags, parameters) is forgets
+
+
+@pytest.mark.parametrize(("gone_at", "forgets"), [(2100, True), (2300, False)])
+def test_the_last_quarter_of_the_run_decides(gone_at: int, forgets: bool) -> None:
+    """Runs of 3,000 samples, of starts that are a quarter of what was seen apart at one of them."""
+    pole = 0.5 ** (1.0 / gone_at)
+    layout, parameters = two_rules((pole, 0.0), (pole, 0.0))
+    assert is_contracting(runs(), SEEN, layout.depth, layout.lags, parameters) is forgets

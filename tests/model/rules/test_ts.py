@@ -124,9 +124,14 @@ def test_firing_sums_to_one_and_weighs_rule_outputs(bent: FittedTS) -> None:
 
 
 def test_rules_speak(bent: FittedTS) -> None:
-    for rule in bent.rules():
+    """All coefficients stand in the words: where those break, a rule says "y(k) = ..." and goes on."""
+    for rule, (row,) in zip(bent.rules(), bent.consequents, strict=True):
         assert "'" in rule.condition
         assert rule.conclusion.startswith("y(k) = ")
+        said = re.findall(
+            r"(-?) ?([\d.e-]+)(?: [yu]\(k(?:-\d+)?\))?(?= [+-]|$)", rule.conclusion.partition(" = ")[2]
+        )
+        np.testing.assert_allclose([float(sign + value) for sign, value in said], row, rtol=5e-3)
         assert rule.dc_gain.shape == (1, 1)
         assert 0 <= rule.support <= 1
     assert sum(r.support for r in bent.rules()) == pytest.approx(1.0)
