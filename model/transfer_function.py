@@ -32,7 +32,7 @@ from flysid.model.frequency.initial_guess import Starts
 from flysid.model.frequency.rational import Hold, Rational, forms
 from flysid.model.frequency.response import Method, split_references
 from flysid.model.frequency.sampling import sample
-from flysid.model.last_gates import refuse
+from flysid.model.last_gates import shortfall
 from flysid.model.linear.data import Parts, judging_window
 from flysid.model.linear.difference_equation import FittedLinear
 from flysid.model.linear.difference_equation import from_dict as linear_from_dict
@@ -204,7 +204,7 @@ class TF(Settings):
         UsageError : settings that cannot be.
         DataError : too few samples, a signal that never changes, or no trustworthy frequency where
             refine=False or stable=False need one.
-        FitError : nothing could be fitted; without references, the model loses its own training data.
+        FitError : nothing could be fitted.
         """
         plant, references = split_references(train, self.reference)
         self._check(len(plant.inputs))
@@ -217,9 +217,11 @@ class TF(Settings):
         notes = tuple(f"{o.name}: {words}." for o, (_, words) in zip(train.outputs, chosen, strict=True))
         if not model.is_stable:
             notes += (unstable_note(transfers),)
-        model = replace(model.among(train.inputs, references), notes=notes)
-        if not self.reference:  # in a feedback loop a free run follows the noise
-            refuse(model, {}, train)
+        model = model.among(train.inputs, references)
+        lost = "" if self.reference else shortfall(model, {}, train)  # in a loop a run follows the noise
+        if lost:
+            notes += (f"Not for simulation: its {lost}.",)
+        model = replace(model, notes=notes)
         return _as_tf(model, transfers, tuple(c.count for c, _ in chosen))
 
     def check(self) -> None:

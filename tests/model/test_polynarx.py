@@ -206,7 +206,7 @@ def test_a_forged_file_is_refused(damage: dict[str, object]) -> None:
 
 
 def test_settings_that_cannot_be_are_refused() -> None:
-    with pytest.raises(UsageError, match="most_terms is -1"):
+    with pytest.raises(UsageError, match="most_terms is a whole number from 0 on, not -1"):
         PolyNARX(most_terms=-1).fit(data())
 
 

@@ -61,6 +61,8 @@ def test_settings_are_copied_and_stored(estimator: type[Settings]) -> None:
         (flysid.BJ, {"nc": 2}),
         (flysid.IV, {"reference": "u"}),
         (flysid.TF, {"hold": "none"}),
+        (flysid.TF, {"trend": "quadratic"}),
+        (flysid.TF, {"n_init": 0}),
         (flysid.TF, {"band": (2.0, 1.0)}),
         (flysid.TF, {"band": 3.0}),
         (flysid.FIR, {"taps": 0}),

@@ -145,5 +145,5 @@ def test_a_drift_is_taken_out_on_request(structure: type[ARX] | type[OE]) -> Non
     bent, straight = (structure(na=1, nb=1, nk=1, trend=t).fit(data) for t in ("none", "remove"))
     assert abs(straight.poles[0] - 0.95) < 0.2 * abs(bent.poles[0] - 0.95)
     assert abs(straight.poles[0] - 0.95) < 0.01
-    with pytest.raises(UsageError, match="trend is 'away'"):
+    with pytest.raises(UsageError, match=r"trend is .*, not 'away'"):
         structure(trend="away").fit(data)  # type: ignore[arg-type]
