@@ -135,11 +135,12 @@ def _lines(one: Forecast) -> list[str]:
     over = " -> ".join(f"{100.0 * side.step.overshoot:.0f}" for side in (before, after))
     limited = " -> ".join(f"{100.0 * side.limited:.1f}" for side in (before, after))
     low, high = one.band_hz
+    noise = "not determined: the log is too slow" if one.noise is None else f"{one.noise:.2f} times"
     rows = [
         f"{one.axis}: {_gains(before.gains, after.gains)} ({whose})",
         *(f"  {_pair(one, *row)}" for row in ROWS),
         f"  step of the setpoint: rise {rise} ms, overshoot {over} %",
-        f"  noise to the motors {one.noise:.2f} times; at the output's limit {limited} % of the flight",
+        f"  noise to the motors {noise}; at the output's limit {limited} % of the flight",
         f"  known from {low:.0f} to {high:.0f} Hz; the intervals hold for {scope}",
         f"  the law of {one.law} gives the flown response to {100.0 * one.off:.0f} %",
     ]

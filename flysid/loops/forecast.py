@@ -94,7 +94,7 @@ class Forecast:
     next_flight : whether the intervals hold for one more flight.
     f, band_hz : (F,) Hz of the responses, inside the band in which the plant is known.
     before, after : under the flown settings, and the new ones.
-    noise : of the output above what the sticks move, after over before.
+    noise : of the output above what the sticks move, after over before; None where the log holds none.
     off : median error of the response under the flown settings against the measured one.
     law : firmware and version.
     """
@@ -106,7 +106,7 @@ class Forecast:
     band_hz: tuple[float, float]
     before: Side
     after: Side
-    noise: float
+    noise: float | None
     off: float
     law: str
 
@@ -319,9 +319,14 @@ def _limited(
     return over / max(rows, 1)
 
 
-def _noise(loop: Loop, turning: Turning, old: Controller, new: Controller, step_s: float) -> float:
-    """Root mean square of the output above what the sticks move, new over old, from the flight's own gyro."""
+def _noise(loop: Loop, turning: Turning, old: Controller, new: Controller, step_s: float) -> float | None:
+    """Root mean square of the output above what the sticks move, new over old, from the flight's own gyro.
+
+    None of a log that is too slow to hold anything there.
+    """
     at = (loop.f >= NOISE_FROM_HZ) & (loop.f < 0.4 / step_s)
+    if not at.any():
+        return None
     f = loop.f[at]
     power = loop.mean[2, 2][at].real / np.abs(1.0 - np.exp(-2j * np.pi * f * step_s)) ** 2
     g = turning.response(f, step_s)

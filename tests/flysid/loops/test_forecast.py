@@ -151,3 +151,17 @@ def test_a_real_flight_predicts_another_under_its_own_gains() -> None:
     off = [np.median(np.abs(told[side]["response"]["db"][: len(f)] - real)) for side in ("after", "before")]
     assert off[0] < 1.0
     assert off[0] < 0.5 * off[1]
+
+
+def test_a_log_too_slow_for_noise_says_so() -> None:
+    """A ULog of 20 Hz: `--json` ended in a traceback, the text printed "nan times"."""
+    log = LOGS.parent / "ulog" / "quad_stabilised_92s.ulg"
+    if not log.exists():
+        pytest.skip("no shared logs here")
+    order = [str(log), "--set", "MC_ROLLRATE_P=0.16"]
+    told = CliRunner().invoke(command, [*order, "--json"])
+    assert told.exit_code == 0, told.output
+    assert json.loads(told.stdout)["axes"][0]["noise"] is None
+    assert (
+        "noise to the motors not determined: the log is too slow" in CliRunner().invoke(command, order).stdout
+    )
