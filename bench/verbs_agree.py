@@ -125,7 +125,7 @@ def stated(verbs: Mapping[str, Any]) -> Iterator[Stated]:
         yield from _kept("step", step["channel"], "time to 10 %, ms", figures["latency"])
         yield from _kept("step", step["channel"], "overshoot, %", figures["overshoot"])
     for axis in verbs["gains"] or ():
-        yield from _of_loop("gains", axis["axis"], axis["figures"] or {})
+        yield from _of_loop("gains", axis["axis"], axis.get("figures") or {})
     for axis in (verbs["predict"] or {"axes": ()})["axes"]:
         yield from _of_loop("predict", axis["axis"], axis["before"]["figures"])
     tracking = ((verbs["review"] or {}).get("sections") or {}).get("tracking", {"facts": {}})

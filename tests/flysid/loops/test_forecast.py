@@ -61,6 +61,7 @@ def test_three_flights_give_intervals_for_the_next(flights: list[Any]) -> None:
 
 def test_more_gain_is_more_noise_and_a_loop_without_margin_is_named(flights: list[Any]) -> None:
     louder = forecast(flights[:1], "roll", {"d_roll": "50"})
+    assert louder.noise is not None
     assert 1.5 < louder.noise < 2.1  # twice D, the same P
     wild = forecast(flights[:1], "roll", {"p_roll": "250", "d_roll": "20"})
     assert wild.after.unstable > 0.5
@@ -77,6 +78,7 @@ def test_flights_of_px4_and_ardupilot_are_predicted_too() -> None:
     copter = forecast([ardupilot_log(60.0, 1, vehicle=vehicle)], "roll", {"ATC_RAT_RLL_P": "0.2"})
     assert copter.after.figures["crossover_hz"].value is not None
     px4 = forecast([px4_log(60.0, 1, vehicle=vehicle)], "roll", {"MC_ROLLRATE_D": "0.005"})
+    assert px4.noise is not None
     assert px4.noise > 1.0
 
 
