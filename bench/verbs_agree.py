@@ -1,10 +1,10 @@
 """What the verbs print of one log, side by side: bandwidth, delay, gain, crossover, margins.
 
-`python -m bench.verbs_agree [LOG ...] [--journal FILE] [--fits]`: every log of `../shared/logs` by default.
-Each verb runs as a user runs it, in a process of its own, and its JSON is read: `tf`, `step`, `gains`,
-`review`, `predict` with the present gains, and with `--fits` `fit`, `plan` and `design` of its run. One row
-per log and axis: what each verb states of the same quantity, with its 95 % interval. A pair whose intervals
-do not meet is named, with the caution that a verb printed of it, or "no caution".
+`python -m bench.verbs_agree [LOG ...] [--journal FILE]`: every log of `../shared/logs` by default. Each verb
+runs as a user runs it, in a process of its own, and its JSON is read: `tf`, `step`, `gains`, `review`, and
+`predict` of the present loop. One row per log and axis: what each verb states of the same quantity, with its
+95 % interval. A pair whose intervals do not meet is named, with the caution that a verb printed of it, or
+"no caution".
 
 Two quantities are the same only where both verbs mean the same signals: `gains` and `predict` speak of the
 rate loop, `tf` and `step` of the channels of the recipe that fits. A dead time is no more than the time to
@@ -49,13 +49,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m bench.verbs_agree")
     parser.add_argument("logs", type=Path, nargs="*")
     parser.add_argument("--journal", type=Path, help="append every log to this file, go on where it ends")
-    parser.add_argument("--fits", action="store_true", help="fit, plan and design as well")
     order = parser.parse_args()
     kept = _read(order.journal)
     for log in order.logs or sorted(p for p in LOGS.rglob("*") if p.is_file() and p.suffix != ".md"):
         if str(log) in kept:
             continue
-        kept[str(log)] = run(log, fits=order.fits)
+        kept[str(log)] = run(log)
         if order.journal:
             with order.journal.open("a") as file:
                 file.write(json.dumps({"log": str(log), "verbs": kept[str(log)]}) + "\n")
@@ -70,7 +69,7 @@ def _read(journal: Path | None) -> dict[str, dict[str, Any]]:
     return {line["log"]: line["verbs"] for line in lines}
 
 
-def run(log: Path, *, fits: bool) -> dict[str, Any]:
+def run(log: Path) -> dict[str, Any]:
     """What each verb prints of a log as JSON; None where it refuses."""
     place = str(log.resolve())
     found = {
@@ -81,12 +80,6 @@ def run(log: Path, *, fits: bool) -> dict[str, Any]:
     }
     same = _present_gain(found["gains"])
     found["predict"] = _answer("predict", place, "--set", same) if same else None
-    if fits:
-        with TemporaryDirectory() as folder:
-            kept = str(Path(folder) / "run")
-            found["fit"] = _answer("fit", place, "-o", kept, "--effort", "quick", "--quiet")
-            found["plan"] = _answer("plan", kept)
-            found["design"] = _answer("design", kept)
     return found
 
 
@@ -101,17 +94,20 @@ def _answer(*words: str) -> Any:
 
 
 def _present_gain(gains: Any) -> str:
-    """The first gain that a log states, as `predict --set` takes it: nothing changes."""
+    """The first gain that a log states, as `predict --set` takes it, and a little more.
+
+    `predict` refuses what changes nothing; its figures of the present loop are read.
+    """
     for axis in gains or ():
         for name, value in axis["gains"].items():
             if value is None:
                 continue
             if name.endswith(" P"):
-                return f"p_{axis['axis']}={value:g}"
+                return f"p_{axis['axis']}={1.001 * value:.6g}"
             if name == "P":
-                return f"MC_{axis['axis'].upper()}RATE_P={value:g}"
+                return f"MC_{axis['axis'].upper()}RATE_P={1.001 * value:.6g}"
             if name.startswith("ATC_RAT") and name.endswith("_P"):
-                return f"{name}={value:g}"
+                return f"{name}={1.001 * value:.6g}"
     return ""
 
 
