@@ -36,8 +36,8 @@ MOST_ROWS = 50_000
 """Rows of the regression; more take memory and tell nothing new."""
 EVEN = 2.0 / 3.0
 """Share of the pauses between changes of an input that are of one length where the log holds its samples."""
-_ROUNDING = 1e-18
-"""Share of the variance below which what is left over is rounding."""
+SMALLEST = 1e-6
+"""Of the largest direction of the regressors: smaller ones do not count, and what they explain is left."""
 
 
 @dataclass(frozen=True)
@@ -117,7 +117,7 @@ def _later_inputs(signals: list[tuple[FloatArray, FloatArray]], lags: int) -> tu
     gain = float(np.sum((extra.T @ rest) ** 2))
     total = float(rest @ rest)
     freedom = len(target) - kept - added
-    if freedom < 2 * lags or not added or not total > _ROUNDING * len(target):
+    if freedom < 2 * lags or not added or not total > SMALLEST**2 * len(target):
         return 1.0, 0.0
     ratio = (gain / added) / max((total - gain) / freedom, 1e-300)
     # what chance explains on average is taken off the share
@@ -177,8 +177,8 @@ def _rows(y: FloatArray, u: FloatArray, lags: int) -> tuple[FloatArray, FloatArr
 
 
 def _basis(columns: FloatArray, size: float | None = None) -> tuple[FloatArray, int]:
-    """Orthonormal basis of the columns' range, and its dimension; directions below 1e-6 do not count."""
+    """Orthonormal basis of the columns' range, and its dimension; directions below SMALLEST do not count."""
     q, r = np.linalg.qr(columns)  # first, as columns are long: of the triangle the decomposition is cheap
     left, sigma, _ = np.linalg.svd(r, full_matrices=False)
-    rank = int(np.count_nonzero(sigma > 1e-6 * (sigma[0] if size is None else size)))
+    rank = int(np.count_nonzero(sigma > SMALLEST * (sigma[0] if size is None else size)))
     return q @ left[:, :rank], rank

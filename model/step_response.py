@@ -23,7 +23,7 @@ from flysid.feedback import feedback
 from flysid.model.fir import centred_gram, posterior_of
 from flysid.model.low_order_response import averaged_posterior
 from flysid.model.noise import noise_model
-from flysid.model.polynomials import Z95
+from flysid.model.polynomials import Z95, ComplexArray
 from flysid.model.step_figures import StepCurve, StepFigure
 from flysid.model.threads import on_one_thread
 from flysid.showing import significant
@@ -80,6 +80,22 @@ class StepResponse:
     def interval(self) -> tuple[FloatArray, FloatArray]:
         """Pointwise 95 %."""
         return self.step - Z95 * self.error, self.step + Z95 * self.error
+
+    def frequency_response(self, omega: FloatArray, dt_s: float) -> tuple[ComplexArray, FloatArray]:
+        """(F,) of the impulse response whose sum this is, and its relative standard errors.
+
+        Between two times the log's samples, `dt_s` apart, are taken to add alike.
+        """
+        sample_s = float(self.time_s[1])
+        inner = np.arange(max(round(sample_s / dt_s), 1))
+        within = np.exp(1j * np.outer(omega, inner * dt_s)).mean(axis=1)
+        turns = np.exp(-1j * np.outer(omega, self.time_s))
+        turns[:, 1:] *= within[:, None]
+        of_step = turns - np.column_stack([turns[:, 1:], np.zeros(len(omega))])
+        g = np.asarray(of_step @ self.step)
+        variance = np.einsum("fi,ij,fj->f", of_step, self.covariance, of_step.conj()).real
+        size = np.maximum(np.abs(g), np.finfo(float).tiny)
+        return g, np.sqrt(np.maximum(variance, 0.0) / 2.0) / size
 
     @property
     def length_s(self) -> float:

@@ -1,12 +1,14 @@
 """Printed figures held against the truth, on records drawn at random.
 
 `python -m bench.truth [RECORDS] [--journal FILE] [--by KIND] [--seed FIRST]`: plants of eight kinds, six
-kinds of noise, five of logging, four of excitation, open or in a loop with a reference added at the plant's
+kinds of noise, seven of logging, four of excitation, open or in a loop with a reference added at the plant's
 input. Every figure that `tf` and `step` print of them is scored: trials, intervals that hold the truth with
 the exact 95 % bounds of that share, their median width relative to the truth, refused though there is a
 truth, and printed though there is none ("false"). Seeds are fresh every run unless `--seed` names the first.
-With `--journal` every record is kept as it ends: the same command goes on where it stopped. `--by plant` (or
-noise, logging, excitation, loop) adds a table of the shares by kind.
+`--bent`: plants with a saturation, a dead zone, a Hammerstein or a Wiener bend, scored against the best
+linear approximation at the sizes that were flown. With `--journal` every record is kept as it ends: the same
+command goes on where it stopped. `--by plant` (or noise, logging, excitation, loop) adds a table of the
+shares by kind.
 """
 
 from __future__ import annotations
@@ -33,8 +35,9 @@ def main() -> None:
     parser.add_argument("records", type=int, nargs="?", default=200)
     parser.add_argument("--journal", type=Path, help="append every record to this file, go on where it ends")
     parser.add_argument(
-        "--by", choices=["plant", "noise", "logging", "excitation", "loop"], help="a table by kind"
+        "--by", choices=["plant", "noise", "logging", "excitation", "loop", "bend"], help="a table by kind"
     )
+    parser.add_argument("--bent", action="store_true", help="nonlinear plants, in open loop")
     parser.add_argument("--seed", type=int, help="the first of consecutive seeds")
     order = parser.parse_args()
     kept = read_journal(order.journal)
@@ -44,7 +47,7 @@ def main() -> None:
     for seed in range(first, first + order.records):
         if seed in done:
             continue
-        line = run(seed)
+        line = run(seed, bent=order.bent)
         kept.append(line)
         if order.journal:
             with order.journal.open("a") as file:
@@ -54,9 +57,9 @@ def main() -> None:
         print("\n".join(["", *shares_by(kept, order.by)]))
 
 
-def run(seed: int) -> dict[str, Any]:
+def run(seed: int, *, bent: bool) -> dict[str, Any]:
     """A line of the journal: seed, kinds, scores."""
-    record = draw_record(seed)
+    record = draw_record(seed, bent=bent)
     return {"seed": seed, "kinds": record.kinds, "scores": [s.to_dict() for s in scores(record)]}
 
 

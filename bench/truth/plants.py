@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -42,6 +42,11 @@ class Plant:
     def response(self, omega: FloatArray, dt_s: float) -> ComplexArray:
         """(F,) behind its hold, as a record shows it."""
         return np.asarray(sampled_response(self.transfer, omega, dt_s, "zero")[:, 0])
+
+    def scaled(self, factor: float) -> Plant:
+        """The plant with another gain."""
+        tops = tuple(factor * top for top in self.transfer.numerators)
+        return replace(self, transfer=replace(self.transfer, numerators=tops))
 
     def grid(self, dt_s: float) -> FloatArray:
         """(GRID,) rad/s from far below the plant's corner to the Nyquist frequency."""

@@ -25,6 +25,7 @@ NOISES = ("none", "white", "coloured", "drifting", "gusts", "outliers")
 LOGGINGS = ("plain", "quantised", "jitter", "gap", "slow", "event-logged", "merged")
 EXCITATIONS = ("steps", "pilot", "chirp", "multisine")
 LOOPS = ("open", "added at the input")
+BENDS = ("saturation", "dead zone", "Hammerstein", "Wiener")
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,7 +34,9 @@ class Record:
 
     Attributes
     ----------
-    kinds : plant, noise, logging, excitation, loop.
+    plant : of a bent record the best linear approximation: what the response is, scaled by what the bend
+        leaves of it at these sizes (Bussgang, 1952).
+    kinds : plant, noise, logging, excitation, loop, bend.
     controller : gain of the loop from the output back to the input; 0 in open loop.
     """
 
@@ -44,8 +47,8 @@ class Record:
     controller: float
 
 
-def draw_record(seed: int) -> Record:
-    """The record of a seed."""
+def draw_record(seed: int, *, bent: bool = False) -> Record:
+    """The record of a seed; `bent`: of a nonlinear plant in open loop."""
     rng = np.random.default_rng(seed)
     kinds = {
         "plant": str(rng.choice(KINDS)),
@@ -53,7 +56,10 @@ def draw_record(seed: int) -> Record:
         "logging": str(rng.choice(LOGGINGS)),
         "excitation": str(rng.choice(EXCITATIONS)),
         "loop": str(rng.choice(LOOPS, p=[0.7, 0.3])),
+        "bend": "none",
     }
+    if bent:
+        kinds |= {"loop": "open", "bend": str(rng.choice(BENDS))}
     plant = draw_plant(rng, kinds["plant"])
     if kinds["loop"] != "open":
         kinds["logging"] = "plain"
@@ -64,7 +70,8 @@ def draw_record(seed: int) -> Record:
     count = round(float(rng.uniform(60.0, 200.0)) * 2.0 * np.pi / plant.corner / 2.0 / dt_s)
     drive = _excite(rng, kinds["excitation"], plant, dt_s * np.arange(count, dtype=np.float64))
     if kinds["loop"] == "open":
-        return Record(seed, plant, _log_open(rng, plant, drive, dt_s, kinds), kinds, 0.0)
+        data, left = _log_open(rng, plant, drive, dt_s, kinds)
+        return Record(seed, plant.scaled(left), data, kinds, 0.0)
     gain = _controller(rng, plant, dt_s)
     return Record(seed, plant, _log_loop(rng, plant, drive, dt_s, (gain, kinds["noise"])), kinds, gain)
 
@@ -102,11 +109,16 @@ def _noise(rng: np.random.Generator, kind: str, count: int, period: float) -> Fl
 
 def _log_open(
     rng: np.random.Generator, plant: Plant, u: FloatArray, dt_s: float, kinds: dict[str, str]
-) -> Dataset:
+) -> tuple[Dataset, float]:
+    """The record, and what a bend leaves of the response: 1 where there is none."""
     a, (b,) = sample(plant.transfer, dt_s / FINE, "zero")
     changes, values = _changes(rng, u, kinds["logging"])
     held = values[np.searchsorted(changes, np.arange(FINE * len(u)), side="right") - 1]
-    fine = np.asarray(lfilter(b, a, held))
+    if kinds["bend"] == "Wiener":
+        fine, left = _bend(rng, kinds["bend"], np.asarray(lfilter(b, a, held)))
+    else:
+        moved, left = _bend(rng, kinds["bend"], held)
+        fine = np.asarray(lfilter(b, a, moved))
     at = FINE * np.arange(len(u), dtype=np.float64)
     if kinds["logging"] == "jitter":
         at += FINE * min(0.005 / dt_s, 0.5) * rng.uniform(-0.5, 0.5, len(u))
@@ -119,9 +131,8 @@ def _log_open(
         y = np.round(y / grain) * grain
     if kinds["logging"] in ("event-logged", "merged"):
         fine_s = dt_s / FINE
-        return _read_table(
-            {"u": (np.asarray(fine_s * changes, dtype=np.float64), values), "y": (fine_s * at, y)}
-        )
+        columns = {"u": (np.asarray(fine_s * changes, dtype=np.float64), values), "y": (fine_s * at, y)}
+        return _read_table(columns), left
     data = Dataset.from_arrays(u, y, dt_s, inputs=["u"], outputs=["y"])
     if kinds["logging"] == "gap":
         middle = len(u) // 2
@@ -129,7 +140,23 @@ def _log_open(
         whole = data.segments[0]
         parts = tuple(_cut(whole, part, dt_s) for part in (slice(middle), slice(middle + skipped, None)))
         data = Dataset(dt_s, data.inputs, data.outputs, parts, data.name)
-    return data
+    return data, left
+
+
+def _bend(rng: np.random.Generator, kind: str, x: FloatArray) -> tuple[FloatArray, float]:
+    """A signal through a nonlinearity without memory, and the slope of the best line through it."""
+    if kind == "none":
+        return x, 1.0
+    size = max(float(x.std()), 1e-300)
+    share = float(rng.uniform(0.2, 1.0))
+    if kind == "saturation":
+        bent = np.clip(x, -2.0 * share * size, 2.0 * share * size)
+    elif kind == "dead zone":
+        bent = np.sign(x) * np.maximum(np.abs(x) - 0.5 * share * size, 0.0)
+    else:
+        bent = x + 0.3 * share * x**3 / size**2
+    middle = x - x.mean()
+    return np.asarray(bent), float(middle @ bent / (middle @ middle))
 
 
 def _changes(rng: np.random.Generator, u: FloatArray, logging: str) -> tuple[IntArray, FloatArray]:

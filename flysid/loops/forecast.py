@@ -15,7 +15,7 @@ import numpy as np
 from flysid.dataset import FloatArray
 from flysid.errors import UsageError
 from flysid.loops.controller import Controller
-from flysid.loops.flight_errors import Errors, Noise
+from flysid.loops.flight_errors import HIGHEST, NOISE_FROM_HZ, Errors, Noise
 from flysid.loops.known_axis import KnownAxis
 from flysid.loops.margins import Figure, list_figures
 from flysid.loops.stick_response import ComplexArray, closed_loop, plant
@@ -299,6 +299,8 @@ def _limited(known: KnownAxis, controller: Controller, limit: float) -> float:
 
 def _noise(known: KnownAxis, old: Controller, new: Controller) -> Figure:
     """Root mean square of the output above what the sticks move, new over old, from the flight's own gyro."""
+    if HIGHEST * known.last.record.rate_hz <= NOISE_FROM_HZ:
+        return Figure(None, why="the log is too slow")
     noise = Noise.of(known)
     found = noise.under(new) / noise.under(old) * noise.others
     return _figure_of(found[0], found[1:])

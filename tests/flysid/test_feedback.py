@@ -122,6 +122,14 @@ def test_of_a_fast_log_samples_are_taken_apart() -> None:
     assert fast.share == pytest.approx(slow.share, rel=1e-9)
 
 
+def test_a_record_without_noise_is_no_feedback() -> None:
+    """What small directions of the regressors would explain was taken for a reaction: 99 % of nothing."""
+    time_s = DT_S * np.arange(N)
+    u = np.sin(2.0 * np.pi * (0.02 + 0.004 * time_s) * time_s)
+    y = lfilter([0.0, 0.05], [1.0, -0.95], u)
+    assert not feedback(Dataset.from_arrays(u, y, DT_S))[0].closed
+
+
 def test_too_little_data_say_nothing() -> None:
     data = open_loop("steps", 0)
     short = data.with_segments([data.segments[0].slice(0, 60, DT_S)])

@@ -39,13 +39,23 @@ def agree(measured: MeasuredResponse, source: int, model: ComplexArray) -> npt.N
 
 
 def cautions_beside(
-    data: Dataset, transfer: ContinuousTransfer, pair: tuple[int, int], band: Band, is_open: bool
+    data: Dataset,
+    transfer: ContinuousTransfer,
+    measured: MeasuredResponse | None,
+    pair: tuple[int, int],
+    band: Band,
 ) -> Iterator[str]:
-    """What is to be said beside a transfer function from an input to an output (`pair`: output, input)."""
+    """Cautions about a transfer function from an input to an output (`pair`: output, input).
+
+    `measured`: the response that was measured in open loop; None where a loop is closed.
+    """
     found = [jitter_caution(data, transfer)]
-    if is_open and transfer.carries_gain(band):
+    if measured is not None:
         with suppress(FlysidError):  # a record that shows no step contradicts nothing
-            found.append(gain_caution(transfer, step_response(data, *pair)))
+            step = step_response(data, *pair)
+            found.append(response_caution(measured, pair[1], step))
+            if transfer.carries_gain(band):
+                found.append(gain_caution(transfer, step))
     yield from filter(None, found)
 
 
@@ -77,6 +87,43 @@ def gain_caution(transfer: ContinuousTransfer, step: StepResponse) -> str:
         f"and a step ends at {significant(final.low)} to {significant(final.high)} ('flysid step'). The "
         "response is not one linear response, or the record is too short for one of them: trust neither"
     )
+
+
+def response_caution(measured: MeasuredResponse, source: int, step: StepResponse) -> str:
+    """That a measured response and a step exclude each other where both are known; else "".
+
+    Three neighbours have to part by more than what `agree` allows: one alone may be chance. The step knows
+    nothing faster than its own samples.
+    """
+    if not step.is_settled:
+        return ""
+    known = (measured.trusted(source) > 0) & (measured.omega * step.time_s[1] < 0.5)
+    at = np.flatnonzero(known)
+    if len(at) < 3:
+        return ""
+    omega = measured.omega[at]
+    g, relative = step.frequency_response(omega, measured.dt_s)
+    seen = measured.response[at, source]
+    off = np.log(g / seen)
+    own = measured.half_width()[at, source]
+    width = np.hypot(own, Z95 * relative)
+    gain = (np.abs(off.real) - width) * DB / NEAR_DB
+    turn = np.degrees(np.abs(off.imag) - width) / NEAR_DEG
+    lasting = np.lib.stride_tricks.sliding_window_view(np.maximum(gain, turn), 3).min(axis=1)
+    if lasting.max() <= 1.0:
+        return ""
+    k = int(np.argmax(lasting)) + 1
+    return (
+        f"two figures exclude each other: at {significant(omega[k])} rad/s the response is "
+        f"{_point(seen[k], own[k])} ('flysid tf') and {_point(g[k], Z95 * relative[k])} ('flysid step'). It "
+        "is not one linear response, or something else moves the output with the input: trust neither there"
+    )
+
+
+def _point(g: complex, width: float) -> str:
+    """ "-3.1 +- 0.4 dB, -40 +- 3 degrees": a response with its half width, relative to it."""
+    gain = f"{20.0 * np.log10(abs(g)):.1f} +- {significant(DB * width, 1)} dB"
+    return f"{gain}, {np.degrees(np.angle(g)):.0f} +- {significant(np.degrees(width), 1)} degrees"
 
 
 def parting(coherent: Band | None, band: Band) -> str:
@@ -115,4 +162,23 @@ def transfer_figures(transfer: ContinuousTransfer, band: Band | None) -> dict[st
         "gain": both(transfer.gain, band is not None and transfer.carries_gain(band)),
         "dead_time": both(transfer.dead_time, band is not None),
         "modes": modes,
+    }
+
+
+def _number(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
+
+
+def measured_document(measured: MeasuredResponse, source: int) -> dict[str, Any]:
+    """A measured response from one input, JSON types only."""
+    width = measured.half_width()[:, source]
+    return {
+        "input": measured.inputs[source].name,
+        "output": measured.output.name,
+        "omega_rad_s": measured.omega.tolist(),
+        "gain_db": measured.gain_db[:, source].tolist(),
+        "gain_db_half_width": [_number(DB * w) for w in width],
+        "phase_deg": measured.phase_deg[:, source].tolist(),
+        "phase_deg_half_width": [_number(np.degrees(w)) for w in width],
+        "coherence": measured.coherence[:, source].tolist(),
     }

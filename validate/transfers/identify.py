@@ -45,7 +45,13 @@ from flysid.progress import tell
 from flysid.validate.compare.metrics import scores
 from flysid.validate.compare.trials import FREE_RUN, run_trials
 from flysid.validate.runs.fitone import nothing_done
-from flysid.validate.transfers.agreement import agree, cautions_beside, parting, transfer_figures
+from flysid.validate.transfers.agreement import (
+    agree,
+    cautions_beside,
+    measured_document,
+    parting,
+    transfer_figures,
+)
 
 NOT_MEASURED = "see what is missing"
 
@@ -229,7 +235,7 @@ class ChannelTransfers:
             "reference": list(self.reference),
             "follows_controller_rad_s": [list(map(list, self._follows(i))) for i in range(len(self.views))],
             "measured": [
-                None if m is None else _measure(m, j) | {"band_rad_s": self.band(i, j)}
+                None if m is None else measured_document(m, j) | {"band_rad_s": self.band(i, j)}
                 for i, m in enumerate(self.measured)
                 for j in range(len(self.data.inputs))
             ],
@@ -266,24 +272,6 @@ def _in_a_loop(band: tuple[float, float] | None, follows: Sequence[tuple[float, 
 
 def _width(value: float) -> str:
     return f"{value:.2g}" if np.isfinite(value) and value < 1000 else "-"
-
-
-def _number(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None
-
-
-def _measure(measured: MeasuredResponse, source: int) -> dict[str, Any]:
-    width = measured.half_width()[:, source]
-    return {
-        "input": measured.inputs[source].name,
-        "output": measured.output.name,
-        "omega_rad_s": measured.omega.tolist(),
-        "gain_db": measured.gain_db[:, source].tolist(),
-        "gain_db_half_width": [_number(DB * w) for w in width],
-        "phase_deg": measured.phase_deg[:, source].tolist(),
-        "phase_deg_half_width": [_number(np.degrees(w)) for w in width],
-        "coherence": measured.coherence[:, source].tolist(),
-    }
 
 
 def identify(
@@ -365,7 +353,8 @@ def _cautions(channel: ChannelTransfers) -> Iterator[str]:
     for i, j in itertools.product(range(len(channel.data.outputs)), range(len(channel.data.inputs))):
         if band := channel.band(i, j):
             is_open = not channel.reference and not channel.is_looped(i)
-            yield from cautions_beside(channel.data, channel.model.transfer(i, j), (i, j), band, is_open)
+            measured = channel.measured[i] if is_open else None
+            yield from cautions_beside(channel.data, channel.model.transfer(i, j), measured, (i, j), band)
 
 
 def _fit_pct(model: FittedTF, data: Dataset) -> tuple[float | None, ...]:

@@ -13,9 +13,12 @@ from flysid.escaping import picture_text
 from flysid.facts.modes import all_names
 from flysid.ingest.align.recipe import load_recipe
 from flysid.ingest.lake.lake import Lake
+from flysid.model.frequency.response import measure_response
 from flysid.model.step_response import StepResponse, step_response
 from flysid.progress import tell
+from flysid.showing import fold
 from flysid.validate.show.pictures import check_picture, save_picture
+from flysid.validate.transfers.agreement import response_caution
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,17 +29,22 @@ class ChannelStep:
     ----------
     name : the channel.
     of : which folder, and which class of stick; "" where there is only one.
+    caution : what contradicts it; "" where nothing does.
     """
 
     name: str
     of: str
     response: StepResponse
+    caution: str = ""
 
     def line(self) -> str:
         """For people."""
         r = self.response
         head = ", ".join(filter(None, (self.name, self.of, r.words, f"{r.seconds:.0f} s")))
-        return f"{head}: {r.input.name} to {r.output.name}\n  " + "\n  ".join(map(str, r.figures))
+        rows = [f"{head}: {r.input.name} to {r.output.name}", *(f"  {f}" for f in r.figures)]
+        if self.caution:
+            rows.append(fold(f"  caution: {self.caution}"))
+        return "\n".join(rows)
 
     def to_dict(self) -> dict[str, Any]:
         """JSON types only."""
@@ -45,6 +53,7 @@ class ChannelStep:
             "channel": self.name,
             "of": self.of,
             "class": self.response.words,
+            "caution": self.caution,
             "seconds": self.response.seconds,
             "figures": {f.name: f.to_dict() for f in self.response.figures},
             "time_s": self.response.time_s.tolist(),
@@ -92,10 +101,19 @@ def channel_steps(
             for above, below in ((None, None),) if fast is None else ((None, fast), (fast, None)):
                 response = step_response(data, horizon_s=horizon_s, above=above, below=below, anyway=anyway)
                 words = ", ".join(filter(None, (response.words, without)))
-                found.append(ChannelStep(name, of, replace(response, words=words)))
+                caution = "" if fast else _caution(data, response)
+                found.append(ChannelStep(name, of, replace(response, words=words), caution))
         except (DataError, RecipeError) as error:
             skipped[name] = error.advice
     return found, skipped
+
+
+def _caution(data: Dataset, response: StepResponse) -> str:
+    """What the measured frequency response of the same record says otherwise."""
+    try:
+        return response_caution(measure_response(data), 0, response)
+    except DataError:  # a record that shows no frequency response contradicts nothing
+        return ""
 
 
 def commanded_by_sticks(data: Dataset, modes: Sequence[str]) -> tuple[Dataset, tuple[str, ...]]:

@@ -175,3 +175,17 @@ def test_under_the_present_settings_the_response_is_the_measured_one() -> None:
     low, high = np.quantile(np.abs(draws), (0.025, 0.975), axis=0)
     bare = np.abs(told / known.miss)
     assert np.mean((low <= bare) & (bare <= high)) > 0.9  # the law alone is not ruled out
+
+
+def test_a_log_too_slow_for_noise_says_so() -> None:
+    """A ULog of 20 Hz: `--json` ended in a traceback, the text printed "nan times"."""
+    log = LOGS.parent / "ulog" / "quad_stabilised_92s.ulg"
+    if not log.exists():
+        pytest.skip("no shared logs here")
+    order = [str(log), "--set", "MC_ROLLRATE_P=0.16"]
+    told = CliRunner().invoke(command, [*order, "--json"])
+    assert told.exit_code == 0, told.output
+    assert json.loads(told.stdout)["axes"][0]["noise"]["value"] is None
+    assert (
+        "noise to the motors not determined: the log is too slow" in CliRunner().invoke(command, order).stdout
+    )

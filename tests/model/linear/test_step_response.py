@@ -217,8 +217,8 @@ def test_a_slowed_down_response_is_that_of_the_log() -> None:
 
 def test_a_response_without_overshoot_has_none() -> None:
     """The parabola through the last samples of one that never turns reached 12 % above it."""
-    time_s = 0.1 * np.arange(40)
-    step = 1.0 - 0.6 * np.exp(-time_s / 0.3) - 2e-3 * (4.0 - time_s)
+    time_s = 0.1 * np.arange(40, dtype=np.float64)
+    step: FloatArray = 1.0 - 0.6 * np.exp(-time_s / 0.3) - 2e-3 * (4.0 - time_s)
     curve = StepCurve(time_s, step, 1e-6 * np.eye(40), "")
     (overshoot,) = (f for f in curve.figures if f.name == "overshoot")
     assert overshoot.high is not None
