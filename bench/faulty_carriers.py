@@ -219,7 +219,7 @@ def _own(flight: Flight, firmware: str) -> list[Rows]:
         turn, speed = np.degrees(flight["turn"]), flight["speed"]
         return [
             rows_of(flight, STER, 10.0, {"DesTurnRate": turn, "TurnRate": np.degrees(flight["rates"][:, 2])}),
-            rows_of(flight, THR, 10.0, {"ThrOut": 100 * flight["throttle"], "DesSpeed": speed, "Speed": speed}),
+            rows_of(flight, THR, 10.0, {"ThrOut": 100 * flight["throttle"], "Speed": speed}),
         ]  # fmt: skip
     flying = (flight["speed"] > 6.0).astype(float)
     steered: dict[str, Any] = {

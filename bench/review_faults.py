@@ -3,8 +3,8 @@
 Quadrotors with one fault each and as many sound ones are flown in simulation and logged as ArduCopter, PX4,
 Betaflight or INAV would; planes and rovers are drawn, and logged as ArduPlane and Rover would. All are
 reviewed. Of a faulty flight the first sentence must name the fault (goal 90 %); it is false where it
-complains of something else (at most 2 %). A sound flight gets no action (95 %) and no complaint. Seeds are new in each
-run, and printed.
+complains of something else (at most 2 %). A sound flight gets no action (95 %) and no complaint. Seeds are
+new in each run, and printed.
 """
 
 from __future__ import annotations

@@ -81,11 +81,16 @@ def _oscillating(tracked: Tracked) -> Iterator[Finding]:
         more += f"; motors at their minimum {_span(resting)} % of the time"
     most = 0.5
     grade, weight = Grade.BAD if worst.share >= most else Grade.WATCH, 1.0
-    if not worst.is_unfolded and _vibrates(tracked.flight):
-        words = f"Shakes {where}, {size}"
-        more = f"vibration that folds, or an oscillation: {more}"
+    slow = worst.is_unfolded and worst.frequency_hz < LOOPS_HZ
+    if not slow and _vibrates(tracked.flight):
+        words = words.replace("Oscillates", "Shakes")
+        more = f"vibration, or an oscillation: {more}"
         grade, weight = Grade.WATCH, 0.5
     yield Finding(words, grade, weight, f"tracking.oscillation_{worst_axis}", more, OSCILLATION)
+
+
+LOOPS_HZ = 20.0
+"""Loops that ring do so below it; vehicles' own motors and frames shake above."""
 
 
 def _vibrates(flight: LoggedFlight) -> bool:

@@ -12,9 +12,10 @@ from bench.faulty_quadrotor import Flight, Quadrotor, draw_quadrotor
 from bench.faulty_sensors import fly
 from bench.review_faults import CARRIERS, Trial, travel, write
 from flysid.ingest.lake.failures import failure_messages, plain_words
+from flysid.reviews.motors import read_motors
 from flysid.reviews.thrust_loss import find_thrust_loss
 from tests.command import call
-from tests.flysid.reviews.shared_logs import needs_shared, open_logged
+from tests.flysid.reviews.shared_logs import logged, needs_shared
 from tests.ingest.lake.test_stretches import log, stream
 
 RNG = np.random.default_rng(77)
@@ -86,10 +87,13 @@ OF_CARRIERS: dict[str, tuple[Quadrotor, dict[str, str]]] = {
         replace(SOUND, incident="crash", incident_s=30.0),
         {"plane": "Crashed: impact", "rover": "The drive ended badly at 31 s: crash"},
     ),
-    "brown": (FAULTY["brown"], {"plane": "in the air at 33 s: brown-out", "rover": "on the way at 33 s: brown-out"}),
+    "brown": (
+        FAULTY["brown"],
+        {"plane": "in the air at 33 s: brown-out", "rover": "on the way at 33 s: brown-out"},
+    ),
     "radio": (
         FAULTY["radio"],
-        {"plane": "Failsafe at 26 s: RC Short Failsafe On, then CIRCLE", "rover": "radio failsafe, then HOLD"},
+        {"plane": "26 s: RC Short Failsafe On, then CIRCLE", "rover": "radio failsafe, then HOLD"},
     ),
     "jam": (FAULTY["jam"], {"plane": "The GPS has only", "rover": "The GPS has only"}),
 }  # fmt: skip
@@ -138,9 +142,6 @@ def test_messages_of_failures(text: str) -> None:
 
 @needs_shared
 def test_no_real_flight_falls_towards_a_motor() -> None:
-    from flysid.reviews.motors import read_motors
-    from tests.flysid.reviews.shared_logs import logged
-
-    for name in ("ulg/quad_position_76s.ulg", "ulg/quad_stabilised_92s.ulg"):
-        flight = logged(name.replace("ulg/", "ulog/"))
+    for name in ("ulog/quad_position_76s.ulg", "ulog/quad_stabilised_92s.ulg"):
+        flight = logged(name)
         assert find_thrust_loss(flight, read_motors(flight)) is None
