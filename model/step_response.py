@@ -18,6 +18,7 @@ import numpy.typing as npt
 from flysid.dataset import Dataset, FloatArray, Signal
 from flysid.errors import DataError, UsageError
 from flysid.feedback import feedback
+from flysid.filters import ONE, apply_filter, decimate
 from flysid.model.fir import centred_gram, posterior_of
 from flysid.model.low_order_response import averaged_posterior
 from flysid.model.noise import noise_model
@@ -223,14 +224,12 @@ def _class_words(signal: Signal, above: float | None, below: float | None) -> st
 
 def _records(data: Dataset, output: int, factor: int, taps: int) -> tuple[list[Record], FloatArray]:
     """(u, y) per segment about their means, in units of their standard deviations, slowed down alike."""
-    from scipy.signal import decimate
-
     found = []
     for segment in data.segments:
         both = np.column_stack([segment.u, segment.y[:, output]])
         if len(both) < (taps + 20) * factor:
             continue
-        slow = decimate(both, factor, ftype="fir", axis=0, zero_phase=True) if factor > 1 else both
+        slow = decimate(both, factor) if factor > 1 else both
         found.append(np.asarray(slow, dtype=np.float64))
     if not found:
         raise DataError(
@@ -284,11 +283,9 @@ def _rows(
     records: Sequence[Record], masks: Sequence[BoolArray], d: FloatArray, taps: int, *, chunk: int = 4096
 ) -> Iterator[FloatArray]:
     """[lags of every input, y, 1] of filtered signals, a chunk at a time."""
-    from scipy.signal import lfilter
-
     for (u, y), mask in zip(records, masks, strict=True):
-        white_u = lfilter(d, [1.0], u, axis=0)
-        white_y = lfilter(d, [1.0], y)
+        white_u = apply_filter(d, ONE, u)
+        white_y = apply_filter(d, ONE, y)
         windows = np.lib.stride_tricks.sliding_window_view(white_u, taps, axis=0)[:, :, ::-1]
         first = taps - 1 + len(d) - 1
         picked = np.flatnonzero(mask[first:]) + first
@@ -300,10 +297,8 @@ def _rows(
 
 def _error(record: Record, mean: FloatArray, constant: float, taps: int) -> FloatArray:
     """What the response leaves over, without its start."""
-    from scipy.signal import fftconvolve
-
     u, y = record
-    made = sum(fftconvolve(u[:, j], mean[j * taps : (j + 1) * taps])[: len(y)] for j in range(u.shape[1]))
+    made = sum(np.convolve(u[:, j], mean[j * taps : (j + 1) * taps])[: len(y)] for j in range(u.shape[1]))
     return np.asarray((y - made - constant)[taps - 1 :])
 
 
