@@ -171,7 +171,8 @@ def _common(flight: Flight, imu_hz: float) -> list[Rows]:
     tables = [
         rows_of(flight, dataflash.ATT, 10.0, {
             "DesRoll": 100 * wanted[:, 0], "Roll": 100 * angles[:, 0], "DesPitch": 100 * wanted[:, 1],
-            "Pitch": 100 * angles[:, 1], "DesYaw": 100 * (wanted[:, 2] % 360), "Yaw": 100 * (angles[:, 2] % 360),
+            "Pitch": 100 * angles[:, 1], "DesYaw": 100 * (wanted[:, 2] % 360),
+            "Yaw": 100 * (angles[:, 2] % 360),
         }),
         rows_of(flight, OUT, 10.0, {**output, "C3": 1000 + 1000 * flight["throttle"]}),
         rows_of(flight, BAT, 10.0, {

@@ -75,6 +75,13 @@ def test_a_quadrotor(
     assert text.index(begin) < 200  # it leads
 
 
+def test_a_blackbox_without_speeds_names_the_motor_that_was_driven_up(
+    flights: dict[str, Flight], tmp_path: Path
+) -> None:
+    path = write(Trial("motor", FAULTY["motor"], "betaflight", rpm=False), flights["motor"], tmp_path, "log")
+    assert "thrust of motor 2 lost" in first_sentence(path)
+
+
 @pytest.mark.parametrize("firmware", ["betaflight", "inav"])
 def test_a_sound_quadrotor(flights: dict[str, Flight], firmware: str, tmp_path: Path) -> None:
     text = first_sentence(write(Trial("sound", SOUND, firmware, True), flights["sound"], tmp_path, "log"))
