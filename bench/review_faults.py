@@ -63,8 +63,12 @@ def _holds(pattern: str) -> Names:
 
 
 def _names_motor(text: str, flight: Flight) -> bool:
-    """As its firmware counts."""
-    numbers = (flight.vehicle.weak + 1, 1 + BLACKBOX_ORDER.index(flight.vehicle.weak))
+    return _names(text, flight.vehicle.weak)
+
+
+def _names(text: str, motor: int) -> bool:
+    """Whether a sentence names a motor, as its firmware counts."""
+    numbers = (motor + 1, 1 + BLACKBOX_ORDER.index(motor))
     return any(re.search(rf"[Mm]otor {number}\b", text) for number in numbers)
 
 
@@ -80,7 +84,11 @@ def _names_tone(text: str, flight: Flight, *, within: float = 0.06) -> bool:
     flying = (flight.time_s > 2.0 * GROUND_S) & (flight.time_s < flight.time_s[-1] - 2.0 * GROUND_S)
     turned_hz = flight["rpm"][flying, flight.vehicle.bent].mean() / 60.0
     stated = [float(number) for number in re.findall(r"(\d+(?:\.\d+)?) Hz", text)]
-    return "ibrat" in text or any(abs(hz / turned_hz - 1.0) < within for hz in stated)
+    return (
+        "ibrat" in text
+        or _names(text, flight.vehicle.bent)
+        or any(abs(hz / turned_hz - 1.0) < within for hz in stated)
+    )
 
 
 def _weak_motor(vehicle: Quadrotor, rng: Rng) -> Quadrotor:
@@ -261,18 +269,22 @@ def fly_all(trials: Sequence[Trial]) -> list[Flight]:
     ]
 
 
+SUFFIXES = {"px4": ".ulg", "betaflight": ".bbl", "inav": ".TXT"}
+
+
+def log_bytes(trial: Trial, flight: Flight) -> bytes:
+    """The log of a trial, as its firmware writes it."""
+    if trial.firmware in CARRIERS:
+        return carrier_bytes(flight, CARRIERS[trial.firmware], imu_hz=trial.imu_hz)
+    if trial.firmware in ("betaflight", "inav"):
+        return blackbox_bytes(flight, trial.firmware, rpm=trial.rpm)
+    return ulog_bytes(flight) if trial.firmware == "px4" else dataflash_bytes(flight, rpm=trial.rpm)
+
+
 def write(trial: Trial, flight: Flight, folder: Path, name: str) -> Path:
-    """The log of a trial."""
-    suffix, data = {
-        "copter": (".bin", lambda: dataflash_bytes(flight, rpm=trial.rpm)),
-        "px4": (".ulg", lambda: ulog_bytes(flight)),
-        "betaflight": (".bbl", lambda: blackbox_bytes(flight, "betaflight", rpm=trial.rpm)),
-        "inav": (".TXT", lambda: blackbox_bytes(flight, "inav")),
-        "plane": (".bin", lambda: carrier_bytes(flight, PLANE, imu_hz=trial.imu_hz)),
-        "rover": (".bin", lambda: carrier_bytes(flight, ROVER, imu_hz=trial.imu_hz)),
-    }[trial.firmware]
-    path = folder / f"{name}_{trial.firmware}{suffix}"
-    path.write_bytes(data())
+    """The file of a trial's log."""
+    path = folder / f"{name}_{trial.firmware}{SUFFIXES.get(trial.firmware, '.bin')}"
+    path.write_bytes(log_bytes(trial, flight))
     return path
 
 

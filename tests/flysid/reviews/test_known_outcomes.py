@@ -8,9 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from bench.faulty_carriers import travel
 from bench.faulty_quadrotor import Flight, Quadrotor, draw_quadrotor
 from bench.faulty_sensors import fly
-from bench.review_faults import CARRIERS, Trial, travel, write
+from bench.review_faults import CARRIERS, Trial, write
 from flysid.ingest.lake.failures import failure_messages, plain_words
 from flysid.reviews.motors import read_motors
 from flysid.reviews.thrust_loss import find_thrust_loss
