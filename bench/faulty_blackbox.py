@@ -33,6 +33,8 @@ SLOW = Fields(
     [1, 1, Encoding.TAG2_3S32, Encoding.TAG2_3S32, Encoding.TAG2_3S32],
 )
 RELAXED, LOST, LANDING = 0, 1, 2
+CRASH_M_S2, DISARMS_S = 80.0, 1.2
+"""A pilot disarms so soon after a blow of this size."""
 LOSS_S = 1.0
 """From the loss of the radio to the failsafe's landing."""
 DISARM = {"betaflight": (4, 1), "inav": (4, 6)}
@@ -66,6 +68,9 @@ def _pieces(flight: Flight, firmware: str, rpm: bool) -> Iterator[bytes]:
     writer = Writer(kinds, _settings(flight, firmware))
     yield from writer.header()
     first, last = flight.armed_s
+    hit = np.flatnonzero(np.linalg.norm(flight["force"], axis=1) > CRASH_M_S2)
+    if flight.vehicle.fails_s and len(hit):
+        last = min(last, float(flight.time_s[hit[0]]) + DISARMS_S)
     rows = np.flatnonzero((flight.time_s >= first) & (flight.time_s < last))
     table = np.round(np.stack([values[rows] for values in columns.values()], axis=1)).astype(int).tolist()
     where = np.round(np.stack([values[rows] for values in fixes.values()], axis=1)).astype(int).tolist()
@@ -114,12 +119,18 @@ def _common(flight: Flight, output: tuple[int, int]) -> dict[str, FloatArray]:
     }
 
 
+def _battery(flight: Flight) -> FloatArray:
+    """Volts; where the board's supply goes, its battery went before."""
+    falls: FloatArray = flight["voltage"] * (flight["board"] / flight["board"][0]) ** 2
+    return falls
+
+
 def _betaflight(flight: Flight, rpm: bool) -> dict[str, FloatArray]:
     found = _common(flight, OUTPUT) | {
         **_axes("setpoint", np.degrees(flight["wanted_rates"]) * BODY),
         "setpoint[3]": 1000.0 * flight["wanted_thrust"],
         **_axes("gyroUnfilt", np.degrees(flight["gyro"]) * BODY),
-        "vbatLatest": 100.0 * flight["voltage"],
+        "vbatLatest": 100.0 * _battery(flight),
         "amperageLatest": 100.0 * flight["current"],
     }
     return found | _axes("eRPM", flight["rpm"][:, list(MOTORS)] * POLES / 200.0) if rpm else found
@@ -135,7 +146,7 @@ def _inav(flight: Flight) -> dict[str, FloatArray]:
         **_axes("navVel", flight["velocity"] * centi),
         **_axes("navTgtPos", flight["wanted_position"] * centi),
         "navState": np.full(len(flight.time_s), 7.0),
-        "vbat": 100.0 * flight["voltage"],
+        "vbat": 100.0 * _battery(flight),
         "amperage": 100.0 * flight["current"],
     }
 

@@ -164,7 +164,7 @@ def _ardupilot_tables(flight: Flight, rpm: bool, imu_hz: float) -> list[Rows]:
     speed = np.hypot(velocity[:, 0], velocity[:, 1])
     thrust, flying = flight["wanted_thrust"], in_the_air(flight)
     tables = [
-        _rows(
+        rows_of(
             flight,
             dataflash.ATT,
             100.0,
@@ -177,7 +177,7 @@ def _ardupilot_tables(flight: Flight, rpm: bool, imu_hz: float) -> list[Rows]:
                 "Yaw": 100 * (angles[:, 2] % 360),
             },
         ),
-        _rows(
+        rows_of(
             flight,
             RATE,
             RATE_HZ,
@@ -188,13 +188,13 @@ def _ardupilot_tables(flight: Flight, rpm: bool, imu_hz: float) -> list[Rows]:
                 "AOut": thrust,
             },
         ),
-        _rows(
+        rows_of(
             flight,
             RCOU,
             50.0,
             {f"C{i + 1}": 1000 + 1000 * flight["throttles"][:, i] * flying for i in range(4)},
         ),
-        _rows(
+        rows_of(
             flight,
             BAT,
             10.0,
@@ -206,7 +206,7 @@ def _ardupilot_tables(flight: Flight, rpm: bool, imu_hz: float) -> list[Rows]:
                 "RemPct": 100 - used / 10 / flight.vehicle.capacity_ah,
             },
         ),
-        _rows(
+        rows_of(
             flight,
             GPS,
             5.0,
@@ -224,7 +224,7 @@ def _ardupilot_tables(flight: Flight, rpm: bool, imu_hz: float) -> list[Rows]:
                 "GMS": 1000 * flight.time_s,
             },
         ),
-        _rows(
+        rows_of(
             flight,
             GPA,
             5.0,
@@ -236,7 +236,7 @@ def _ardupilot_tables(flight: Flight, rpm: bool, imu_hz: float) -> list[Rows]:
                 "VV": 1,
             },
         ),
-        _rows(
+        rows_of(
             flight,
             XKF4,
             10.0,
@@ -248,10 +248,10 @@ def _ardupilot_tables(flight: Flight, rpm: bool, imu_hz: float) -> list[Rows]:
                 "SVT": 0,
             },
         ),
-        _rows(flight, MAG, 10.0, {f"Mag{a}": field[:, i] for i, a in enumerate("XYZ")}),
-        _rows(flight, BARO, 10.0, {"Alt": -position[:, 2], "Press": 96_000 + 11.5 * position[:, 2]}),
-        _rows(flight, POWR, 10.0, {"Vcc": flight["board"], "VServo": 5.0}),
-        _rows(
+        rows_of(flight, MAG, 10.0, {f"Mag{a}": field[:, i] for i, a in enumerate("XYZ")}),
+        rows_of(flight, BARO, 10.0, {"Alt": -position[:, 2], "Press": 96_000 + 11.5 * position[:, 2]}),
+        rows_of(flight, POWR, 10.0, {"Vcc": flight["board"], "VServo": 5.0}),
+        rows_of(
             flight,
             dataflash.XKF1,
             25.0,
@@ -263,7 +263,7 @@ def _ardupilot_tables(flight: Flight, rpm: bool, imu_hz: float) -> list[Rows]:
                 **{f"P{a}": position[:, i] for i, a in enumerate("NED")},
             },
         ),
-        _rows(
+        rows_of(
             flight,
             dataflash.CTUN,
             10.0,
@@ -278,7 +278,7 @@ def _ardupilot_tables(flight: Flight, rpm: bool, imu_hz: float) -> list[Rows]:
             },
         ),
         *(
-            _rows(
+            rows_of(
                 flight,
                 kind,
                 10.0,
@@ -303,7 +303,7 @@ def _ardupilot_tables(flight: Flight, rpm: bool, imu_hz: float) -> list[Rows]:
     for i, name in enumerate(("accel", "accel_2")):
         accel, gyro = flight[name], flight["gyro"]
         tables.append(
-            _rows(
+            rows_of(
                 flight,
                 IMU,
                 imu_hz,
@@ -316,7 +316,7 @@ def _ardupilot_tables(flight: Flight, rpm: bool, imu_hz: float) -> list[Rows]:
         )
         level = vibration_level(accel)
         tables.append(
-            _rows(
+            rows_of(
                 flight,
                 VIBE,
                 10.0,
@@ -328,7 +328,7 @@ def _ardupilot_tables(flight: Flight, rpm: bool, imu_hz: float) -> list[Rows]:
             )
         )
     if rpm:
-        tables.extend(_rows(flight, ESC, 10.0, _speed(flight, i)) for i in range(4))
+        tables.extend(rows_of(flight, ESC, 10.0, _speed(flight, i)) for i in range(4))
     return tables
 
 
@@ -345,7 +345,7 @@ def _speed(flight: Flight, motor: int) -> dict[str, Any]:
     }
 
 
-def _rows(flight: Flight, kind: MessageKind, rate_hz: float, values: Mapping[str, Any]) -> Rows:
+def rows_of(flight: Flight, kind: MessageKind, rate_hz: float, values: Mapping[str, Any]) -> Rows:
     """Messages of one kind at a rate, from arrays over the flight or numbers."""
     at = slice(None, None, round(RATE_HZ / rate_hz))
     time_us = BEGIN_US + np.round(1e6 * flight.time_s[at]).astype(np.int64)

@@ -29,10 +29,10 @@ EARTH_G = 0.48
 
 def fly(vehicles: Sequence[Quadrotor]) -> list[Flight]:
     """The flights of several vehicles, as their sensors see them."""
-    return [_cut_off(measure(flight)) for flight in move(vehicles)]
+    return [cut_off(measure(flight)) for flight in move(vehicles)]
 
 
-def _cut_off(flight: Flight) -> Flight:
+def cut_off(flight: Flight) -> Flight:
     """Until the board's supply is gone."""
     last_s = flight.vehicle.browns_s
     if not last_s:

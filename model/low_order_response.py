@@ -16,10 +16,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import eigh, hankel, solve_triangular
-from scipy.signal import lfilter
 
 from flysid.dataset import FloatArray
 from flysid.errors import FitError
+from flysid.filters import ONE, apply_filter
 from flysid.model.fir import (
     LEAST_REST,
     Posterior,
@@ -207,9 +207,9 @@ def _answers(
             b = own[: order + 1]
             a = np.append(1.0, own[order + 1 :])
             rows = slice(j * size, (j + 1) * size)
-            free = lfilter([1.0], a, pulse)
-            answer[rows] = lfilter(b, [1.0], free)
-            again = lfilter([-1.0], a, answer[rows])
+            free = apply_filter(ONE, a, pulse)
+            answer[rows] = apply_filter(b, ONE, free)
+            again = apply_filter(-ONE, a, answer[rows])
             moved = [(free, k) for k in range(order + 1)] + [(again, k) for k in range(1, order + 1)]
             for column, (curve, k) in enumerate(moved):
                 slopes[j * size + k : (j + 1) * size, j * len(own) + column] = curve[: size - k]

@@ -23,12 +23,10 @@ import numpy as np
 
 from flysid.dataset import FloatArray
 from flysid.errors import FitError
-from flysid.filters import apply_filter
+from flysid.filters import ONE, apply_filter
 from flysid.model.compiled_filters import differences, free_responses, is_stable
 from flysid.model.polynomials import free_basis, monic_basis, stabilise
 from flysid.model.refine import Refinement, levenberg_marquardt, upper_triangle
-
-ONE = np.ones(1)
 
 
 @dataclass(frozen=True)

@@ -20,6 +20,7 @@ import numpy.typing as npt
 from flysid.dataset import Dataset, FloatArray, Signal
 from flysid.errors import DataError, UsageError
 from flysid.feedback import feedback
+from flysid.filters import ONE, apply_filter, decimate
 from flysid.model.fir import centred_gram, posterior_of
 from flysid.model.low_order_response import averaged_posterior
 from flysid.model.noise import noise_model
@@ -305,13 +306,11 @@ def _slow(signals: FloatArray, factor: int) -> _Record:
     u, y = signals[:, :-1], signals[:, -1:]
     if factor == 1:
         return _Record(u, u, y[:, 0])
-    from scipy.signal import decimate, lfilter
-
     falling = (1.0 - np.arange(factor) / factor) / factor
-    first = lfilter(falling, [1.0], u, axis=0)
-    after = lfilter(falling, [1.0], u[::-1], axis=0)[::-1]
+    first = apply_filter(falling, ONE, u)
+    after = apply_filter(falling, ONE, u[::-1])[::-1]
     line = first + after - falling[0] * u
-    slow = decimate(np.hstack([line, first, y]), factor, ftype="fir", axis=0, zero_phase=True)[EDGE:-EDGE]
+    slow = decimate(np.hstack([line, first, y]), factor)[EDGE:-EDGE]
     count = u.shape[1]
     return _Record(slow[:, :count], slow[:, count : 2 * count], slow[:, -1])
 
@@ -351,11 +350,9 @@ def _rows(
     records: Sequence[_Record], masks: Sequence[BoolArray], d: FloatArray, taps: int, *, chunk: int = 4096
 ) -> Iterator[FloatArray]:
     """[lags of every input, y, 1] of filtered signals, a chunk at a time."""
-    from scipy.signal import lfilter
-
     for record, mask in zip(records, masks, strict=True):
-        white_u, white_first = (lfilter(d, [1.0], x, axis=0) for x in (record.u, record.first))
-        white_y = lfilter(d, [1.0], record.y)
+        white_u, white_first = (apply_filter(d, ONE, x) for x in (record.u, record.first))
+        white_y = apply_filter(d, ONE, record.y)
         windows = np.lib.stride_tricks.sliding_window_view(white_u, taps, axis=0)[:, :, ::-1]
         first = taps - 1 + len(d) - 1
         picked = np.flatnonzero(mask[first:]) + first
@@ -368,12 +365,10 @@ def _rows(
 
 def _error(record: _Record, mean: FloatArray, constant: float, taps: int) -> FloatArray:
     """What the response leaves over, without its start."""
-    from scipy.signal import fftconvolve
-
     u, y = record.u, record.y
     made = (record.first - u) @ mean[::taps]
     for j in range(u.shape[1]):
-        made += fftconvolve(u[:, j], mean[j * taps : (j + 1) * taps])[: len(y)]
+        made += np.convolve(u[:, j], mean[j * taps : (j + 1) * taps])[: len(y)]
     return np.asarray((y - made - constant)[taps - 1 :])
 
 

@@ -16,11 +16,10 @@ from flysid.cli.output import align_columns, printable
 from flysid.cli.reviewed_logs import reviewed_logs
 from flysid.cli.source import flight_options, reading_options
 from flysid.cli.trust import Setting
-from flysid.showing import fold, significant
+from flysid.showing import fold
 
 if TYPE_CHECKING:
     from flysid.ingest.lake.chosen_flights import Selection
-    from flysid.reviews.logged import LoggedFlight
 
 
 @click.command("filters")
@@ -64,6 +63,7 @@ def command(
     the real time of an iteration. It is run again on the raw gyro, where the log has it, and compared with
     what the vehicle logged. Notches whose frequencies are not in the log are named, and not run.
     """
+    from flysid.reviews.crossover import crossover_of
     from flysid.reviews.filter_trial import stage_of, try_filters
 
     for words in more:
@@ -71,7 +71,7 @@ def command(
     with Display().shown(), reviewed_logs(source, told, selection) as flights:
         found = []
         for flight in flights:
-            hz, known_from = (crossover, "as given") if crossover else _crossover(flight)
+            hz, known_from = (crossover, "as given") if crossover else crossover_of(flight)
             trial = try_filters(flight, more, without, crossover_hz=hz, crossover_from=known_from)
             found.append((flight.name, trial))
     if as_json:
@@ -82,19 +82,3 @@ def command(
         lines = [*head, *align_columns(trial.rows()), *(fold(note) for note in trial.notes())]
         click.echo("\n".join(printable(line) for text in lines for line in text.splitlines()))
     return 0 if any(trial.is_whole for _, trial in found) else 3
-
-
-def _crossover(flight: LoggedFlight, otherwise_hz: float = 30.0) -> tuple[float, str]:
-    """Of the roll loop that the gains in the log make, where they determine it; and how that is known."""
-    from flysid.errors import FlysidError
-    from flysid.loops.judged import judge
-
-    try:
-        (judged,) = judge([flight.log], ("roll",))[:1]
-    except (FlysidError, ValueError):
-        return otherwise_hz, f"not determined; {otherwise_hz:g} Hz are assumed (--crossover HZ)"
-    figure = judged.margins.crossover_hz if judged.margins is not None else None
-    if figure is None or figure.value is None:
-        return otherwise_hz, f"not determined; {otherwise_hz:g} Hz are assumed (--crossover HZ)"
-    edges = f"[{significant(figure.low)}, {significant(figure.high)}]"
-    return figure.value, f"{significant(figure.value)} Hz {edges} of the roll loop, from the gains in the log"

@@ -82,7 +82,7 @@ def command(
         ]
         _print(found, as_json)
         if plot is not None:
-            from flysid.cli.spectrum_plot import draw_spectra
+            from flysid.reviews.spectrum_plot import draw_spectra
 
             flight, spectra = found[0]
             quantity = quantity_over(flight, spectra[0].windows, over) if over else None

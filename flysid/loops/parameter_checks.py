@@ -10,9 +10,9 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from scipy.signal import lfilter
 
 from flysid.dataset import FloatArray
+from flysid.filters import apply_filter
 from flysid.laws.described import parameter_law
 from flysid.loops.betaflight import NO_CONDITIONS, Conditions
 from flysid.loops.controller import THOUSANDTHS
@@ -99,7 +99,7 @@ def _slope(time: FloatArray, error: FloatArray, hz: float, rate_hz: float) -> Fl
     if hz <= 0.0:
         return np.asarray(bare)
     b0, _, _, a1, _ = sections(((1, hz),), (0.0, 0.0), 1.0 / rate_hz)[0]
-    return np.asarray(lfilter([b0], [1.0, a1], bare))
+    return apply_filter(np.array([b0]), np.array([1.0, a1]), bare)
 
 
 def _rate_of(time: FloatArray) -> float:

@@ -16,7 +16,6 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import median_filter
-from scipy.optimize import least_squares
 
 from flysid.dataset import FloatArray
 from flysid.errors import DataError
@@ -139,6 +138,8 @@ def fit_turning(loop: Loop, at: npt.NDArray[np.bool_], step_s: float) -> Turning
         return np.concatenate([apart.real, apart.imag])
 
     start = np.array([np.log(50.0), np.log(0.02), 0.005])
+    from scipy.optimize import least_squares
+
     return turning(least_squares(off, start, x_scale=(0.1, 0.1, 0.001)).x)
 
 

@@ -12,7 +12,6 @@ from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
-from scipy.signal import butter, sosfiltfilt
 
 from flysid.dataset import FloatArray
 from flysid.loops.betaflight import BetaflightLaw
@@ -82,6 +81,8 @@ def compare(
         at = flown
         one, other = recorded, rebuilt
     else:
+        from scipy.signal import butter, sosfiltfilt  # slow to load, and for blackboxes only
+
         low = butter(2, BELOW_SHARE * rate_hz, fs=rate_hz, output="sos")
         at = flown
         one, other, noise = (sosfiltfilt(low, x) for x in (recorded, rebuilt, noise))

@@ -10,9 +10,9 @@ from flysid.reviews.logged import Column, LoggedFlight
 
 def up_axis(flight: LoggedFlight) -> tuple[FloatArray, FloatArray, str] | None:
     """(n,) times, (n, 3) the vehicle's downward axis with its nose to the north, its field; None for none."""
-    return _of_angles(
-        flight, ("ATT.Roll", "ATTITUDE.roll"), ("ATT.Pitch", "ATTITUDE.pitch")
-    ) or _of_quaternion(flight, "vehicle_attitude.q")
+    rolls = ("ATT.Roll", "ATTITUDE.roll", "main.attitude[0]")
+    pitches = ("ATT.Pitch", "ATTITUDE.pitch", "main.attitude[1]")
+    return _of_angles(flight, rolls, pitches) or _of_quaternion(flight, "vehicle_attitude.q")
 
 
 def commanded_axis(flight: LoggedFlight) -> tuple[FloatArray, FloatArray, str] | None:

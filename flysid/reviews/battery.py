@@ -12,8 +12,8 @@ import numpy as np
 from flysid.dataset import FloatArray
 from flysid.reviews.logged import Column, LoggedFlight
 
-VOLTAGES = ("battery_status.voltage_v", "main.vbatLatest", "SYS_STATUS.voltage_battery")
-CURRENTS = ("battery_status.current_a", "main.amperageLatest", "SYS_STATUS.current_battery")
+VOLTAGES = ("battery_status.voltage_v", "main.vbatLatest", "main.vbat", "SYS_STATUS.voltage_battery")
+CURRENTS = ("battery_status.current_a", "main.amperageLatest", "main.amperage", "SYS_STATUS.current_battery")
 FULL_CELL_V = 4.35
 """Of the fullest lithium cell: more is another cell."""
 START_CELL_V = 3.6

@@ -118,6 +118,8 @@ def _motor_lost(flight: LoggedFlight, motors: Sequence[Motor], begins_s: float) 
         ):
             cause = f"thrust of motor {motor.number} lost"
             yield Cause(cause, 0.75, f"{text} while the vehicle fell towards it")
+        elif towards is None and not np.isfinite(speed):
+            yield Cause(f"thrust of motor {motor.number} lost", 0.7, f"{text} alone")
 
 
 def _between(column: Column, first_s: float, last_s: float) -> Column:

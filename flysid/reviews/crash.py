@@ -20,6 +20,8 @@ UPRIGHT_DEG = 30.0
 """ArduPilot's crash check: it leans more."""
 FALLING_M_S = 5.0
 """Faster than any landing: the fall from little more than a metre."""
+STOPS_S = 2.0
+"""A pilot disarms so soon after a crash."""
 BEFORE_S = 5.0
 """Tipping over comes at most so long before the impact."""
 
@@ -92,7 +94,7 @@ def end_at_crash(flight: LoggedFlight) -> LoggedFlight:
 
 def _tipped(flight: LoggedFlight, impact_s: float) -> float:
     """When it leant too far in the seconds before the impact; NaN where it did not."""
-    if flight.family not in ("ardupilot", "px4"):
+    if flight.family not in ("ardupilot", "px4", "inav"):
         return float("nan")
     lean = tilt(flight)
     if lean is None:
@@ -135,13 +137,13 @@ def _never_moves(flight: LoggedFlight, impact_s: float) -> bool:
 
 
 def _never_carries(motors: tuple[Motor, ...], impact_s: float, first_s: float) -> bool:
-    """Whether the motors idle from within a second of the impact to the end of the log."""
+    """Whether the motors idle from soon after the impact to the end of the log."""
     if not motors:
         return False
     command = motors[0].command
     mean = np.mean([m.command.at(command.time_s) for m in motors], axis=0)
     before = (command.time_s > first_s) & (command.time_s < impact_s - BEFORE_S)
-    after = command.time_s > impact_s + 1.0
+    after = command.time_s > impact_s + STOPS_S
     if not before.any():
         return False
     return bool(not after.any() or np.nanmax(mean[after]) < 0.5 * np.nanmedian(mean[before]))

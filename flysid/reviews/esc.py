@@ -16,7 +16,9 @@ MOST = 8
 LOST = 0.5
 """Of the speed that a command usually gives: a slower motor has lost its beat, or its power."""
 IN_A_ROW = 2
-"""Samples: one alone may be a reading that went wrong, or a step of the command."""
+"""Samples at least: one alone may be a reading that went wrong, or a step of the command."""
+SPINS_UP_S, LASTS_S = 0.15, 0.05
+"""A motor needs so long to follow its command; what is shorter than that is a reading that went wrong."""
 ANSWERS_S, DRIVEN_UP = 0.3, 0.85
 """So soon, and to so much of the range, a controller drives up a motor that gives no thrust."""
 LEAST_SHARE = 0.1
@@ -91,17 +93,20 @@ def _first_loss(flight: LoggedFlight, motor: Motor) -> float:
     """When a motor first turned far more slowly than its command usually makes it; NaN where it never did."""
     assert motor.speed is not None
     speed = motor.speed.where(flight.flying(motor.speed.time_s))
-    lag_s = speed.period_s if len(speed) > 1 else 0.0
+    lag_s = max(SPINS_UP_S, speed.period_s) if len(speed) > 1 else 0.0
     share = np.fmin(motor.command.at(speed.time_s), motor.command.at(speed.time_s - lag_s))
     driven = share > LEAST_SHARE
     if driven.sum() < 20:
         return float("nan")
     usual = speed.values[driven] / np.sqrt(share[driven])
     lost = driven & (speed.values < LOST * np.median(usual) * np.sqrt(np.where(driven, share, 1.0)))
+    need = max(IN_A_ROW, round(LASTS_S * speed.rate_hz))
+    slow = LASTS_S * speed.rate_hz < 1.0
+    usual_share = float(np.median(share[driven]))
     for i in np.flatnonzero(lost):
-        lasts = lost[i : i + IN_A_ROW].sum() == IN_A_ROW
-        if lasts or _is_driven_up(motor, float(speed.time_s[i]), float(np.median(share[driven]))):
-            return float(speed.time_s[i])
+        at_s = float(speed.time_s[i])
+        if lost[i : i + need].sum() == need or (slow and _is_driven_up(motor, at_s, usual_share)):
+            return at_s
     return float("nan")
 
 

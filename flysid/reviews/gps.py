@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -12,6 +12,7 @@ from flysid.reviews.limits import limit
 from flysid.reviews.logged import Column, LoggedFlight
 
 FIX_3D = 3
+"""INAV counts from none, 2D, 3D: one less."""
 EARTH_M = 6_371_008.8
 SENTINEL_M = 1e4
 """Accuracies beyond it are a receiver's word for none: 4.29e6 m of PX4, 65535 cm of MAVLink times ten."""
@@ -49,6 +50,8 @@ def read_receiver(flight: LoggedFlight) -> Receiver:
     """The receiver that the autopilot flies by, in the air."""
     found = {name: _in_the_air(flight, fields, unit) for name, (fields, unit) in _fields(flight).items()}
     fix = found["fix"]
+    if fix is not None and fix.address.startswith("gps."):
+        fix = found["fix"] = replace(fix, values=fix.values + 1.0)
     for name in ("satellites", "hdop", "accuracy", "speed_accuracy", "latitude", "longitude", "speed"):
         column = found[name]
         if column is not None and fix is not None and name != "satellites":
@@ -72,18 +75,24 @@ def _fields(flight: LoggedFlight) -> dict[str, tuple[Sequence[str], str]]:
         return [f"{topic}.{field}" for topic in px4 for field in fields]
 
     return {
-        "fix": ([f"{gps}.Status", *named("fix_type"), "GPS_RAW_INT.fix_type"], ""),
+        "fix": ([f"{gps}.Status", *named("fix_type"), "GPS_RAW_INT.fix_type", "gps.GPS_fixType"], ""),
         "satellites": (
             [f"{gps}.NSats", *named("satellites_used"), "GPS_RAW_INT.satellites_visible", "gps.GPS_numSat"],
             "",
         ),
-        "hdop": ([f"{gps}.HDop", *named("hdop")], ""),
+        "hdop": ([f"{gps}.HDop", *named("hdop"), "gps.GPS_hdop"], ""),
         "accuracy": ([f"{accuracy}.HAcc", *named("eph")], "m"),
         "speed_accuracy": ([f"{accuracy}.SAcc", *named("s_variance_m_s")], "m/s"),
         "jamming": ([f"{ublox}.jamInd", *named("jamming_indicator")], ""),
-        "latitude": ([f"{gps}.Lat", *named("latitude_deg", "lat"), "GPS_RAW_INT.lat"], "deg"),
-        "longitude": ([f"{gps}.Lng", *named("longitude_deg", "lon"), "GPS_RAW_INT.lon"], "deg"),
-        "speed": ([f"{gps}.Spd", *named("vel_m_s"), "GPS_RAW_INT.vel"], "m/s"),
+        "latitude": (
+            [f"{gps}.Lat", *named("latitude_deg", "lat"), "GPS_RAW_INT.lat", "gps.GPS_coord[0]"],
+            "deg",
+        ),
+        "longitude": (
+            [f"{gps}.Lng", *named("longitude_deg", "lon"), "GPS_RAW_INT.lon", "gps.GPS_coord[1]"],
+            "deg",
+        ),
+        "speed": ([f"{gps}.Spd", *named("vel_m_s"), "GPS_RAW_INT.vel", "gps.GPS_speed"], "m/s"),
     }
 
 

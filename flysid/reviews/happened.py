@@ -8,6 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
+from flysid.facts.modes import family_of
 from flysid.ingest.lake.events import Event, events
 from flysid.ingest.lake.failures import plain_words
 from flysid.reviews.attitude import tilt_error
@@ -18,6 +19,7 @@ from flysid.reviews.failures import Failure, stated_failures
 from flysid.reviews.landing import HardLanding, find_hard_landing
 from flysid.reviews.limits import limit
 from flysid.reviews.logged import LoggedFlight
+from flysid.reviews.motors import read_motors
 
 ROWS = 60
 """Of the table: a page that a person reads."""
@@ -208,7 +210,8 @@ def _findings(story: Story) -> Iterator[Finding]:
         last = next(
             m for m in flight.failures if m.ends and flight.clock.seconds(m.boot, m.span[0]) == flight.ends_s
         )
-        text = f"The flight ended badly at {flight.ends_s:.0f} s: {last.what}"
+        way = "drive" if _drives(flight) else "flight"
+        text = f"The {way} ended badly at {flight.ends_s:.0f} s: {last.what}"
         yield Finding(text, Grade.BAD, 1.0, "happened.cause", likely)
     yield from _failure_finding(story)
     if landing is not None:
@@ -216,8 +219,13 @@ def _findings(story: Story) -> Iterator[Finding]:
         text = f"Landed hard at {landing.at_s:.0f} s: {landing.impact_m_s2:.0f} m/s2"
         more = f"sinking at {landing.sink_m_s:.1f} m/s" if np.isfinite(landing.sink_m_s) else ""
         yield Finding(text, grade, 0.75, "happened.landing", more)
-    if crash is None and _ends_in_the_air(flight):
+    if crash is None and _ends_in_the_air(story):
         yield _cut_off(story)
+
+
+def _drives(flight: LoggedFlight) -> bool:
+    """Whether it stays on the ground or the water."""
+    return flight.family == "ardupilot" and family_of(flight.info.get("vehicle", "")) == "rover"
 
 
 def _failure_finding(story: Story) -> Iterator[Finding]:
@@ -234,21 +242,37 @@ def _failure_finding(story: Story) -> Iterator[Finding]:
     yield Finding(first.sentence, grade, weight, "happened.failsafes", "; ".join(others[:2]))
 
 
-def _ends_in_the_air(flight: LoggedFlight) -> bool:
+def _ends_in_the_air(story: Story) -> bool:
     """Whether the log stops while it flies, as far as the log states when it flies."""
-    if flight.family not in ("ardupilot", "px4") or flight.flown.spans is None or not flight.air_s:
+    flight = story.flight
+    if flight.flown.spans is None or not flight.air_s:
         return False
-    return max(last for _, last in flight.air_s) >= flight.duration_s - 0.5
+    lasts = max(last for _, last in flight.air_s) >= flight.duration_s - 0.5
+    if flight.family in ("ardupilot", "px4"):
+        return lasts
+    return lasts and flight.has("main") and not flight.is_closed and _carries(flight)
+
+
+def _carries(flight: LoggedFlight) -> bool:
+    """Whether the motors still carry the vehicle in the last moment: a racer is disarmed on the ground."""
+    motors = read_motors(flight)
+    if not motors:
+        return False
+    times = motors[0].command.time_s
+    mean = np.mean([motor.command.at(times) for motor in motors], axis=0)
+    end = times > times[-1] - JUST_S
+    return bool(np.nanmedian(mean[end]) > 0.5 * np.nanmedian(mean))
 
 
 def _cut_off(story: Story) -> Finding:
     at_s = story.flight.duration_s
+    where = "on the way" if _drives(story.flight) else "in the air"
     causes = [c for c in story.causes_before(at_s) if c.weight >= LIKELY]
     if causes:
-        text = f"The log ends in the air at {at_s:.0f} s: {causes[0].name}"
+        text = f"The log ends {where} at {at_s:.0f} s: {causes[0].name}"
         return Finding(text, Grade.BAD, 0.95, "happened.air", causes[0].evidence)
     more = "power lost, a crash, or a log that was cut: not determined"
-    return Finding(f"The log ends in the air at {at_s:.0f} s", Grade.PLAIN, 0.4, "happened.air", more)
+    return Finding(f"The log ends {where} at {at_s:.0f} s", Grade.PLAIN, 0.4, "happened.air", more)
 
 
 # ------------------------------------------------------------------------------------------- tables

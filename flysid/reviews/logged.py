@@ -32,6 +32,8 @@ if TYPE_CHECKING:
     from flysid.loops.judged import Judged
 
 BoolArray = npt.NDArray[np.bool_]
+CLOSED = 255
+"""The blackbox's event at the end of a log (FLIGHT_LOG_EVENT_LOG_END)."""
 
 
 MOST = {
@@ -231,6 +233,12 @@ class LoggedFlight:
             return {}
         table = self.log.table(stream, ["name", "text"]).to_pydict()
         return dict(zip(table["name"], table["text"], strict=True))
+
+    @cached_property
+    def is_closed(self) -> bool:
+        """Whether a blackbox ends with the word of its firmware that it ends."""
+        stream = self.stream("events")
+        return bool(stream) and CLOSED in self.log.table(stream, ["event"])["event"].to_pylist()
 
     @cached_property
     def judged(self) -> tuple[Judged, ...]:

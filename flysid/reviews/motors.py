@@ -177,15 +177,9 @@ def _betaflight(flight: LoggedFlight) -> Iterator[Motor]:
         return
     low, high = _betaflight_range(flight, max(float(c.values.max()) for c in logged))
     reversed_spin = flight.headers.get("yaw_motors_reversed", "0") not in ("", "0")
-    poles = flight.parameters.get("motor_poles", 14.0)
     for i, (place, spin) in enumerate(_around(_frames()["quad_x"]["betaflight"])):
         share = np.clip((logged[i].values - low) / (high - low), 0.0, 1.0)
-        electric = flight.quantity(f"main.eRPM[{i}]")
-        speed = (
-            None
-            if electric is None
-            else replace(electric, unit="rpm", values=electric.values * 200.0 / poles)
-        )
+        speed = flight.quantity(f"main.eRPM[{i}]", unit="rpm")
         command = replace(logged[i], values=share)
         yield Motor(i + 1, command, place, -spin if reversed_spin else spin, _turning(speed))
 

@@ -7,33 +7,52 @@ from dataclasses import replace
 
 import numpy as np
 
-from flysid.reviews import battery_facts, esc, motor_balance, thrust_loss
-from flysid.reviews.battery import read_battery
+from flysid.reviews import battery_facts, drive, esc, motor_balance, thrust_loss
+from flysid.reviews.battery import Battery, read_battery
 from flysid.reviews.fact import Action, Change, Fact, Finding, Grade, Section, Shown
 from flysid.reviews.hover import STATED, Hover, measure_hover
 from flysid.reviews.limits import limit
 from flysid.reviews.logged import LoggedFlight
-from flysid.reviews.motors import Motor, read_motors
+from flysid.reviews.motors import Motor, is_multicopter, read_motors
 from flysid.reviews.remedies import remedy
 from flysid.showing import significant
 
 
 def review(flight: LoggedFlight) -> Section:
     """Section "Power and motors"."""
+    battery = read_battery(flight)
+    motors = _carrying(flight) if is_multicopter(flight) else _driving(flight, battery)
+    of_battery = (*battery_facts.facts(flight, battery, remedy(flight, "current")), *_board_facts(flight))
+    facts = (*motors.facts, *of_battery)
+    shown = (*motors.shown, *battery_facts.picture(battery))
+    if not flight.was_flown:
+        return replace(motors, facts=facts, findings=(), actions=(), shown=shown)
+    findings = (*motors.findings, *battery_facts.findings(of_battery))
+    actions = (*motors.actions, *battery_facts.actions(of_battery))
+    return replace(motors, facts=facts, findings=findings, actions=actions, shown=shown)
+
+
+def _section(
+    facts: tuple[Fact, ...],
+    findings: tuple[Finding, ...],
+    actions: tuple[Action, ...],
+    shown: tuple[Shown, ...] = (),
+) -> Section:
+    return Section("power", "Power and motors", facts, findings, actions, shown)
+
+
+def _carrying(flight: LoggedFlight) -> Section:
+    """What a multicopter's motors show."""
     motors = read_motors(flight)
     balance = motor_balance.weigh(flight, motors)
     hover = measure_hover(flight)
-    battery = read_battery(flight)
     loss = thrust_loss.find_thrust_loss(flight, motors)
-    found = battery_facts.facts(flight, battery, remedy(flight, "current"))
     facts = (
         *_hover_facts(flight, hover),
         *_range_facts(flight, motors if balance is not None else ()),
         *motor_balance.facts(balance, motors, remedy(flight, "motors")),
         *esc.facts(flight, motors),
         *thrust_loss.facts(loss),
-        *found,
-        *_board_facts(flight),
     )
     level = replace(hover, share=float("nan")) if _saturates(facts) else hover
     findings = (
@@ -42,18 +61,17 @@ def review(flight: LoggedFlight) -> Section:
         *_range_findings(flight, facts),
         *esc.findings(facts),
         *thrust_loss.findings(loss),
-        *battery_facts.findings(facts),
     )
-    actions = (
-        *motor_balance.actions(balance),
-        *_hover_actions(flight, level),
-        *esc.actions(facts),
-        *battery_facts.actions(facts),
-    )
-    shown: tuple[Shown, ...] = (*motor_balance.plan(balance), *battery_facts.picture(battery))
-    if not flight.was_flown:
-        findings = actions = ()
-    return Section("power", "Power and motors", facts, findings, actions, shown)
+    actions = (*motor_balance.actions(balance), *_hover_actions(flight, level), *esc.actions(facts))
+    return _section(facts, findings, actions, tuple(motor_balance.plan(balance)))
+
+
+def _driving(flight: LoggedFlight, battery: Battery) -> Section:
+    """What the motor of a plane or a rover shows."""
+    facts = (*drive.facts(flight, battery), *esc.facts(flight, ()))
+    stops = facts[0]
+    findings = (*drive.findings(stops), *esc.findings(facts))
+    return _section(facts, findings, tuple(drive.actions(stops)))
 
 
 # ------------------------------------------------------------------------------------------- hovering

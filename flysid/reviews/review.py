@@ -13,7 +13,6 @@ from flysid.reviews.crash import end_at_crash
 from flysid.reviews.evidence import evidence
 from flysid.reviews.fact import Section
 from flysid.reviews.logged import LoggedFlight
-from flysid.reviews.page import write_review
 from flysid.reviews.reviewed import NO_TIMELINE, Review
 from flysid.reviews.sections import SECTIONS, section_of
 
@@ -55,6 +54,8 @@ def review(path: str | Path, page: str | Path | None = None) -> Review:
         flight = LoggedFlight(stored, stored.manifest.damage, stored.manifest.source.name)
         found = review_flight(flight, with_evidence=page is not None)
     if page is not None:
+        from flysid.reviews.page import write_review
+
         write_review(page, [found])
     return found
 

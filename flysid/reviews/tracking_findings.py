@@ -8,7 +8,9 @@ import numpy as np
 
 from flysid.reviews.fact import OSCILLATION, Finding, Grade
 from flysid.reviews.limits import limit, rate_lag_limit
+from flysid.reviews.logged import LoggedFlight
 from flysid.reviews.oscillation import Oscillation
+from flysid.reviews.shaking import accelerometer_level
 from flysid.reviews.tracked import MS, PERCENT, Followed, Tracked
 from flysid.showing import significant
 
@@ -78,8 +80,22 @@ def _oscillating(tracked: Tracked) -> Iterator[Finding]:
     if resting:
         more += f"; motors at their minimum {_span(resting)} % of the time"
     most = 0.5
-    grade = Grade.BAD if worst.share >= most else Grade.WATCH
-    yield Finding(words, grade, 1.0, f"tracking.oscillation_{worst_axis}", more, OSCILLATION)
+    grade, weight = Grade.BAD if worst.share >= most else Grade.WATCH, 1.0
+    slow = worst.is_unfolded and worst.frequency_hz < LOOPS_HZ
+    if not slow and _vibrates(tracked.flight):
+        words = words.replace("Oscillates", "Shakes")
+        more = f"vibration, or an oscillation: {more}"
+        grade, weight = Grade.WATCH, 0.5
+    yield Finding(words, grade, weight, f"tracking.oscillation_{worst_axis}", more, OSCILLATION)
+
+
+LOOPS_HZ = 20.0
+"""Loops that ring do so below it; vehicles' own motors and frames shake above."""
+
+
+def _vibrates(flight: LoggedFlight) -> bool:
+    """Whether the accelerometer shakes beyond its limit, which a loop that oscillates slowly does not do."""
+    return any(fact.grade.rank >= Grade.WATCH.rank for fact in accelerometer_level(flight))
 
 
 def _span(shares: Sequence[float]) -> str:

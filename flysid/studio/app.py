@@ -38,8 +38,9 @@ if TYPE_CHECKING:
     from flysid.studio.channels import Recipes
     from flysid.studio.flights import Flights
     from flysid.studio.reviews import Reviews
+    from flysid.studio.spectra import Spectra
 
-ROOMS = ("flights", "uploads", "quick_look", "reviews", "channels", "run_views", "explain")
+ROOMS = ("flights", "uploads", "quick_look", "reviews", "spectra", "channels", "run_views", "explain")
 """What is imported while the page opens, in this order."""
 FRAME_POLICY = "sandbox allow-scripts; frame-ancestors 'self'"
 UPLOT = ("uPlot.iife.min.js", "uPlot.min.css")  # of the report, which the studio uses too
@@ -99,6 +100,12 @@ class Studio:
         return Reviews(self.workspace)
 
     @cached_property
+    def spectra(self) -> Spectra:
+        from flysid.studio.spectra import Spectra
+
+        return Spectra(self.workspace)
+
+    @cached_property
     def recipes(self) -> Recipes:
         from flysid.studio.channels import Recipes
 
@@ -132,6 +139,20 @@ class Studio:
         query_of(request, forms.Nothing)
         page = await run_in_threadpool(self.reviews.page, request.path_params["flight"])
         return Response(page, media_type="text/html", headers={"Content-Security-Policy": FRAME_POLICY})
+
+    async def spectrum(self, request: Request) -> Response:
+        query_of(request, forms.Nothing)
+        return answer(await run_in_threadpool(self.spectra.spectrum, request.path_params["flight"]))
+
+    async def spectrum_picture(self, request: Request) -> Response:
+        query_of(request, forms.Nothing)
+        drawn = await run_in_threadpool(self.spectra.picture, request.path_params["flight"])
+        return Response(drawn, media_type="image/svg+xml", headers={"Content-Security-Policy": FRAME_POLICY})
+
+    async def filters(self, request: Request) -> Response:
+        asked = query_of(request, forms.Filters)
+        flight = request.path_params["flight"]
+        return answer(await run_in_threadpool(self.spectra.filters, flight, asked.more, asked.without))
 
     async def series(self, request: Request) -> Response:
         body = await run_in_threadpool(self.flights.series, query_of(request, forms.Window))
@@ -350,6 +371,9 @@ class Studio:
             ("GET", "flights/{flight}/suggestions", "flights", self.suggest),
             ("GET", "flights/{flight}/review", "reviews", self.review),
             ("GET", "flights/{flight}/review.html", "reviews", self.review_page),
+            ("GET", "flights/{flight}/spectrum", "spectra", self.spectrum),
+            ("GET", "flights/{flight}/spectrum.svg", "spectra", self.spectrum_picture),
+            ("GET", "flights/{flight}/filters", "spectra", self.filters),
             ("GET", "series", "flights", self.series),
             ("GET", "align", "channels", self.align),
             ("GET", "models", "channels", self.list_models),

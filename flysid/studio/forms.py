@@ -18,6 +18,13 @@ class Nothing(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """No query at all."""
 
 
+class Filters(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Filters to try and to take away, as `flysid filters` takes them."""
+
+    more: tuple[str, ...] = ()
+    without: tuple[str, ...] = ()
+
+
 class Window(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """What a page asks to see.
 

@@ -19,13 +19,12 @@ from typing import Literal
 import numpy as np
 
 from flysid.dataset import FloatArray
-from flysid.filters import apply_filter
+from flysid.filters import ONE, apply_filter
 from flysid.model.compiled_filters import differences, is_stable
 from flysid.model.noise import burg
 from flysid.model.polynomials import stabilise
 from flysid.model.refine import Refinement, levenberg_marquardt
 from flysid.model.simulation_error import (
-    ONE,
     OutputOrders,
     Record,
     Transfer,

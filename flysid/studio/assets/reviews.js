@@ -22,6 +22,7 @@ export async function reviewOf(parent, flight, plots) {
       el("b", {}, shows(one, one.title, plots)), one.changes.map((change) => el("code", {}, change.name + " " + plain(change.old) + " \u2192 " + plain(change.new) + " " + change.unit)),
       el("span", {}, " " + one.reason), one.predicted && el("span", {}, " Predicted: " + one.predicted), one.risk && el("span", { class: "hint" }, " Risk: " + one.risk))))),
     figures(found.sections, plots),
+    frequencies(path),
     el("p", {}, el("a", { href: "/api/1/" + path + "/review.html", target: "_blank", rel: "noopener" }, "The whole page, with pictures")),
   ].filter(Boolean));
 }
@@ -33,6 +34,28 @@ function figures(sections, plots) {
       el("td", {}, lamp(fact.grade), shows(fact, fact.label, plots)),
       el("td", {}, words(fact)), el("td", { class: "hint" }, fact.value === null ? fact.remedy : fact.note)))));
   return el("details", {}, el("summary", {}, "Every figure"), el("div", { class: "scroll", role: "region", tabindex: 0, "aria-label": "Figures" }, el("table", {}, bodies)));
+}
+
+function frequencies(path) { // spectrum and filters, computed when they are opened
+  const words = el("pre", {}, "Computing the spectrum"), trial = el("div", { class: "scroll", role: "region", tabindex: 0, "aria-label": "Filters" });
+  const picture = el("img", { class: "spectrum", alt: "Spectrum, and its map over throttle or time; the peaks stand below as text" });
+  const tried = el("input", { type: "text", placeholder: "notch 86 40", "aria-label": "A filter to try: notch HZ WIDTH, pt1 HZ, biquad HZ" });
+  const run = async () => {
+    const more = tried.value.trim(), query = more ? "?more=" + encodeURIComponent(more) : "";
+    try {
+      const { rows, notes } = await get(path + "/filters" + query);
+      trial.replaceChildren(el("table", {}, el("tbody", {}, rows.map((row) => el("tr", {}, row.map((cell) => el("td", {}, cell)))))), ...notes.map((note) => el("p", { class: "hint" }, note)));
+    } catch (error) { trial.replaceChildren(el("p", { class: "hint" }, "No filters: " + error.message)); }
+  };
+  const load = async () => {
+    picture.src = "/api/1/" + path + "/spectrum.svg";
+    try { words.textContent = (await get(path + "/spectrum")).lines.join("\n"); } catch (error) { words.textContent = "No spectrum: " + error.message; picture.remove(); }
+    await run();
+  };
+  const details = el("details", {}, el("summary", {}, "Spectrum and filters"), picture, words,
+    el("form", { class: "try", onsubmit: (event) => { event.preventDefault(); run(); } }, tried, el("button", {}, "Try this filter")), trial);
+  details.addEventListener("toggle", load, { once: true });
+  return details;
 }
 
 function words(fact) {

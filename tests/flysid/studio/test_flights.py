@@ -5,13 +5,18 @@ from __future__ import annotations
 import json
 import random
 import struct
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from bench.faulty_carriers import PLANE, carrier_bytes, travel
+from bench.faulty_quadrotor import draw_quadrotor
 from flysid.ingest.lake.lake import open as open_lake
+from flysid.showing import fold
+from tests.command import call
 from tests.flysid.studio.server import SAMPLES, Server, studio
 
 
@@ -200,6 +205,24 @@ def test_the_page_of_a_review_stands_in_a_frame_of_its_own(server: Server, fligh
     page = server.get(f"flights/{flight['id']}/review.html")
     assert b"<h1" in page.body
     assert "sandbox" in page.headers["content-security-policy"]
+
+
+def test_spectrum_and_filters_say_what_the_verbs_say(tmp_path: Path) -> None:
+    vehicle = replace(draw_quadrotor(np.random.default_rng(3)), bent_m_s2=20.0)
+    (tmp_path / "log.bin").write_bytes(carrier_bytes(travel(vehicle, PLANE), PLANE, imu_hz=200.0))
+    assert call("ingest", "log.bin", "-o", "data", cwd=tmp_path).returncode == 0
+    printed = call("spectrum", "log.bin", cwd=tmp_path).stdout
+    filters = call("filters", "log.bin", "--try", "notch 86 40", cwd=tmp_path).stdout
+    with studio(tmp_path / "data") as server:
+        path = f"flights/{server.get('flights').json['flights'][0]['id']}"
+        shown = server.get(f"{path}/spectrum").json
+        assert "\n".join(fold(line) for line in shown["lines"]) == printed.rstrip()
+        assert shown["spectra"][0]["peaks"]
+        assert b"<svg" in server.get(f"{path}/spectrum.svg").body
+        tried = server.get(f"{path}/filters", {"more": "notch 86 40"}).json
+        assert tried["rows"][1][0].strip() in filters
+        assert all(note in " ".join(filters.split()) for note in tried["notes"])
+        assert server.get(f"{path}/filters", {"more": "comb 86"}).status == 400
 
 
 def test_a_flight_that_is_not_there_has_no_review(server: Server) -> None:

@@ -105,7 +105,7 @@ def test_a_failsafe_is_left_out_until_it_ends_and_a_crash_for_good() -> None:
     found = mishaps(log(ERR=stream([10.0, 15.0, 30.0, 31.0], Subsys=[5, 5, 12, 12], ECode=[1, 0, 1, 0])))
     assert found == [
         Mishap(0, (START + 10 * S, START + 15 * S), "radio failsafe"),
-        Mishap(0, (START + 30 * S, FOREVER), "crash into the ground", ends=True),
+        Mishap(0, (START + 30 * S, FOREVER), "crash", ends=True),
     ]
 
 
@@ -145,7 +145,7 @@ def test_attitude_far_from_its_setpoint_for_two_seconds_is_a_crash() -> None:
 def test_what_is_left_out_is_said_and_may_be_kept() -> None:
     crashed = log(ERR=stream([30.0], Subsys=[12], ECode=[1]))
     found = Stretches().allowed(crashed)
-    assert found.notes == ("left out from 0:30 to the end: crash into the ground (--keep-mishaps keeps it)",)
+    assert found.notes == ("left out from 0:30 to the end: crash (--keep-mishaps keeps it)",)
     assert found.spans[0][0][1] == START + 30 * S
     assert len(found.spans[0]) == 1
     assert Stretches(mishaps=True).allowed(crashed).spans == {}

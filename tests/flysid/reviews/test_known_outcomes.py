@@ -1,0 +1,155 @@
+"""Logs of every firmware whose outcome is known: the first sentence of `flysid LOG` names it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bench.faulty_carriers import travel
+from bench.faulty_quadrotor import Flight, Quadrotor, draw_quadrotor
+from bench.faulty_sensors import fly
+from bench.review_faults import CARRIERS, Trial, write
+from flysid.ingest.lake.failures import failure_messages, plain_words
+from flysid.reviews.motors import read_motors
+from flysid.reviews.thrust_loss import find_thrust_loss
+from tests.command import call
+from tests.flysid.reviews.shared_logs import logged, needs_shared
+from tests.ingest.lake.test_stretches import log, stream
+
+RNG = np.random.default_rng(77)
+SOUND = draw_quadrotor(RNG)
+HOVER_A = SOUND.mass_kg * 9.81 * 17.0 * np.sqrt(SOUND.hover) / (3.9 * SOUND.cells)
+FAULTY = {
+    "sound": SOUND,
+    "motor": replace(SOUND, fails_s=30.0),
+    "propeller": replace(SOUND, fails_s=30.0, propeller=True),
+    "slip": replace(SOUND, slips_s=24.0, slip_s=0.2),
+    "jam": replace(SOUND, jam_s=25.0),
+    "wires": replace(SOUND, wires=1.2 / HOVER_A),
+    "radio": replace(SOUND, incident="radio", incident_s=26.0),
+    "EKF": replace(SOUND, incident="EKF", incident_s=28.0, drift_s=24.0, drift_m_s=2.0),
+    "dropped": replace(SOUND, hard_m_s=3.0),
+    "brown": replace(SOUND, browns_s=33.0),
+}
+
+
+@pytest.fixture(scope="module")
+def flights() -> dict[str, Flight]:
+    return dict(zip(FAULTY, fly(list(FAULTY.values())), strict=True))
+
+
+def first_sentence(path: Path) -> str:
+    """As a person reads it: the first line below the log's name."""
+    done = call(path.name, cwd=path.parent)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+CASES = [
+    ("motor", "betaflight", "Crashed: impact 157 m/s2", "motor 2 failed"),
+    ("propeller", "betaflight", "Crashed: impact", "propeller 2 lost"),
+    ("slip", "betaflight", "Motor 3 turns at less than half", "at 23.0 s"),
+    ("slip", "px4", "towards motor 2", "while that is driven up"),
+    ("brown", "betaflight", "The log ends in the air", "empty battery"),
+    ("radio", "betaflight", "Failsafe at 25 s", "radio lost"),
+    ("motor", "inav", "Tipped over", "thrust of motor 2 lost"),
+    ("dropped", "inav", "Landed hard", "m/s2"),
+    ("jam", "inav", "The GPS has only", "satellites at 2"),
+    ("jam", "px4", "Something jams the GPS at 25 s", "indicator"),
+    ("wires", "copter", "The current turns the compass's field", "%"),
+    ("radio", "copter", "Failsafe at 26 s: radio failsafe", "then RTL"),
+    ("EKF", "px4", "Failsafe at 28 s: estimate of velocity lost", "then DESCEND"),
+]
+
+
+@pytest.mark.parametrize(("kind", "firmware", "begin", "end"), CASES)
+def test_a_quadrotor(
+    flights: dict[str, Flight], kind: str, firmware: str, begin: str, end: str, tmp_path: Path
+) -> None:
+    trial = Trial(kind, FAULTY[kind], firmware, rpm=True)
+    text = first_sentence(write(trial, flights[kind], tmp_path, "log"))
+    line = next(line for line in text.splitlines() if begin in line)
+    assert end in line
+    assert text.index(begin) < 200  # it leads
+
+
+def test_a_blackbox_without_speeds_names_the_motor_that_was_driven_up(
+    flights: dict[str, Flight], tmp_path: Path
+) -> None:
+    path = write(Trial("motor", FAULTY["motor"], "betaflight", rpm=False), flights["motor"], tmp_path, "log")
+    assert "thrust of motor 2 lost" in first_sentence(path)
+
+
+@pytest.mark.parametrize("firmware", ["betaflight", "inav"])
+def test_a_sound_quadrotor(flights: dict[str, Flight], firmware: str, tmp_path: Path) -> None:
+    text = first_sentence(write(Trial("sound", SOUND, firmware, True), flights["sound"], tmp_path, "log"))
+    assert "Roll and pitch follow well" in text
+
+
+OF_CARRIERS: dict[str, tuple[Quadrotor, dict[str, str]]] = {
+    "motor": (FAULTY["motor"], {"plane": "The motor stops at", "rover": "The motor stops at"}),
+    "crash": (
+        replace(SOUND, incident="crash", incident_s=30.0),
+        {"plane": "Crashed: impact", "rover": "The drive ended badly at 31 s: crash"},
+    ),
+    "brown": (
+        FAULTY["brown"],
+        {"plane": "in the air at 33 s: brown-out", "rover": "on the way at 33 s: brown-out"},
+    ),
+    "radio": (
+        FAULTY["radio"],
+        {"plane": "26 s: RC Short Failsafe On, then CIRCLE", "rover": "radio failsafe, then HOLD"},
+    ),
+    "jam": (FAULTY["jam"], {"plane": "The GPS has only", "rover": "The GPS has only"}),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("firmware", CARRIERS)
+@pytest.mark.parametrize("kind", OF_CARRIERS)
+def test_a_plane_and_a_rover(kind: str, firmware: str, tmp_path: Path) -> None:
+    vehicle, sentences = OF_CARRIERS[kind]
+    flight = travel(vehicle, CARRIERS[firmware])
+    trial = Trial(kind, vehicle, firmware, rpm=False, imu_hz=50.0)
+    text = first_sentence(write(trial, flight, tmp_path, "log"))
+    assert sentences[firmware] in text
+    assert text.index(sentences[firmware]) < 200
+    assert "hover throttle" not in text
+
+
+def test_messages_that_only_sound_like_failures() -> None:
+    texts = [
+        "PreArm: Battery 1 low voltage",
+        "[logger] Opened full log file: /fs/microsd/log/lost.ulg",
+        "EKF3 IMU0 is using GPS",
+        "GPS Glitch cleared",
+        "Mission: 3 WP",
+    ]
+    told = log(MSG=stream([1.0 + i for i in range(len(texts))], Message=texts))
+    assert not failure_messages(told)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "Battery 1 is low 13.92V used 3104 mAh",
+        "[health_and_arming_checks] Low battery\t",
+        "Potential Thrust Loss (3)",
+        "GPS Glitch or Compass error",
+        "RC Short Failsafe On",
+        "Crash: Going to HOLD",
+        "EKF variance: over thresholds",
+    ],
+)
+def test_messages_of_failures(text: str) -> None:
+    (found,) = failure_messages(log(MSG=stream([3.0], Message=[text])))
+    assert plain_words(found.text) == text.strip().rpartition("] ")[2]
+
+
+@needs_shared
+def test_no_real_flight_falls_towards_a_motor() -> None:
+    for name in ("ulog/quad_position_76s.ulg", "ulog/quad_stabilised_92s.ulg"):
+        flight = logged(name)
+        assert find_thrust_loss(flight, read_motors(flight)) is None
