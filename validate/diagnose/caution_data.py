@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 
+from flysid.escaping import one_line
 from flysid.ingest.align.doubts import REMARKS, Doubt
-from flysid.validate.compare.words import one_line
 from flysid.validate.diagnose.caution import Caution, join
 
 WEIGHTS: Mapping[str, float] = {

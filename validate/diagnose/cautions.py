@@ -5,15 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 
+from flysid.escaping import one_line
 from flysid.extras import Extra, extra
 from flysid.feedback import BIASED, REMEDY
 from flysid.ingest.align.doubts import Doubt
-from flysid.showing import counted
+from flysid.showing import counted, percent
 from flysid.validate.compare.comparison import Comparison, Pair
 from flysid.validate.compare.intervals import FEW
 from flysid.validate.compare.trials import FREE_RUN
 from flysid.validate.compare.verdict import Verdict
-from flysid.validate.compare.words import one_line, percent
 from flysid.validate.diagnose.caution import Caution, Comparisons, Diagnoses, heads, join
 from flysid.validate.diagnose.caution_data import in_the_data
 from flysid.validate.diagnose.caution_models import (

@@ -12,7 +12,7 @@ from flysid.errors import DataError, UsageError
 from flysid.extras import Extra, extra
 from flysid.model.base import Fitted
 from flysid.model.capabilities import HasCertificate, HasSimplifications
-from flysid.validate.compare.words import percent
+from flysid.showing import percent
 from flysid.validate.diagnose.conditioning import conditions
 from flysid.validate.diagnose.parameters import Intervals, intervals
 from flysid.validate.diagnose.robustness import Robustness, robustness

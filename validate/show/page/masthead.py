@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from datetime import UTC, datetime
 
 from flysid.catalogue import FlightFacts
+from flysid.escaping import one_line
 from flysid.showing import first_of, significant
-from flysid.validate.compare.words import one_line
 from flysid.validate.show.page.narrative import duration
 
 NAMES_SHOWN = 3

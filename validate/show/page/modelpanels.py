@@ -10,13 +10,14 @@ import numpy as np
 from markupsafe import Markup
 
 from flysid.dataset import Dataset, FloatArray
+from flysid.escaping import one_line
 from flysid.extras import Extra, extra
 from flysid.filters import power_density
 from flysid.model.base import Rule
 from flysid.model.frequency.response import GOOD_COHERENCE
 from flysid.offers import rows
+from flysid.showing import number
 from flysid.validate.compare.comparison import Comparison
-from flysid.validate.compare.words import number, one_line
 from flysid.validate.diagnose.bands import curves
 from flysid.validate.diagnose.context import Sweep
 from flysid.validate.diagnose.residuals import Correlation
