@@ -24,9 +24,9 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from flysid import copies
 from flysid.dataset import FloatArray, Segment
 from flysid.filters import apply_filter
+from flysid.leakage import copies
 from flysid.leakage.copies import find_copy
 from flysid.leakage.same_flights import same_flights
 

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from flysid import copies
 from flysid.dataset import Dataset, FloatArray, Segment, Signal
 from flysid.errors import DataError
 from flysid.ingest.align.resample import RecordedSignal, decimate, hold, linear
+from flysid.leakage import copies
 from flysid.leakage.alike import Grid
 from flysid.leakage.copies import find_copy
 from flysid.leakage.like_windows import pairs_alike
