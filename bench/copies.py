@@ -24,11 +24,11 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from flysid import copies
-from flysid.copies import find_copy
 from flysid.dataset import FloatArray, Segment
 from flysid.filters import apply_filter
-from flysid.same_flights import same_flights
+from flysid.leakage import copies
+from flysid.leakage.copies import find_copy
+from flysid.leakage.same_flights import same_flights
 
 DT_S = 0.04
 EVERY = 4

@@ -1,9 +1,10 @@
-"""Tables that say in at most twenty lines what an object holds: for a Python prompt, and for a notebook."""
+"""Numbers, lists and tables as people read them: for a terminal, a Python prompt, a notebook and the page."""
 
 from __future__ import annotations
 
 import difflib
 import html
+import math
 import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,6 +17,40 @@ WIDTH = 100
 def counted(count: int, noun: str) -> str:
     """A number and its noun: "1 boot", "2,000 boots"."""
     return f"{count:,} {noun}{'' if count == 1 else 's'}"
+
+
+def number(value: float | None, digits: int = 3) -> str:
+    """`digits` significant digits without an exponent where that is short; "-" for None or not finite."""
+    if value is None or not math.isfinite(value):
+        return "-"
+    if value == 0.0:
+        return "0"
+    if 1e-3 <= abs(value) < 1e5:
+        places = max(0, digits - 1 - math.floor(math.log10(abs(value))))
+        return f"{value:.{places}f}"
+    return f"{value:.{digits - 1}e}"
+
+
+def percent(value: float, places: int = 0) -> str:
+    """A signed percentage with a true minus; "> +1000 %" where the number says nothing more."""
+    if value > 1000.0:
+        return "> +1000 %"
+    text = f"{value:+.{places}f}"
+    if float(text) == 0.0:
+        text = f"{0.0:.{places}f}"
+    return text.replace("-", "−") + " %"
+
+
+def percentage(value: float | None) -> str:
+    """One decimal and a true minus, without the sign of per cent; "-" for None, "< −999" below that."""
+    if value is None or not math.isfinite(value):
+        return "-"
+    return "< −999" if value < -999.0 else f"{round(value, 1) + 0.0:.1f}".replace("-", "−")
+
+
+def list_words(parts: Sequence[str]) -> str:
+    """ "a", "a and b", "a, b and c"; "" of none."""
+    return " and ".join([", ".join(parts[:-1]), parts[-1]]) if len(parts) > 1 else "".join(parts)
 
 
 def significant(value: float, digits: int = 3) -> str:

@@ -14,8 +14,8 @@ from typing import Any, Literal, Protocol, Self, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from flysid.copies import find_copy
 from flysid.errors import DataError, StoreError, UsageError
+from flysid.leakage.copies import find_copy
 from flysid.showing import counted, significant
 from flysid.stretch import FloatArray, Stretch
 

@@ -326,7 +326,7 @@ def check_antecedents(antecedents: Sequence[str], words: Words, channels: Sequen
     """Raise UsageError where a recipe is named, and antecedents that none of its channels has."""
     if words.recipe and antecedents:
         from flysid.ingest.align.recipe import load_recipe
-        from flysid.validate.runs.fit_checks import refused_antecedents
+        from flysid.validate.runs.wanted_models import refused_antecedents
 
         recipe = load_recipe(words.recipe)
         refused_antecedents(antecedents, recipe, recipe.chosen(channels))

@@ -42,7 +42,7 @@ def command(folders: tuple[Path, ...], as_json: bool) -> int:
 
 def linear_text(channel: RunChannel) -> str:
     """ "0.163 arx": the baseline's error and its name."""
-    from flysid.validate.compare.words import number
+    from flysid.showing import number
 
     rmse = channel.rmse.get(channel.baseline)
     return number(rmse) if rmse is None else f"{number(rmse)} {channel.baseline}"
@@ -51,7 +51,7 @@ def linear_text(channel: RunChannel) -> str:
 def fuzzy_text(channel: RunChannel) -> str:
     """ "0.035", or "0.035 ts_ss" where it is not the usual one."""
     from flysid.model.structures import leaders
-    from flysid.validate.compare.words import number
+    from flysid.showing import number
 
     label = channel.fuzzy
     return number(channel.rmse.get(label or "")) + (f" {label}" if label not in (None, leaders()[0]) else "")

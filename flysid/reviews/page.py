@@ -11,13 +11,13 @@ from typing import Any
 from jinja2 import Environment, FunctionLoader
 from markupsafe import Markup
 
+from flysid.escaping import one_line
 from flysid.extras import Extra, Missing, extra
 from flysid.ingest.lake.timeline import Timeline
 from flysid.reviews.drawing import draw_heat_map, draw_motors, draw_picture
 from flysid.reviews.fact import Fact, Grade, HeatMap, MotorPlan, Picture, Section, Table
 from flysid.reviews.lines import capital, head
 from flysid.reviews.reviewed import Review
-from flysid.validate.compare.words import one_line
 from flysid.validate.show.page.flight_page import timeline_document
 from flysid.validate.show.page.html import environment, load_asset, script_json, security_policy, write_page
 from flysid.version import __version__

@@ -1,10 +1,10 @@
-"""Whether two flights are the same, as `flysid.alike` states it: pair by pair, with NumPy alone."""
+"""Whether two flights are the same, as `flysid.leakage.alike` states it: pair by pair, with NumPy alone."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from flysid.alike import (
+from flysid.leakage.alike import (
     LEAST_CORRELATION,
     LEAST_NOISE,
     LEAST_OVERLAP,

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from flysid import copies
-from flysid.alike import Grid
-from flysid.copies import find_copy
 from flysid.dataset import Dataset, FloatArray, Segment, Signal
 from flysid.errors import DataError
 from flysid.ingest.align.resample import RecordedSignal, decimate, hold, linear
-from flysid.like_windows import pairs_alike
-from flysid.same_flights import same_flights
+from flysid.leakage import copies
+from flysid.leakage.alike import Grid
+from flysid.leakage.copies import find_copy
+from flysid.leakage.like_windows import pairs_alike
+from flysid.leakage.same_flights import same_flights
 from tests.flysid.plain_copies import are_same
 
 BASE_S = 0.01

@@ -8,6 +8,7 @@ import sys
 import pytest
 
 import flysid
+from flysid.validate.show.page import modelpanels, svg, write_report
 
 
 def test_the_figure_of_rules_is_found_where_it_was() -> None:
@@ -19,3 +20,13 @@ def test_the_figure_of_rules_is_found_where_it_was() -> None:
 
 def test_compare_is_found_where_it_was() -> None:
     assert importlib.import_module("flysid.validate.compare_models").compare is flysid.compare
+
+
+def test_a_figure_of_another_package_finds_what_it_draws_with() -> None:
+    sys.modules.pop("flysid.validate.report", None)
+    with pytest.warns(FutureWarning, match=r"is flysid\.validate\.show\.page") as told:
+        panels = importlib.import_module("flysid.validate.report.modelpanels")
+    drawing = importlib.import_module("flysid.validate.report.svg")
+    assert (panels.Figure, drawing.picture) == (modelpanels.Figure, svg.picture)
+    assert importlib.import_module("flysid.validate.report").write_report is write_report
+    assert len(told) == 1

@@ -1,46 +1,17 @@
-"""Numbers and names as people read them, the same on the terminal, in Markdown and on the page."""
+"""Verdicts and changes in words, the same on the terminal, in Markdown and on the page."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
-from flysid.escaping import one_line as one_line
+from flysid.escaping import one_line
+from flysid.showing import list_words, percent
 from flysid.validate.compare.comparison import Comparison, Pair
 from flysid.validate.compare.intervals import FEW, Scope
 from flysid.validate.compare.trials import FREE_RUN
 from flysid.validate.compare.verdict import ALPHA, LARGE_PCT, MARGIN_PCT, Verdict
 
 BELOW = "< resolution"
-
-
-def number(value: float | None, digits: int = 3) -> str:
-    """`digits` significant digits without an exponent where that is short; "-" for None or not finite."""
-    if value is None or not math.isfinite(value):
-        return "-"
-    if value == 0.0:
-        return "0"
-    if 1e-3 <= abs(value) < 1e5:
-        places = max(0, digits - 1 - math.floor(math.log10(abs(value))))
-        return f"{value:.{places}f}"
-    return f"{value:.{digits - 1}e}"
-
-
-def percent(value: float, places: int = 0) -> str:
-    """A signed percentage with a true minus; "> +1000 %" where the number says nothing more."""
-    if value > 1000.0:
-        return "> +1000 %"
-    text = f"{value:+.{places}f}"
-    if float(text) == 0.0:
-        text = f"{0.0:.{places}f}"
-    return text.replace("-", "−") + " %"
-
-
-def percentage(value: float | None) -> str:
-    """One decimal and a true minus, without the sign of per cent; "-" for None, "< −999" below that."""
-    if value is None or not math.isfinite(value):
-        return "-"
-    return "< −999" if value < -999.0 else f"{round(value, 1) + 0.0:.1f}".replace("-", "−")
 
 
 def change_words(pair: Pair) -> str:
@@ -168,11 +139,6 @@ def _pooled_words(pair: Pair) -> list[str]:
 def named(models: Sequence[str]) -> str:
     """ "ARX", "ARX and OE", "ARX, OE and LINE"."""
     return list_words([one_line(m).upper() for m in models])
-
-
-def list_words(parts: Sequence[str]) -> str:
-    """ "a", "a and b", "a, b and c"; "" of none."""
-    return " and ".join([", ".join(parts[:-1]), parts[-1]]) if len(parts) > 1 else "".join(parts)
 
 
 def interval_words(pair: Pair) -> str:

@@ -11,7 +11,7 @@ import numpy as np
 from flysid.dataset import Dataset
 from flysid.model.base import Fitted
 from flysid.model.rules.explanation import CAUTION
-from flysid.validate.compare.words import number
+from flysid.showing import number
 from flysid.validate.diagnose.residuals import ResidualSpectrum, spectrum
 from flysid.validate.diagnose.responses import responses
 

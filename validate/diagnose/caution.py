@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 
+from flysid.escaping import one_line
 from flysid.validate.compare.comparison import Comparison
-from flysid.validate.compare.words import one_line
 from flysid.validate.diagnose.diagnostics import Diagnosis
 
 

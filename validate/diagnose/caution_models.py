@@ -6,11 +6,13 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from flysid.escaping import one_line
 from flysid.model.structures import least, references, row_of
+from flysid.showing import number
 from flysid.validate.compare.comparison import Comparison, Entry
 from flysid.validate.compare.trials import FREE_RUN
 from flysid.validate.compare.verdict import Verdict
-from flysid.validate.compare.words import named, number, one_line
+from flysid.validate.compare.words import named
 from flysid.validate.diagnose.beyond import beyond
 from flysid.validate.diagnose.caution import Caution, Comparisons, Diagnoses, heads, join
 

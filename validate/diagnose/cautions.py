@@ -5,17 +5,16 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 
+from flysid.escaping import one_line
 from flysid.extras import Extra, extra
 from flysid.feedback import BIASED, REMEDY
-from flysid.ingest.align.doubts import Doubt
-from flysid.showing import counted
+from flysid.ingest.align.doubts import REMARKS, Doubt
+from flysid.showing import counted, percent
 from flysid.validate.compare.comparison import Comparison, Pair
 from flysid.validate.compare.intervals import FEW
 from flysid.validate.compare.trials import FREE_RUN
 from flysid.validate.compare.verdict import Verdict
-from flysid.validate.compare.words import one_line, percent
 from flysid.validate.diagnose.caution import Caution, Comparisons, Diagnoses, heads, join
-from flysid.validate.diagnose.caution_data import in_the_data
 from flysid.validate.diagnose.caution_models import (
     beyond_band,
     collinear,
@@ -49,6 +48,17 @@ UNDECIDED: Mapping[str, tuple[str, str]] = {
 }
 Saying = Callable[[Comparisons, Diagnoses], Iterator[Caution]]
 _ORDER = ("danger", "warning", "note", "good")
+WEIGHTS: Mapping[str, float] = {
+    "quiet": 9.0,
+    "slow": 6.0,
+    "short": 5.5,
+    "narrow": 4.5,
+    "holes": 4.2,
+    "kinematics": 4.0,
+    "pooled": 3.5,
+    "band": 0.4,
+}
+"""Coherence is left out: it is judged on the held-out part, by a rule of its own."""
 
 
 def cautions(
@@ -386,3 +396,19 @@ def _all_stable(comparisons: Comparisons, diagnoses: Diagnoses) -> Sequence[Caut
     return (
         Caution("good", f"{models} stable (largest pole radius {radius:.3f}); no free run diverged.", ""),
     )
+
+
+def in_the_data(doubts: Mapping[str, Sequence[Doubt]]) -> Iterator[Caution]:
+    """What alignment said of the data, by channel; the same of several channels is said once."""
+    said: dict[tuple[str, str, str], list[str]] = {}
+    for channel, own in doubts.items():
+        for d in own:
+            if d.kind == "band":  # another one for every channel: listed
+                said.setdefault((d.kind, "", d.todo), []).append(d.text)
+            else:
+                said.setdefault((d.kind, d.text, d.todo), []).append(channel)
+    for (kind, text, todo), whom in said.items():
+        if kind in WEIGHTS:
+            words = f"{join(whom)}: {text}." if text else f"{join(whom)}."
+            level = "note" if kind in REMARKS else "warning"
+            yield Caution(level, one_line(words), f"{todo}." if todo else "", WEIGHTS[kind])

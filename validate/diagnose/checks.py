@@ -5,26 +5,111 @@ from __future__ import annotations
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from flysid.dataset import Dataset
+import numpy as np
+
+from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, UsageError
 from flysid.extras import Extra, extra
 from flysid.model.base import Fitted
-from flysid.model.capabilities import HasCertificate, HasSimplifications
-from flysid.validate.compare.words import percent
-from flysid.validate.diagnose.conditioning import conditions
-from flysid.validate.diagnose.parameters import Intervals, intervals
+from flysid.model.capabilities import (
+    Coefficient,
+    HasCertificate,
+    HasCoefficients,
+    HasDifferenceEquation,
+    HasIntervals,
+    HasOperatingPoints,
+    HasSimplifications,
+    LinearModel,
+    LocallyLinear,
+)
+from flysid.model.polynomials import Z95
+from flysid.showing import percent
 from flysid.validate.diagnose.robustness import Robustness, robustness
 
 if TYPE_CHECKING:
     from flysid.model.rules.rule_uncertainty import Uncertainty
 
-
 NOT_GIVEN = "not given: see what is missing"
 """Of a certificate that broke."""
 MOST_SAMPLES = 200_000
 """Training samples up to which simplifications are priced: each is refined on all of them."""
+
+
+@dataclass(frozen=True, eq=False)
+class Intervals:
+    """95 % intervals of one model: of its gains, time constants and coefficients.
+
+    They come from the training data and speak of noise alone: what a structure cannot express is not in them.
+
+    Attributes
+    ----------
+    gain : (2, R, n_y, n_u) of the steady gain; of a model of several rules, of what it does where each rule
+        is the strongest at rest. NaN where there is none.
+    reached_s : (2, R, n_y, n_u) of the time to 63 % of a change there, or None where it is not known.
+    coefficients : every estimated coefficient.
+    fuzzy : what all of this was drawn from, for a TS model.
+    """
+
+    gain: FloatArray
+    reached_s: FloatArray | None
+    coefficients: tuple[Coefficient, ...]
+    fuzzy: Uncertainty | None = None
+
+
+def intervals(model: Fitted, train: Dataset | None) -> Intervals | None:
+    """What the model offers: linear ones by themselves, rules beside their training data."""
+    if isinstance(model, LinearModel):
+        return _linear(model)
+    if isinstance(model, HasIntervals) and train is not None:
+        return _of_rules(model, train)
+    return None
+
+
+def _of_rules(model: Any, train: Dataset) -> Intervals | None:
+    """Of a model of rules; None where the data cannot tell."""
+    try:
+        sure: Uncertainty = model.uncertainty(train)
+        with np.errstate(all="ignore"):
+            known = isinstance(model, HasOperatingPoints) and model.operating_points
+            gain, reached = _at_rest(model) if known else (sure.gain_interval, None)
+    except (DataError, UsageError):
+        return None
+    errors = sure.consequent_errors
+    found = [
+        Coefficient(f"R{r + 1}", output.name, name, float(value), float(errors[r, i, m]))
+        for r, rule in enumerate(model.consequents)
+        for i, output in enumerate(model.outputs)
+        for m, (name, value) in enumerate(zip(model.regressor_names, rule[i], strict=True))
+    ]
+    return Intervals(gain, reached, tuple(found), sure)
+
+
+def _at_rest(model: Any) -> tuple[FloatArray, FloatArray]:
+    """Intervals where each rule is the strongest at rest."""
+    rules = model.rules()
+    gain = np.full((2, len(rules), len(model.outputs), len(model.inputs)), np.nan)
+    reached = gain.copy()
+    for r, rule in enumerate(rules):
+        for point in rule.here:
+            gain[:, r, point.output] = point.gain_interval
+            reached[:, r, point.output] = point.reached_interval_s
+    return gain, reached
+
+
+def _linear(model: LinearModel) -> Intervals | None:
+    """The gain at frequency zero with its first-order error; coefficients where they mean something."""
+    estimated = model.coefficients() if isinstance(model, HasCoefficients) else ()
+    try:
+        with np.errstate(all="ignore"):  # a gain of zero has no phase
+            error = Z95 * model.frequency_response(np.zeros(1)).magnitude_error[0]
+    except np.linalg.LinAlgError:  # it integrates
+        error = np.full(model.dc_gain.shape, np.nan)
+    if not estimated and not np.isfinite(error).any():
+        return None
+    gain = np.stack([model.dc_gain - error, model.dc_gain + error])[:, None]
+    return Intervals(gain, None, tuple(estimated))
 
 
 @dataclass(frozen=True)
@@ -94,3 +179,72 @@ def _certificate(model: Fitted) -> tuple[bool, str]:
         return False, ""
     found = model.certificate()
     return found.proved, found.reason
+
+
+def conditions(model: Fitted, data: Dataset) -> tuple[float, ...]:
+    """Condition number of the regressors, one per rule; () where the model does not tell its regressors.
+
+    Columns are centred and scaled; rows are weighted by the rule's firing strength. 1: perfectly independent;
+    infinite: some coefficients cannot be told apart.
+    """
+    lags = _lags(model)
+    if lags is None:
+        return ()
+    rows, weights = _regressors(model, data, lags)
+    if len(rows) <= rows.shape[1]:
+        return ()
+    return tuple(_condition(rows, weights[:, r]) for r in range(weights.shape[1]))
+
+
+def _lags(model: Fitted) -> tuple[FloatArray, FloatArray] | None:
+    """Which (lag, signal) any rule uses: outputs (na + 1, n_y) and inputs (nb + 1, n_u), as 0 and 1."""
+    if isinstance(model, LocallyLinear):
+        polynomials = [(A, B) for A, B, _ in model.local_polynomials()]
+    elif isinstance(model, HasDifferenceEquation):
+        polynomials = [(-model.system.a[1:], model.system.b)]
+    else:
+        return None
+    A = np.max([np.abs(A).max(axis=1) for A, _ in polynomials], axis=0) if len(polynomials[0][0]) else None
+    n_y = len(model.outputs)
+    outputs = np.vstack([np.zeros((1, n_y)), np.zeros((0, n_y)) if A is None else A > 0.0])
+    inputs = np.max([np.abs(B).max(axis=1) for _, B in polynomials], axis=0) > 0.0
+    return outputs, np.asarray(inputs, dtype=np.float64)
+
+
+def _regressors(
+    model: Fitted, data: Dataset, lags: tuple[FloatArray, FloatArray], *, most_rows: int = 20_000
+) -> tuple[FloatArray, FloatArray]:
+    """(N, columns) lagged signals and (N, R) firing strengths, without the first rows of every segment."""
+    depth = max(len(lags[0]), len(lags[1])) - 1
+    parts = []
+    strengths = []
+    left = most_rows
+    for segment in data.segments:
+        if len(segment) <= depth or left <= 0:
+            continue
+        n = min(len(segment), left + depth)
+        u = segment.u[:n]
+        y = segment.y[:n]
+        columns = [
+            signal[depth - lag : n - lag, j]
+            for used, signal in ((lags[0], y), (lags[1], u))
+            for lag, j in np.argwhere(used > 0.0)
+        ]
+        parts.append(np.stack(columns, axis=1) if columns else np.zeros((n - depth, 0)))
+        strengths.append(np.asarray(model.firing(u, y))[depth:])
+        left -= n - depth
+    if not parts:
+        return np.zeros((0, 0)), np.zeros((0, len(model.rules())))
+    return np.vstack(parts), np.vstack(strengths)
+
+
+def _condition(rows: FloatArray, weight: FloatArray) -> float:
+    if rows.shape[1] == 0 or weight.sum() <= 0.0:
+        return float("inf") if rows.shape[1] else 1.0
+    centred = rows - np.average(rows, axis=0, weights=weight)
+    centred = centred * np.sqrt(weight)[:, None]
+    size = np.linalg.norm(centred, axis=0)
+    if not (size > 0.0).all():
+        return float("inf")
+    values = np.linalg.svd(centred / size, compute_uv=False)
+    return float(values[0] / values[-1]) if values[-1] > 0.0 else float("inf")

@@ -17,8 +17,9 @@ from flysid.ingest.synth.plants import paper_experiment
 from flysid.model.base import Estimator, Fitted
 from flysid.model.shared import sharing
 from flysid.progress import part, tell
+from flysid.validate.compare.comparison import Comparison
 from flysid.validate.compare.metrics import scores
-from flysid.validate.compare.models import Comparison, compare_models
+from flysid.validate.compare.models import compare_models
 from flysid.validate.paper.printed import LOOPS, PaperLoop
 
 NOISE_M_S = 0.02

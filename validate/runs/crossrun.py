@@ -25,7 +25,8 @@ from flysid.model.base import Fitted
 from flysid.model.structures import kind_of, leaders
 from flysid.progress import tell
 from flysid.split import Piece, Split, refuse_copies
-from flysid.validate.compare.models import Comparison, across_channels, compare_models, headline, sides_of
+from flysid.validate.compare.comparison import Comparison
+from flysid.validate.compare.models import across_channels, compare_models, headline, sides_of
 from flysid.validate.diagnose.context import ReportContext
 from flysid.validate.runs.expected import expected_document
 from flysid.validate.runs.fitone import nothing_done

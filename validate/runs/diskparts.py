@@ -12,10 +12,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from flysid.copies import find_copy
 from flysid.dataset import Dataset, FloatArray, Segment, Signal
 from flysid.datasetfile import DatasetFile, Entry
 from flysid.errors import DataError
+from flysid.leakage.copies import find_copy
 from flysid.showing import counted
 from flysid.split import (
     BLOCKS,

@@ -39,7 +39,6 @@ from flysid.split import plan_held, plan_split
 from flysid.validate.runs import folds
 from flysid.validate.runs.channeljob import ChannelJob, Fits
 from flysid.validate.runs.diskparts import LOOK_ROWS
-from flysid.validate.runs.fit_checks import refused_antecedents
 from flysid.validate.runs.fitdisk import DiskJob
 from flysid.validate.runs.fitone import nothing_done, reason
 from flysid.validate.runs.fitplan import CHOICE, FitPlan
@@ -52,7 +51,13 @@ from flysid.validate.runs.run import (
     run_document,
     versions,
 )
-from flysid.validate.runs.wanted_models import check_settings, delays_of, estimators, files_of
+from flysid.validate.runs.wanted_models import (
+    check_settings,
+    delays_of,
+    estimators,
+    files_of,
+    refused_antecedents,
+)
 
 FROM_DISK = " from disk: it has more samples than may be in memory (--memory)"
 

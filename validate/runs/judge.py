@@ -16,7 +16,8 @@ from flysid.ingest.lake.chosen_flights import Selection
 from flysid.ingest.lake.lake import open as open_lake
 from flysid.loops.judged import Judged, judge, states_gains
 from flysid.progress import tell
-from flysid.validate.compare.models import Comparison, across_channels, compare_models
+from flysid.validate.compare.comparison import Comparison
+from flysid.validate.compare.models import across_channels, compare_models
 from flysid.validate.diagnose.caution import Caution
 from flysid.validate.diagnose.cautions import cautions
 from flysid.validate.diagnose.context import ReportContext

@@ -1,4 +1,4 @@
-"""The models that a run fits, by name: rows of the table of structures and the run's settings."""
+"""The models that a run fits, by name, and the antecedents that a person named: before there are data."""
 
 from __future__ import annotations
 
@@ -6,12 +6,14 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from flysid.dataset import Dataset
+from flysid.dataset import Dataset, Signal
 from flysid.errors import UsageError
+from flysid.ingest.align.recipe import Recipe
 from flysid.ingest.excitation.dead_time import DeadTime, delays_to_try, least_delays
 from flysid.model.base import Estimator
 from flysid.model.capabilities import HasCheck
 from flysid.model.linear_choice import FIRST
+from flysid.model.rules.regressor_layout import parse_antecedents
 from flysid.model.rules.search_settings import SearchSettings
 from flysid.model.structures import Structure, table
 from flysid.showing import one_of
@@ -20,6 +22,8 @@ from flysid.validate.runs.run import FitSettings
 Delays = tuple[tuple[int, ...], tuple[int, ...]]
 """Delays in samples per input that the training data speak for, and those below which they show no answer."""
 NO_DELAYS: Delays = ((), ())
+HIDDEN = "hidden "
+"""An antecedent that begins so is a state that a model finds by itself: no recipe names it."""
 
 
 def estimators(
@@ -111,3 +115,31 @@ def _check_names(settings: FitSettings) -> None:
             raise UsageError(f"{label} takes no file", hint=f"{' or '.join(takers)} does")
         if rows[label].takes_file and settings.labels.count(label) > 1:
             raise UsageError(f"a run takes one {label} model", hint="fit the other into a run of its own")
+
+
+def refused_antecedents(
+    antecedents: Sequence[str], recipe: Recipe, channels: Sequence[str]
+) -> dict[str, UsageError]:
+    """Channels whose signals these antecedents are not of, with the reason.
+
+    Raises
+    ------
+    UsageError : they are of none of the channels.
+    """
+    refused = {name: error for name in channels if (error := _refusal(antecedents, recipe, name)) is not None}
+    if refused and len(refused) == len(channels):
+        raise next(iter(refused.values()))
+    return refused
+
+
+def _refusal(antecedents: Sequence[str], recipe: Recipe, channel: str) -> UsageError | None:
+    spec = recipe.channel(channel)
+    outputs, inputs = (
+        [Signal(name, recipe.signals[name].unit) for name in names] for names in (spec.outputs, spec.inputs)
+    )
+    named = [name for name in antecedents if not name.startswith(HIDDEN)]
+    try:
+        parse_antecedents(named, outputs, inputs, [1] * len(inputs))
+    except UsageError as error:
+        return error
+    return None

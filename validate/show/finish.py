@@ -11,12 +11,13 @@ from pathlib import Path
 from typing import Any
 
 from flysid.errors import StoreError, UsageError
+from flysid.escaping import one_line
 from flysid.extras import Extra, Missing, extra
 from flysid.files import replacing_folder, write_atomically
 from flysid.progress import tell
 from flysid.showing import fold
 from flysid.validate.compare.condition import matching_channels
-from flysid.validate.compare.words import one_line, physics_words
+from flysid.validate.compare.words import physics_words
 from flysid.validate.runs.judge import Judgement
 from flysid.validate.runs.run import DOCUMENT, PAGE, REPORT, Run, run_file
 from flysid.validate.show.page.describe import Page, describe

@@ -12,15 +12,10 @@ from dataclasses import dataclass
 from markupsafe import Markup
 
 from flysid.escaping import csv_line, markdown, one_line
+from flysid.showing import number, percentage
 from flysid.validate.compare.comparison import Comparison, Entry, Pair
 from flysid.validate.compare.metrics import Scores
-from flysid.validate.compare.words import (
-    change_words,
-    horizon_words,
-    interval_words,
-    number,
-    percentage,
-)
+from flysid.validate.compare.words import change_words, horizon_words, interval_words
 from flysid.validate.diagnose.caution import Caution
 from flysid.validate.show.terminal import of_which, shown_models, standing, summary_cells
 

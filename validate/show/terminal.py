@@ -4,19 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+from flysid.escaping import one_line
+from flysid.showing import number, percentage
 from flysid.validate.compare.comparison import Comparison, Entry
 from flysid.validate.compare.intervals import Scope
 from flysid.validate.compare.trials import FREE_RUN
 from flysid.validate.compare.verdict import Verdict
-from flysid.validate.compare.words import (
-    change_words,
-    horizon_words,
-    interval_words,
-    number,
-    one_line,
-    percentage,
-    verdict_words,
-)
+from flysid.validate.compare.words import change_words, horizon_words, interval_words, verdict_words
 
 HEADER = ("MODEL", "RMSE", "FIT %", "VAF %", "CHANGE", "95 %", "RULES", "PARAMS", "VERDICT")
 RIGHT = {1, 2, 3, 4, 6, 7}

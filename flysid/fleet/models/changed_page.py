@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup
 
+from flysid.escaping import one_line
 from flysid.fleet.models.changed import Comparison
 from flysid.fleet.models.differences import JudgedChannel, Test
 from flysid.fleet.models.flag_words import Finding, date_of
 from flysid.model.polynomials import Z95
 from flysid.showing import first_of
-from flysid.validate.compare.words import one_line
 from flysid.validate.show.page.html import environment, load_asset, security_policy, write_page
 from flysid.validate.show.page.masthead import dates
 from flysid.validate.show.page.narrative import duration

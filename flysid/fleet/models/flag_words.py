@@ -11,11 +11,11 @@ from scipy import stats
 from scipy.optimize import brentq
 
 from flysid.dataset import FloatArray
+from flysid.escaping import one_line
 from flysid.fleet.models.differences import JudgedChannel, Test, since
 from flysid.ingest.align.recipe import Recipe
 from flysid.ingest.lake.chosen_flights import shortest_end
 from flysid.validate.compare.verdict import ALPHA
-from flysid.validate.compare.words import one_line
 
 NAMELESS = "(no name)"
 SEEN = 0.9

@@ -12,8 +12,9 @@ import flysid
 from flysid.dataset import Dataset, Segment, Signal
 from flysid.errors import DataError, UsageError
 from flysid.model.start import estimate_start
+from flysid.validate.compare.comparison import Comparison
 from flysid.validate.compare.intervals import Scope
-from flysid.validate.compare.models import Comparison, Turn, across_channels
+from flysid.validate.compare.models import Turn, across_channels
 from flysid.validate.compare.trials import free_run, run_trials
 from flysid.validate.compare.verdict import Evidence, Verdict, decide
 from flysid.validate.compare.words import scope_words

@@ -13,9 +13,9 @@ from flysid.model.ts import TS, over_lags
 from flysid.validate.compare.trials import free_run
 from flysid.validate.compare_models import compare
 from flysid.validate.diagnose.bands import curves, free_run_band
+from flysid.validate.diagnose.checks import intervals
 from flysid.validate.diagnose.diagnostics import diagnose
 from flysid.validate.diagnose.document import to_json
-from flysid.validate.diagnose.parameters import intervals
 from flysid.validate.diagnose.responses import responses
 from flysid.validate.show.page import ReportContext, render
 from tests.fakes import FirstOrder, flown

@@ -12,8 +12,7 @@ from flysid.validate.compare.intervals import Scope
 from flysid.validate.compare.verdict import Verdict
 from flysid.validate.compare.words import verdict_words
 from flysid.validate.compare_models import compare
-from flysid.validate.diagnose.caution_data import WEIGHTS
-from flysid.validate.diagnose.cautions import MOST, cautions
+from flysid.validate.diagnose.cautions import MOST, WEIGHTS, cautions
 from flysid.validate.diagnose.diagnostics import diagnose
 from tests.fakes import flown
 from tests.validate.show.page.test_report import ARX, TS, compared

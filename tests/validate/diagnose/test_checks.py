@@ -16,10 +16,8 @@ from flysid.model.mean import Mean
 from flysid.model.ts import TS, over_lags
 from flysid.validate.compare_models import compare
 from flysid.validate.diagnose.cautions import cautions
-from flysid.validate.diagnose.checks import check
-from flysid.validate.diagnose.conditioning import conditions
+from flysid.validate.diagnose.checks import check, conditions, intervals
 from flysid.validate.diagnose.diagnostics import diagnose
-from flysid.validate.diagnose.parameters import intervals
 from flysid.validate.diagnose.robustness import robustness
 from flysid.validate.show.page import ReportContext, render
 from flysid.validate.show.page.checktable import check_rows

@@ -31,10 +31,10 @@ from flysid.model.base import Estimator, Fitted, load
 from flysid.model.ensemble import Ensemble
 from flysid.model.oe import OE
 from flysid.model.ts import TS
+from flysid.showing import number
 from flysid.split import Split
 from flysid.validate.compare.comparison import Comparison, Entry
 from flysid.validate.compare.models import sides_of
-from flysid.validate.compare.words import number
 from flysid.validate.compare_models import compare
 from flysid.validate.runs import fitting, judge
 from flysid.validate.runs.expected import expected_of_run

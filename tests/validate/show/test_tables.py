@@ -9,7 +9,8 @@ from dataclasses import replace
 import pytest
 
 from flysid.dataset import Signal
-from flysid.validate.compare.words import change_words, interval_words, percent, percentage
+from flysid.showing import percent, percentage
+from flysid.validate.compare.words import change_words, interval_words
 from flysid.validate.compare_models import compare
 from flysid.validate.diagnose.caution import Caution
 from flysid.validate.show.shown import ShownComparison

@@ -9,11 +9,11 @@ from typing import TypeVar
 import numpy as np
 
 from flysid.dataset import FloatArray
+from flysid.escaping import one_line
 from flysid.model.capabilities import Coefficient
-from flysid.showing import counted
+from flysid.showing import counted, number
 from flysid.validate.compare.comparison import Comparison
 from flysid.validate.compare.trials import FREE_RUN
-from flysid.validate.compare.words import number, one_line
 from flysid.validate.diagnose.caution_models import COLLINEAR
 from flysid.validate.diagnose.checks import Checks
 from flysid.validate.diagnose.diagnostics import Diagnosis

@@ -9,16 +9,11 @@ from typing import Any
 
 from markupsafe import Markup
 
+from flysid.escaping import one_line
 from flysid.extras import Extra, extra
 from flysid.loops.judged import CAUTION
 from flysid.validate.compare.comparison import Comparison, ModelInfo, Pair
-from flysid.validate.compare.words import (
-    change_words,
-    horizon_words,
-    interval_words,
-    one_line,
-    physics_words,
-)
+from flysid.validate.compare.words import change_words, horizon_words, interval_words, physics_words
 from flysid.validate.diagnose.caution import Caution
 from flysid.validate.diagnose.cautions import cautions
 from flysid.validate.diagnose.context import ReportContext

@@ -10,8 +10,8 @@ import numpy as np
 from markupsafe import Markup
 
 from flysid.dataset import FloatArray
+from flysid.escaping import one_line
 from flysid.ingest.lake.timeline import Timeline, Trace
-from flysid.validate.compare.words import one_line
 from flysid.validate.show.page.decimate import extremes
 from flysid.validate.show.page.html import environment, load_asset, script_json, security_policy
 from flysid.version import __version__

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from markupsafe import Markup
 
+from flysid.escaping import one_line
 from flysid.loops.judged import Judged
 from flysid.loops.nyquist import Curve, curve_of
-from flysid.validate.compare.words import one_line
 from flysid.validate.show.page.svg import HALF, Axes, dots, frame, line, picture, segment, text
 
 REAL = (-2.4, 0.9)

@@ -18,7 +18,7 @@ from typing import Any
 from jinja2 import Environment, FunctionLoader, StrictUndefined
 
 from flysid.files import write_atomically, writing_to
-from flysid.validate.compare.words import number, percentage
+from flysid.showing import number, percentage
 
 
 @cache

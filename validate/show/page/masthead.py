@@ -7,8 +7,8 @@ from datetime import UTC, datetime
 
 from flysid.catalogue import FlightFacts
 from flysid.facts.losses import lines_of_flights
+from flysid.escaping import one_line
 from flysid.showing import first_of, significant
-from flysid.validate.compare.words import one_line
 from flysid.validate.show.page.narrative import duration
 
 NAMES_SHOWN = 3

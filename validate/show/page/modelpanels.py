@@ -10,13 +10,14 @@ import numpy as np
 from markupsafe import Markup
 
 from flysid.dataset import Dataset, FloatArray
+from flysid.escaping import one_line
 from flysid.extras import Extra, extra
 from flysid.filters import power_density
 from flysid.model.base import Rule
 from flysid.model.frequency.response import GOOD_COHERENCE
 from flysid.offers import rows
+from flysid.showing import number
 from flysid.validate.compare.comparison import Comparison
-from flysid.validate.compare.words import number, one_line
 from flysid.validate.diagnose.bands import curves
 from flysid.validate.diagnose.context import Sweep
 from flysid.validate.diagnose.residuals import Correlation
@@ -27,7 +28,7 @@ from flysid.validate.diagnose.responses import (
     steady_outputs,
     step_from,
 )
-from flysid.validate.show.page import figures, modelfigures
+from flysid.validate.show.page import figures
 from flysid.validate.show.page.channel_data import Source
 from flysid.validate.show.page.overlay import Role, drawn, roles
 
@@ -151,7 +152,7 @@ def _autocorrelation(source: Source, j: int) -> list[Panel]:
         Panel(
             "Autocorrelation of the one-step residual",
             "Grey: 99 % band of white noise.",
-            modelfigures.correlogram(white, c.dt_s, "Autocorrelation of the one-step residual"),
+            figures.correlogram(white, c.dt_s, "Autocorrelation of the one-step residual"),
             _told({role: f"{t.outside} of {t.tested} lags outside" for role, t in white.items()}),
         )
     ]
@@ -168,7 +169,7 @@ def _cross(source: Source, j: int, i: int) -> list[Panel]:
         Panel(
             f"Cross-correlation of the free-run error with {one_line(name)}",
             "Grey: Bartlett's 99 % band.",
-            modelfigures.correlogram(tests, c.dt_s, f"Free-run error against {name}"),
+            figures.correlogram(tests, c.dt_s, f"Free-run error against {name}"),
             _told({role: _dependence(t, c.dt_s) for role, t in tests.items()}),
         )
     ]
@@ -204,7 +205,7 @@ def _histogram(source: Source, j: int) -> list[Panel]:
         Panel(
             "Histogram of the one-step residual",
             "Residuals beyond the axis are counted in the outermost bins.",
-            modelfigures.histogram(pooled, words),
+            figures.histogram(pooled, words),
             _told(spread),
         )
     ]
@@ -220,7 +221,7 @@ def _spectrum(source: Source, j: int) -> list[Panel]:
         Panel(
             "Spectrum of the one-step residual",
             "A flat spectrum is white noise. A peak is a mode that the model lacks.",
-            modelfigures.residual_spectrum(
+            figures.residual_spectrum(
                 hz,
                 {role: density for role, (_, density) in densities.items()},
                 f"power density, dB (({c.test.outputs[j].unit or '1'})²/Hz)",
@@ -341,7 +342,7 @@ def _step(source: Source, j: int, signal: int) -> Panel:
         f"Step response to {one_line(s.name)}",
         f"Change of {one_line(c.test.outputs[j].name)} after a step of {number(height)}{unit} (one standard "
         f"deviation in training) from the mean of {number(float(rest[signal]))}{unit}.",
-        modelfigures.step_figure(
+        figures.step_figure(
             c.dt_s * np.arange(0, samples, every, dtype=np.float64),
             values,
             with_unit(c.test.outputs[j].name, c.test.outputs[j].unit),
@@ -361,7 +362,7 @@ def _poles(source: Source, j: int, signal: int) -> list[Panel]:
             "Poles and zeros",
             "Crosses: poles; circles: zeros; dashed: the unit circle. A pole outside it is unstable. Zeros "
             "far away and poles of pure delay are left out.",
-            modelfigures.pole_map(found, "Poles and zeros in the z plane"),
+            figures.pole_map(found, "Poles and zeros in the z plane"),
         )
     ]
 
@@ -392,5 +393,5 @@ def _static(source: Source, j: int, signal: int, *, time_constants: float = 3.0)
     return Panel(
         "Static map",
         f"Lines: where each model settles for a constant input. {said}",
-        modelfigures.static_map(rests, levels, steady, words),
+        figures.static_map(rests, levels, steady, words),
     )

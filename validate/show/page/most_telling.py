@@ -10,12 +10,11 @@ import numpy as np
 from markupsafe import Markup
 
 from flysid.dataset import FloatArray
+from flysid.escaping import one_line
 from flysid.model.base import Fitted
 from flysid.model.capabilities import HasOperatingPoints
-from flysid.validate.compare.comparison import Comparison
-from flysid.validate.compare.segmentnames import begin_s, clock, segment_names
+from flysid.validate.compare.comparison import Comparison, begin_s, clock, segment_names
 from flysid.validate.compare.trials import StructureTrial
-from flysid.validate.compare.words import one_line
 from flysid.validate.diagnose.responses import answers
 from flysid.validate.show.page.overlay import drawn
 from flysid.validate.show.page.svg import Axes, line, picture, segment, span, text, tick_text, ticks

@@ -6,22 +6,13 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from flysid.escaping import one_line
 from flysid.model.structures import row_of
-from flysid.showing import counted, significant
+from flysid.showing import counted, list_words, number, percent, percentage, significant
 from flysid.validate.compare.comparison import Comparison, Pair
 from flysid.validate.compare.intervals import Scope
 from flysid.validate.compare.verdict import Verdict
-from flysid.validate.compare.words import (
-    horizon_words,
-    list_words,
-    named,
-    number,
-    one_line,
-    percent,
-    percentage,
-    scope_words,
-    verdict_words,
-)
+from flysid.validate.compare.words import horizon_words, named, scope_words, verdict_words
 
 SYMBOLS = {Verdict.BETTER: "▲", Verdict.WORSE: "▼", Verdict.SAME: "=", Verdict.NOT_ENOUGH: "?"}
 CSS = {

@@ -11,11 +11,12 @@ import numpy as np
 from markupsafe import Markup
 
 from flysid.dataset import FloatArray
+from flysid.escaping import one_line
 from flysid.extras import Extra, extra
 from flysid.model.start import drifting_of
+from flysid.showing import number
 from flysid.validate.compare.comparison import Comparison
 from flysid.validate.compare.trials import FREE_RUN, StructureTrial
-from flysid.validate.compare.words import number, one_line
 from flysid.validate.diagnose.bands import free_run_band
 from flysid.validate.show.page.channel_data import Source
 from flysid.validate.show.page.decimate import decimate, round_for_json

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from markupsafe import Markup
 
-from flysid.validate.compare.words import one_line
+from flysid.escaping import one_line
 from flysid.validate.diagnose.context import ReportContext
 from flysid.validate.show.page.describe import Page, describe
 from flysid.validate.show.page.html import environment, load_asset, script_json, security_policy, write_page

@@ -13,10 +13,10 @@ import numpy as np
 from markupsafe import Markup
 
 from flysid.dataset import Dataset, FloatArray, Segment, Signal
+from flysid.escaping import one_line
 from flysid.model.base import Fitted
 from flysid.model.capabilities import HasMemberships, HasTrainedRange
 from flysid.model.start import as_modelled
-from flysid.validate.compare.words import one_line
 from flysid.validate.show.page.decimate import decimate
 from flysid.validate.show.page.svg import HALF, THIRD, Axes, area, frame, line, picture, span, text
 

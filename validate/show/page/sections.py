@@ -12,6 +12,7 @@ import numpy as np
 from markupsafe import Markup
 
 from flysid.dataset import Dataset, FloatArray, Signal
+from flysid.escaping import one_line
 from flysid.extras import Extra, extra
 from flysid.model.base import OperatingPoint, Rule
 from flysid.model.capabilities import HasMemberships, HasOperatingPoints, HasRuleOutputs
@@ -19,8 +20,8 @@ from flysid.model.polynomials import ROUNDING
 from flysid.model.rules.operating_words import sentences
 from flysid.model.rules.phrases import places_of
 from flysid.model.start import as_modelled
+from flysid.showing import number
 from flysid.validate.compare.comparison import Comparison
-from flysid.validate.compare.words import number, one_line
 from flysid.validate.diagnose.responses import answers
 from flysid.validate.show.page import figures, overlay, rulefigures
 from flysid.validate.show.page.channel_data import Source

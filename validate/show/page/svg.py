@@ -12,7 +12,7 @@ import numpy as np
 from markupsafe import Markup, escape
 
 from flysid.dataset import FloatArray
-from flysid.validate.compare.words import one_line
+from flysid.escaping import one_line
 
 HALF = 470.0
 THIRD = 310.0

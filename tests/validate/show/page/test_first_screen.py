@@ -12,7 +12,7 @@ import pytest
 from flysid.catalogue import FlightFacts
 from flysid.dataset import Dataset, Segment
 from flysid.manifest import Stamp
-from flysid.validate.compare.segmentnames import BEGIN, segment_names
+from flysid.validate.compare.comparison import BEGIN, segment_names
 from flysid.validate.compare_models import compare
 from flysid.validate.diagnose.context import ReportContext
 from flysid.validate.show.page.masthead import dates, masthead

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from flysid.validate.compare.words import number
+from flysid.showing import number
 from flysid.validate.compare_models import compare
 from flysid.validate.show.page import ReportContext, narrative, render
 from tests.fakes import flown

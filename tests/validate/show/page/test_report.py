@@ -20,7 +20,7 @@ from flysid.errors import StoreError
 from flysid.loops.judged import judge
 from flysid.loops.nyquist import curve_of
 from flysid.model.base import Rule
-from flysid.validate.compare.words import number
+from flysid.showing import number
 from flysid.validate.compare_models import compare
 from flysid.validate.diagnose.bands import BandCurve
 from flysid.validate.show.page import ReportContext, Sweep, render, write_report

@@ -10,8 +10,9 @@ import pytest
 from flysid.dataset import Dataset
 from flysid.model.arx import ARX
 from flysid.model.start import start_window
+from flysid.validate.compare.comparison import Comparison
 from flysid.validate.compare.condition import matching_channels
-from flysid.validate.compare.models import Comparison, across_channels
+from flysid.validate.compare.models import across_channels
 from flysid.validate.compare_models import compare
 from flysid.validate.diagnose.document import to_json
 from flysid.validate.show.page import ReportContext, render

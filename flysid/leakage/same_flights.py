@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy.fft
 
-from flysid.alike import (
+from flysid.leakage.alike import (
     LEAST_OVERLAP,
     NOISE_SHARE,
     SAME_OUTPUT,
@@ -25,7 +25,7 @@ from flysid.alike import (
     same_noise,
     same_output,
 )
-from flysid.like_windows import pairs_alike, sure_overlap
+from flysid.leakage.like_windows import pairs_alike, sure_overlap
 from flysid.stretch import FloatArray
 
 Spectra = npt.NDArray[np.complex128]

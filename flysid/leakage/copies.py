@@ -24,7 +24,7 @@ import numpy.typing as npt
 from flysid.stretch import FloatArray, Stretch
 
 if TYPE_CHECKING:
-    from flysid.alike import Grid  # compiled code: only where flights are compared
+    from flysid.leakage.alike import Grid  # compiled code: only where flights are compared
 
 Hashes = npt.NDArray[np.uint64]
 Indices = npt.NDArray[np.int64]
@@ -173,7 +173,7 @@ def _row_hashes(stretch: Stretch, step: FloatArray) -> tuple[Hashes, Indices]:
 
 def _same_flight(train: Sequence[Stretch], test: Sequence[Stretch], dt_s: float) -> Copy | None:
     """Tests 2 and 3."""
-    from flysid.same_flights import same_flights
+    from flysid.leakage.same_flights import same_flights
 
     theta = _linear_model([*train, *test])
     known, held = (_on_grids(part, theta, dt_s) for part in (train, test))
@@ -236,7 +236,7 @@ def _on_grids(stretches: Sequence[Stretch], theta: FloatArray | None, dt_s: floa
 
 
 def _on_grid(stretches: Sequence[Stretch], theta: FloatArray | None, dt_s: float) -> Grid:
-    from flysid.alike import Grid
+    from flysid.leakage.alike import Grid
 
     ordered = sorted(stretches, key=lambda s: s.t0_ns)
     starts = []

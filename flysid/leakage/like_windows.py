@@ -19,7 +19,7 @@ import numpy.typing as npt
 from scipy.fft import dct
 from scipy.spatial import cKDTree
 
-from flysid.alike import SAME_OUTPUT
+from flysid.leakage.alike import SAME_OUTPUT
 from flysid.stretch import FloatArray
 
 Indices = npt.NDArray[np.int64]
