@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from datetime import UTC, datetime
 
 from flysid.catalogue import FlightFacts
-from flysid.facts.losses import lines_of_flights
 from flysid.escaping import one_line
+from flysid.facts.losses import lines_of_flights
 from flysid.showing import first_of, significant
 from flysid.validate.show.page.narrative import duration
 
