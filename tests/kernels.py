@@ -11,6 +11,7 @@ import importlib
 import importlib.util
 import pkgutil
 import sys
+import warnings
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -34,7 +35,7 @@ QUICK = (
     "tests/flysid/spectra/test_replay.py::test_rows_of_every_other_loop_are_nearly_as_good",
     "tests/ingest/formats/test_blackbox.py::test_a_wound_longer_than_any_pause_does_not_end_the_log",
     "tests/model/test_in_pieces.py::test_pieces_are_predicted_as_the_whole",
-    "tests/validate/test_detect.py::test_the_cusum_is_the_textbooks",
+    "tests/validate/diagnose/test_detect.py::test_the_cusum_is_the_textbooks",
 )
 """The quickest tests of what models, logs and links leave out."""
 REAL_LOGS = Path("../shared/logs")
@@ -49,7 +50,9 @@ def main() -> None:
         intact(name)
     warm_up()
     failed = pytest.main(["-q", "--no-header", "-p", "no:cacheprovider", *QUICK])
-    left_out = sorted(name for name, function in compiled_functions() if not is_cached(function))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", FutureWarning)  # of modules at their former places
+        left_out = sorted(name for name, function in compiled_functions() if not is_cached(function))
     if failed or (left_out and REAL_LOGS.is_dir()):
         sys.exit(f"not compiled by any of these: {', '.join(left_out) or 'a test failed'}")
 
