@@ -86,7 +86,7 @@ def block_errors(model: Fitted, data: Dataset, skip: int, scale: FloatArray) -> 
     Parameters
     ----------
     model : one that fits its start to the first n_init = `skip` samples, as candidates do: its run is that of
-        `start.run_from_window`, without a search for it.
+        `start.run_from_window`, without a search for it. An unstable one starts from its first lags.
     scale : (n_y,) unit of every output's error.
     """
     errors = []

@@ -25,7 +25,7 @@ from packaging.utils import canonicalize_name
 
 ROOT = Path(__file__).resolve().parents[1]
 LOCK = ROOT / "requirements.lock"
-ASSETS = ROOT / "validate" / "report" / "assets"
+ASSETS = ROOT / "validate" / "show" / "page" / "assets"
 EXTRAS_TO_RUN = ("plot", "xlsx", "bags", "studio", "fleet")
 PERMISSIVE = re.compile(
     r"\b(MIT|MIT-CMU|BSD|0BSD|ISC|Apache|PSF-2\.0|Python Software Foundation|Zlib|CC0|any-OSI|HPND)\b", re.I

@@ -260,7 +260,6 @@ VERBS: Mapping[str, Verb] = {
             "Robust controller gains beside the present ones: of rate loops from logs, of position loops.",
             (
                 "flysid design flight.bfl -o design",
-                "flysid design run -c longitudinal --limit 12 -o design",
                 "flysid design run --for px4 --old vehicle.params --gain 0.85..1.15 "
                 "--delay 0..0.04 -o design",
             ),

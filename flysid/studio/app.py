@@ -490,7 +490,7 @@ def asset_routes() -> list[Route]:
     """The page, and its assets at an address that changes with them: a browser keeps what it has."""
     package = Path(str(resources.files("flysid")))  # to ask for the report's own would import it, and so all
     own = package / "studio" / "assets"
-    uplot = package / "validate" / "report" / "assets"
+    uplot = package / "validate" / "show" / "page" / "assets"
     found = {
         path.name: path for path in [*own.iterdir(), *(uplot / name for name in UPLOT)] if path.is_file()
     }

@@ -23,8 +23,8 @@ FILES = {
     "/": ("studio", "live.html", "text/html; charset=utf-8"),
     "/icon.svg": ("studio", "icon.svg", "image/svg+xml"),
     "/studio.css": ("studio", "studio.css", "text/css"),
-    "/shared/uPlot.min.css": ("validate.report", "uPlot.min.css", "text/css"),
-    "/shared/uPlot.iife.min.js": ("validate.report", "uPlot.iife.min.js", "text/javascript"),
+    "/shared/uPlot.min.css": ("validate.show.page", "uPlot.min.css", "text/css"),
+    "/shared/uPlot.iife.min.js": ("validate.show.page", "uPlot.iife.min.js", "text/javascript"),
     **{
         f"/{name}.js": ("studio", f"{name}.js", "text/javascript")
         for name in ("live_alone", "live", "api", "page", "plots")

@@ -315,7 +315,7 @@ def test_a_command_says_what_could_not_be_given_beside_a_fit_on_the_page_of_the_
     assert done.code == 0
     assert not list((place / "wordless" / CHANNEL).glob("*.txt"))
     assert call("validate", "wordless", cwd=place).returncode == 0
-    words = "The file that tells the model in words of ts on longitudinal could not be given"
+    words = "The file that explains the model in words of ts on longitudinal could not be given"
     report = place / "wordless" / "report"
     assert words in (report / "report.html").read_text("utf-8")
     assert words in " ".join(json.loads((report / "report.json").read_text("utf-8"))["missing"])

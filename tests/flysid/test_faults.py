@@ -127,7 +127,7 @@ def test_no_memory_costs_a_model_or_a_channel_only(
     modest = Greedy(())
     known: dict[str, Any] = {"arx": greedy if models == "all" else modest, "iv": greedy}
     for name in ("fitting.linear_rivals", "fitting.estimators", "fitdisk.streaming_estimators"):
-        monkeypatch.setattr(f"flysid.validate.{name}", lambda *_: known)
+        monkeypatch.setattr(f"flysid.validate.runs.{name}", lambda *_: known)
     settings = FitSettings(channels=("vertical", "lateral"), memory_mb=0.0 if on_disk else 64.0)
     run = fit_run(lake, "ardrone-synthetic", tmp_path / "run", settings)
     fitted = {channel.name: channel for channel in run.channels}

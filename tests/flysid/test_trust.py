@@ -27,7 +27,7 @@ from tests.command import call, shell
 
 SWITCHES = {
     "--all", "--calm", "--csv", "--events", "--fail", "--feed-forward", "--fields", "--float32", "--ground",
-    "--halves",
+    "--halves", "--judge",
     "--json", "--keep-mishaps", "--kinematics", "--list", "--markdown", "--messages", "--no-refine",
     "--params", "--pool", "--px4-plane", "--quiet", "--rotate", "--suggest", "--table", "--term",
     "--toml", "--track", "--truth", "--ts", "--unstable", "--verbose",

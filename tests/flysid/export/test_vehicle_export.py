@@ -458,7 +458,7 @@ def test_betaflights_vehicle_answers_the_firmware(folder: Path, tmp_path: Path) 
         process = subprocess.Popen([tmp_path / "fly", "127.0.0.1", str(port), str(state.getsockname()[1])])
         try:
             rows: list[tuple[float, ...]] = []
-            while len(rows) < 400 and (not rows or rows[-1][16] < 0.5):
+            while len(rows) < 20_000 and (not rows or rows[-1][16] < 0.5):
                 rows.append(struct.unpack("<18d", state.recv(1024)))
                 motors.sendto(struct.pack("<4f", 0.9, 0.9, 0.9, 0.9), ("127.0.0.1", port))
         finally:

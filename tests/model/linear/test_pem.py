@@ -121,5 +121,5 @@ def test_noise_orders_that_cannot_be() -> None:
     u, y = experiment("bj", 0)
     with pytest.raises(UsageError, match="both"):
         BJ(nc=1).fit(Dataset.from_arrays(u, y, 0.1))
-    with pytest.raises(UsageError, match="noise model"):
+    with pytest.raises(UsageError, match="ARMAX: nc is a whole number from 0 on"):
         ARMAX(nc=-1).fit(Dataset.from_arrays(u, y, 0.1))
