@@ -159,7 +159,8 @@ def command(
     from flysid.validate.runs.run import RUN_FILE, open_run
 
     if not (source / RUN_FILE).is_file():
-        _refuse_given(context, OF_RUNS, "logs", "designs the rate loops that flew")
+        if source.exists():  # what is missing is named where it is read
+            _refuse_given(context, OF_RUNS, "logs", "designs the rate loops that flew")
         given = {name: value for name, value in (("ms", ms), ("noise", noise)) if value is not None}
         bounds = RateBounds(**given)
         files = {"force": force, "as_json": as_json}

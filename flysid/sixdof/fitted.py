@@ -305,7 +305,14 @@ def load_vehicle(path: str | Path) -> FittedVehicle:
     place = place / FILE if place.is_dir() else place
     try:
         document = json.loads(place.read_text("utf-8"))
-    except (OSError, ValueError) as error:
+    except OSError as error:
+        reason = error.strerror or "cannot be read"
+        raise FormatError(
+            f"no vehicle here: {reason[0].lower()}{reason[1:]}",
+            path=place,
+            hint="make one: flysid vehicle LOG... -o DIR",
+        ) from None
+    except ValueError as error:
         raise FormatError(f"no vehicle can be read: {error}", path=place) from None
     if not isinstance(document, dict):
         raise DataError("not a vehicle: no JSON object", path=place)

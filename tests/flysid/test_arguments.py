@@ -76,6 +76,8 @@ REFUSED = [
     ("doctor LOG --kinematics --correct absent", "no recipe 'absent'", "one of ardrone-inner"),
     (f"doctor LOG {OTHER} --kinematics --correct ardrone-synthetic", "takes one log, not 2", ""),
     ("watch run LOG --channel long", "the run has no channel 'long'", "did you mean 'longitudinal'?"),
+    ("design absent --limit 12", "no such file or folder", ""),
+    ("export absent --to px4-sih", "no vehicle here", "flysid vehicle LOG"),
     ("design run -c long", "the run has no channel 'long'", "did you mean 'longitudinal'?"),
     ("plan run -c long", "the run has no channel 'long'", "did you mean 'longitudinal'?"),
     ("export run --c new --channel long", "the run has no channel 'long'", "--channel longitudinal"),
