@@ -107,6 +107,20 @@ class LinearModel(Fitted, Protocol):
 
 
 @runtime_checkable
+class HasDraws(Protocol):
+    """A linear model that can be drawn from the distribution of its numbers."""
+
+    def draws(self, count: int = 200, seed: int = 0) -> Sequence[Fitted]:
+        """Models like it, the same for the same seed; some may be unstable.
+
+        Raises
+        ------
+        UsageError : the model carries no covariance.
+        """
+        ...
+
+
+@runtime_checkable
 class HasCoefficients(Protocol):
     """A linear model whose coefficients mean something by themselves."""
 

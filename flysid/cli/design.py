@@ -42,6 +42,7 @@ def a_range(_ctx: click.Context, _param: click.Parameter, value: str | None) -> 
 OF_LOGS = ("axes", "only_flights", "exclude", "vehicle", "pool", "format_", "time_unit", "date_order")
 OF_RUNS = ("channels", "method", "firmware", "old", "peak", "limit", "gain", "delay", "feed_forward", "data")
 """Options of one kind of design alone."""
+OF_ONE_KIND = "leave it out; a run has channels, logs have axes"
 LARGEST_MS = 1.6
 """Of a position loop, where none is given."""
 
@@ -160,12 +161,12 @@ def command(
 
     if not (source / RUN_FILE).is_file():
         if source.exists():  # what is missing is named where it is read
-            _refuse_given(context, OF_RUNS, "logs", "designs the rate loops that flew")
+            refuse_given(context, OF_RUNS, "logs", "designs the rate loops that flew", OF_ONE_KIND)
         given = {name: value for name, value in (("ms", ms), ("noise", noise)) if value is not None}
         bounds = RateBounds(**given)
         files = {"force": force, "as_json": as_json}
         return design_rates(source, axes, bounds, selection, told, out, display=display, **files)
-    _refuse_given(context, OF_LOGS, "a run", "designs the position loop of its channels")
+    refuse_given(context, OF_LOGS, "a run", "designs the position loop of its channels", OF_ONE_KIND)
     of_rules = method == "pdc"
     if of_rules and (firmware != "pid" or old is not None or feed_forward):
         raise UsageError(
@@ -201,14 +202,14 @@ def command(
     return 3 if design.refused else 0
 
 
-def _refuse_given(context: click.Context, names: Sequence[str], source: str, does: str) -> None:
-    """Raise UsageError where an option is given that the other kind of design has."""
+def refuse_given(context: click.Context, names: Sequence[str], source: str, does: str, hint: str) -> None:
+    """Raise UsageError where an option is given that the verb has for another kind of source."""
     given = [name for name in names if context.get_parameter_source(name) == ParameterSource.COMMANDLINE]
     if given:
         options = {parameter.name: parameter.opts[0] for parameter in context.command.params}
         raise UsageError(
             f"{', '.join(options[name] for name in given)}: not for {source}: flysid {does}",
-            hint="leave it out; a run has channels, logs have axes",
+            hint=hint,
         )
 
 

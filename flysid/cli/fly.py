@@ -1,24 +1,41 @@
-"""`flysid fly DESIGN`: the gains of a design on many simulated vehicles, beside the present ones."""
+"""`flysid fly DESIGN`: gains of a design on many vehicles, simulated or identified, beside those of today."""
 
 from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
-from flysid.cli.bounds import AT_LEAST_ONE, NOT_NEGATIVE
-from flysid.cli.design import a_range
+from flysid.cli.bounds import AT_LEAST_ONE, NOT_NEGATIVE, POSITIVE
+from flysid.cli.design import a_range, refuse_given
 from flysid.cli.display import Display, progress_options
-from flysid.cli.output import ExitCode, align_columns, check_target, say
+from flysid.cli.output import ExitCode, align_columns, check_target, printable, say
 from flysid.cli.trust import Own, Setting
+from flysid.errors import UsageError
+from flysid.showing import counted
+
+if TYPE_CHECKING:
+    from flysid.design.campaign import Campaign
+
+OF_SIMULATED, OF_MODELS = ("wind", "mass", "drag"), ("limit", "data")
+"""Options of one kind of vehicle alone."""
+NO_WIND = (
+    "leave it out: gusts are those of the run's held-out flights, and models differ within their intervals"
+)
 
 
 @click.command("fly")
 @click.argument("design", type=click.Path(path_type=Path))
 @click.option(
-    "--vehicles", default=100, type=AT_LEAST_ONE, show_default=True, help="Number of simulated vehicles."
+    "--on",
+    "run",
+    type=click.Path(path_type=Path),
+    metavar="RUN",
+    help="Fly on the models of this run instead of the demo's simulated vehicle.",
 )
+@click.option("--vehicles", default=100, type=AT_LEAST_ONE, show_default=True, help="Number of vehicles.")
 @click.option(
     "--wind",
     default=4.0,
@@ -38,44 +55,100 @@ from flysid.cli.trust import Own, Setting
     cls=Setting,
     callback=a_range,
     metavar="LOW..HIGH",
-    help="Delay of the link, s.  [default: 0.02..0.08]",
+    help="Delay of the link, s.  [default: 0.02..0.08; with --on 0, beside the models' own]",
+)
+@click.option(
+    "--limit", type=POSITIVE, help="With --on: input limit, in its unit.  [default: the largest flown]"
+)
+@click.option(
+    "--data", type=click.Path(path_type=Path), help="With --on: the run's data, if they have moved."
 )
 @click.option("-o", "--out", type=click.Path(path_type=Path), help="The page, an HTML file.")
 @click.option("--force", cls=Own, is_flag=True, help="Replace the page if it exists.")
 @click.option("--json", "as_json", is_flag=True, help="Print the results as JSON.")
 @progress_options
+@click.pass_context
 def command(
+    context: click.Context,
     design: Path,
+    run: Path | None,
     vehicles: int,
     wind: float,
     seed: int,
     mass: tuple[float, float] | None,
     drag: tuple[float, float] | None,
     delay: tuple[float, float] | None,
+    limit: float | None,
+    data: Path | None,
     out: Path | None,
     force: bool,
     as_json: bool,
     quiet: bool,
     display: Display,
 ) -> int:
-    """Fly a design on simulated vehicles that differ from the identified one.
+    """Fly a design on vehicles that differ from the identified one.
 
-    Mass, drag, delay, motors and inner loop of each vehicle are random and differ from what its inner loop
-    assumes. Noise and wind are the same for every set of gains: the present ones, twice the present ones,
-    those for the next flight, and where the design leads. Exit code 4: a vehicle is lost under designed
-    gains, or a true vehicle's loop is unstable.
+    Without --on: simulated vehicles of the demo. Mass, drag, delay, motors and inner loop of each are random
+    and differ from what its inner loop assumes. Noise and wind are the same for every set of gains: the
+    present ones, twice the present ones, those for the next flight, and where the design leads.
+
+    With --on: every good model of the run, as it is and drawn from the distribution of its numbers. What
+    held-out flights held beyond the model acts on it as gusts and noise. The run may be a later one than
+    that of the design, with the same channels.
+
+    Exit code 4: a vehicle is lost under designed gains, or a true vehicle's loop is unstable.
     """
-    from dataclasses import replace
-
-    from flysid.design.campaign import fly_design
-    from flysid.design.designed import open_design
     from flysid.design.firmware import SAFETY
-    from flysid.design.trialflight import Doubtful
     from flysid.design.trialpage import trial_page
     from flysid.files import write_atomically, writing_to
 
     if out is not None:
         check_target(out, force)
+    with display.shown():
+        if run is None:
+            refuse_given(context, OF_MODELS, "simulated vehicles", "flies the demo's", "name a run: --on RUN")
+            campaign = _fly_simulated(design, vehicles, seed, wind, mass, drag, delay)
+        else:
+            refuse_given(context, OF_SIMULATED, "a run", "flies its models", NO_WIND)
+            campaign = _fly_on(run, design, vehicles, seed, delay, limit, data)
+    if as_json:
+        click.echo(json.dumps(campaign.to_dict(), indent=1, allow_nan=False))
+    else:
+        for axis in campaign.rows:
+            click.echo(printable(f"{axis}, {counted(campaign.vehicles, 'vehicle')}"))
+            click.echo("\n".join(f"  {line}" for line in align_columns(campaign.table(axis))) + "\n")
+        held = " and ".join(f"{v:.1f} m/s along {a}" for a, v in campaign.held_wind_m_s.items())
+        if held:
+            say(
+                f"full tilt of the nominal vehicle holds {held}; beyond that, no gains can hold the position",
+                quiet,
+            )
+        for note in campaign.notes:
+            say(printable(note), quiet)
+        say(SAFETY, quiet)
+    if out is not None:
+        with writing_to(out):
+            write_atomically(out, trial_page(campaign, f"Trial flights of {design.name}").encode())
+        say(f"page: {out}", quiet)
+    mine = [row for rows in campaign.rows.values() for row in rows if not row.law.startswith("present")]
+    return ExitCode.CHECK_FAILED if any(row.lost or not row.stable for row in mine) else 0
+
+
+def _fly_simulated(
+    design: Path,
+    vehicles: int,
+    seed: int,
+    wind: float,
+    mass: tuple[float, float] | None,
+    drag: tuple[float, float] | None,
+    delay: tuple[float, float] | None,
+) -> Campaign:
+    from dataclasses import replace
+
+    from flysid.design.campaign import fly_design
+    from flysid.design.designed import open_design
+    from flysid.design.trialflight import Doubtful
+
     nominal = Doubtful()
     doubtful = replace(
         nominal,
@@ -84,25 +157,28 @@ def command(
         drag=drag or nominal.drag,
         delay_s=delay or nominal.delay_s,
     )
-    with display.shown():
-        campaign = fly_design(open_design(design), vehicles, seed, doubtful)
-    if as_json:
-        click.echo(json.dumps(campaign.to_dict(), indent=1, allow_nan=False))
-    else:
-        for axis in campaign.rows:
-            click.echo(f"{axis}, {vehicles} vehicles")
-            click.echo("\n".join(f"  {line}" for line in align_columns(campaign.table(axis))) + "\n")
-        held = " and ".join(f"{v:.1f} m/s along {a}" for a, v in campaign.held_wind_m_s.items())
-        say(
-            f"full tilt of the nominal vehicle holds {held}; beyond that, no gains can hold the position",
-            quiet,
+    return fly_design(open_design(design), vehicles, seed, doubtful)
+
+
+def _fly_on(
+    run: Path,
+    design: Path,
+    vehicles: int,
+    seed: int,
+    delay: tuple[float, float] | None,
+    limit: float | None,
+    data: Path | None,
+) -> Campaign:
+    from flysid.design.designed import open_design
+    from flysid.design.modelcampaign import OnModels, fly_on_run
+    from flysid.sixdof.fitted import FILE as VEHICLE_FILE
+    from flysid.validate.runs.run import open_run
+
+    if (run / VEHICLE_FILE).is_file() or run.name == VEHICLE_FILE:
+        raise UsageError(
+            "a vehicle of rates and accelerations: a position loop is flown on the models of a run",
+            path=run,
+            hint="flysid fit DATA --recipe R -o RUN, and --on RUN",
         )
-        for note in campaign.notes:
-            say(note, quiet)
-        say(SAFETY, quiet)
-    if out is not None:
-        with writing_to(out):
-            write_atomically(out, trial_page(campaign, f"Trial flights of {design.name}").encode())
-        say(f"page: {out}", quiet)
-    mine = [row for rows in campaign.rows.values() for row in rows if not row.law.startswith("present")]
-    return ExitCode.CHECK_FAILED if any(row.lost or not row.stable for row in mine) else 0
+    how = OnModels(vehicles, seed, delay or (0.0, 0.0), limit)
+    return fly_on_run(open_design(design), open_run(run), how, data)

@@ -80,6 +80,7 @@ def _stated(settings: Mapping[str, str], found: Proposal) -> list[str]:
 
 
 def _write(found: Proposal, out: Path, safety: str) -> None:
+    from flysid.design.designed import RATE_FORMAT
     from flysid.files import replacing_folder
 
     end = "txt" if found.command_line else "param"
@@ -89,6 +90,6 @@ def _write(found: Proposal, out: Path, safety: str) -> None:
             lines = [f"# {heads[name]}", *(f"# {line}" for line in fold(safety).split("\n"))]
             text = "\n".join([*lines, *_stated(settings, found)]) + "\n"
             (place / f"{name}.{end}").write_text(text, "utf-8")
-        document = {"format": "flysid-rate-design", "version": 1, "safety": safety} | found.to_dict()
+        document = {"format": RATE_FORMAT, "version": 1, "safety": safety} | found.to_dict()
         (place / DOCUMENT).write_text(json.dumps(document, indent=1, allow_nan=False) + "\n", "utf-8")
     say(f"written: {out}: {NEW}.{end} for the next flight, {OLD}.{end} for the way back")

@@ -267,8 +267,9 @@ VERBS: Mapping[str, Verb] = {
         ),
         Verb(
             "fly",
-            "Test a design's gains on many simulated vehicles, beside the present ones.",
+            "Test a design's gains on many vehicles, simulated or a run's models, beside the present ones.",
             (
+                "flysid fly design --on run -o trials.html",
                 "flysid fly design --vehicles 100 --wind 4 -o trials.html",
                 "flysid fly design --mass 1..1.4 --json",
             ),

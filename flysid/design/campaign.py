@@ -13,7 +13,7 @@ from flysid.dataset import FloatArray
 from flysid.design.designed import SAID, Axis
 from flysid.design.drawn_plants import grid
 from flysid.design.firmware import SCHEMES, Firmware
-from flysid.design.law import Gains, LoopParts
+from flysid.design.law import ComplexArray, Gains, LoopParts
 from flysid.design.loopfigures import Laws, figures
 from flysid.design.trialflight import (
     AXES,
@@ -39,7 +39,8 @@ class Row:
     Attributes
     ----------
     ise : median and 90th percentile, m^2 s.
-    better, worse : shares of trials with at least 20 % less ISE than the present gains; with more.
+    better, worse : shares of trials with at least 20 % less ISE than the present gains; with more. NaN where
+        the present gains were not flown.
     ms : median and largest, on the true vehicles about hover.
     stable : on all of them.
     overshoot, settled_s : medians; NaN where most did not settle.
@@ -70,13 +71,14 @@ class Campaign:
     ----------
     flown : law -> trial -> axis.
     rows : axis -> law by law.
-    held_wind_m_s : that full tilt holds, by axis.
+    drawn : what differs from vehicle to vehicle, by name: ends of a range, or a number.
+    held_wind_m_s : that full tilt holds, by axis; of simulated vehicles.
     notes : sentences.
     """
 
     vehicles: int
     seed: int
-    doubtful: Doubtful
+    drawn: Mapping[str, Any]
     laws: Mapping[str, Mapping[str, Gains]]
     flown: Mapping[str, Sequence[Mapping[str, Flown]]]
     rows: Mapping[str, Sequence[Row]]
@@ -93,7 +95,7 @@ class Campaign:
         return {
             "vehicles": self.vehicles,
             "seed": self.seed,
-            "drawn": asdict(self.doubtful),
+            "drawn": dict(self.drawn),
             "held_wind_m_s": dict(self.held_wind_m_s),
             "laws": {a: {n: g.to_dict() for n, g in laws.items()} for a, laws in self.laws.items()},
             "axes": {
@@ -119,11 +121,17 @@ class Campaign:
 
 
 def _share(value: float) -> str:
-    return f"{100.0 * value:.0f} %"
+    return "-" if math.isnan(value) else f"{100.0 * value:.0f} %"
 
 
 def _known(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def check_number(vehicles: int) -> None:
+    """Raise UsageError for a number of vehicles that is not flown."""
+    if not 1 <= vehicles <= 10_000:
+        raise UsageError(f"{vehicles} vehicles", hint="1 to 10000")
 
 
 def fly_design(axes: Sequence[Axis], vehicles: int, seed: int, doubtful: Doubtful) -> Campaign:
@@ -133,8 +141,7 @@ def fly_design(axes: Sequence[Axis], vehicles: int, seed: int, doubtful: Doubtfu
     ------
     UsageError : no channel of the design drives the simulated vehicle, at its sample time.
     """
-    if not 1 <= vehicles <= 10_000:
-        raise UsageError(f"{vehicles} vehicles", hint="1 to 10000")
+    check_number(vehicles)
     laws, notes = _laws(axes)
     trials = [Trial.drawn(doubtful, seed, i) for i in range(vehicles)]
     flown: dict[str, list[dict[str, Flown]]] = {}
@@ -145,13 +152,15 @@ def fly_design(axes: Sequence[Axis], vehicles: int, seed: int, doubtful: Doubtfu
     tell("margins of the true vehicles", share=len(names) / (len(names) + 1))
     omega = grid(PERIOD_S)
     true = [true_plants(t.vehicle, omega) for t in trials]
+    parts = LoopParts.at(omega, PERIOD_S)
     rows = {
         axis: [
-            _row(law, laws[axis][law], axis, flown, np.array([t[axis] for t in true]), omega) for law in names
+            row_of_law(law, laws[axis][law], axis, flown, np.array([t[axis] for t in true]), parts)
+            for law in names
         ]
         for axis in AXES
     }
-    return Campaign(vehicles, seed, doubtful, laws, flown, rows, held_wind_m_s(Vehicle()), notes)
+    return Campaign(vehicles, seed, asdict(doubtful), laws, flown, rows, held_wind_m_s(Vehicle()), notes)
 
 
 def _laws(axes: Sequence[Axis]) -> tuple[dict[str, dict[str, Gains]], tuple[str, ...]]:
@@ -164,7 +173,7 @@ def _laws(axes: Sequence[Axis]) -> tuple[dict[str, dict[str, Gains]], tuple[str,
         raise UsageError(
             f"the simulated vehicle is driven by {' and '.join(AXES.values())}, the design by "
             f"{' and '.join(by_input) or 'nothing'}",
-            hint="only designs for the simulated AR.Drone (flysid demo) can be flown here",
+            hint="fly it on the models of its run: --on RUN",
         )
     if any(abs(a.dt_s - PERIOD_S) > 1e-9 for a in there):
         raise UsageError(
@@ -196,25 +205,32 @@ def _published_gains() -> Gains:
     return Firmware("tum-ardrone", scheme, limit=limit).gains(scheme.published)
 
 
-def _row(
+def row_of_law(
     law: str,
     gains: Gains,
     axis: str,
     flown: Mapping[str, Sequence[Mapping[str, Flown]]],
-    true: Any,
-    omega: FloatArray,
+    true: ComplexArray,
+    parts: LoopParts,
 ) -> Row:
+    """What a law did on an axis over all trials.
+
+    Parameters
+    ----------
+    flown : law -> trial -> axis.
+    true : (P, F) responses of the vehicles, at the frequencies of `parts`.
+    """
     own = [f[axis] for f in flown[law]]
     ise = np.array([f.ise for f in own])
-    base = np.array([f[axis].ise for f in flown["present"]])
-    margins = figures(Laws.of(gains), true, LoopParts.at(omega, PERIOD_S))
+    base = np.array([f[axis].ise for f in flown["present"]]) if "present" in flown else None
+    margins = figures(Laws.of(gains), true, parts)
     settled = np.array([math.inf if math.isnan(f.settled_s) else f.settled_s for f in own])
     middle = float(np.median(settled))
     return Row(
         law,
         (float(np.median(ise)), float(np.quantile(ise, 0.9))),
-        float(np.mean(ise <= BETTER * base)),
-        float(np.mean(ise > base)),
+        math.nan if base is None else float(np.mean(ise <= BETTER * base)),
+        math.nan if base is None else float(np.mean(ise > base)),
         (float(np.median(margins.ms)), float(margins.ms.max())),
         bool(margins.stable.all()),
         float(np.median([f.overshoot for f in own])),

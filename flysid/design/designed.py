@@ -20,6 +20,7 @@ from flysid.errors import StoreError, UsageError
 from flysid.showing import counted
 
 FORMAT = "flysid-design"
+RATE_FORMAT = "flysid-rate-design"
 VERSION = 1
 FILE = "design.json"
 SAID = {
@@ -222,13 +223,19 @@ def open_design(path: Path) -> tuple[Axis, ...]:
 
     Raises
     ------
-    UsageError : no such file. StoreError : no design, or damaged.
+    UsageError : no such file, or a design of rate loops. StoreError : no design, or damaged.
     """
     file = path / FILE if path.is_dir() else path
     if not file.is_file():
         raise UsageError("no such design", path=file, hint="make one: flysid design RUN -o DIR")
     try:
         body = json.loads(file.read_text("utf-8"))
+        if body["format"] == RATE_FORMAT:
+            raise UsageError(
+                "a design of rate loops, and only position loops are flown",
+                path=file,
+                hint="what it would do on the flights: flysid predict LOG --file new.txt, or new.param",
+            )
         if body["format"] != FORMAT or body["version"] != VERSION:
             raise StoreError("not a design of this version of flysid", path=file)
         return tuple(_axis(entry) for entry in body["axes"])

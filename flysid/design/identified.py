@@ -22,6 +22,8 @@ from flysid.validate.runs.run import HeldOut
 from flysid.validate.transfers.agreement import agree
 
 SPEED = "m/s"
+GOOD_WITHIN = 1.5
+"""A model is good whose free run errs at most so many times as much as the best one's."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,7 +132,7 @@ def _check_limits(train: Dataset, limit: float | None) -> None:
         )
 
 
-def _good(item: HeldOut, *, not_worse_than: float = 1.5) -> dict[str, Fitted]:
+def _good(item: HeldOut) -> dict[str, Fitted]:
     usable = {k: m for k, m in item.models.items() if row_of(m.structure).has_memory}
     if "mean" not in item.models or item.channel.baseline not in usable:
         raise DataError(
@@ -144,7 +146,7 @@ def _good(item: HeldOut, *, not_worse_than: float = 1.5) -> dict[str, Fitted]:
         _check_followed(item, f"{pair.verdict} ({pair.reason})")
     error = {k: entry.models[k].scores.rmse for k in usable if not entry.models[k].diverged}
     best = min(error.values())
-    good = {k: usable[k] for k in error if error[k] <= not_worse_than * best or k == linear}
+    good = {k: usable[k] for k in error if error[k] <= GOOD_WITHIN * best or k == linear}
     if not any(_has_interval(m) for m in good.values()):
         raise DataError(
             "no model states an interval on its gain and delay", hint="fit with the models arx, oe or tf"

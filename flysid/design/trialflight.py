@@ -26,6 +26,8 @@ from flysid.ingest.synth.tuning import linearise
 
 PERIOD_S = 0.02
 ALTITUDE_M = 20.0
+HELD = 3
+"""Numbers that a law keeps from sample to sample, see `steer`."""
 AXES = {"x": "theta_in", "y": "phi_in"}
 """Directions of the simulated vehicle, and the inputs that drive it along them."""
 
@@ -117,9 +119,13 @@ class Flown:
     blown: bool
 
 
-def course(*, duration_s: float = 40.0) -> tuple[FloatArray, FloatArray]:
+FIRST_STEPS_S = ((1.0, 11.0), (2.0, 12.0))
+"""When the first step of the course begins and ends, by axis."""
+
+
+def course(*, duration_s: float = 40.0, dt_s: float = PERIOD_S) -> tuple[FloatArray, FloatArray]:
     """(N, 2) place asked for (m) and its speed: 2 m there and back on both axes, then a sine of 1 m, 8 s."""
-    time = np.arange(round(duration_s / PERIOD_S)) * PERIOD_S
+    time = np.arange(round(duration_s / dt_s)) * dt_s
     place = np.zeros((len(time), 2))
     speed = np.zeros((len(time), 2))
     sine = time >= 24.0
@@ -171,33 +177,66 @@ def fly_trial(
         or (states[:, 2] <= 0.0).any()
         or (np.abs(states[:, 6:8]) > 0.5 * np.pi).any()
     )
-    firsts = ((1.0, 11.0), (2.0, 12.0))
-    return {name: _judge(away[:, k], inputs[:, k], limit, firsts[k], lost) for k, name in enumerate(AXES)}
+    return {
+        name: judge_flight(away[:, k], inputs[:, k], limit, FIRST_STEPS_S[k], lost)
+        for k, name in enumerate(AXES)
+    }
 
 
-def _judge(
+def judge_flight(
     away: FloatArray,
     u: FloatArray,
     limit: float,
     step_s: tuple[float, float],
     lost: bool,
     *,
+    dt_s: float = PERIOD_S,
     blown_m: float = 25.0,
 ) -> Flown:
-    first, last = (round(t / PERIOD_S) for t in step_s)
+    """What a flight over the course comes to.
+
+    Parameters
+    ----------
+    away, u : (N,) the place asked for less the vehicle's, m, and the input.
+    step_s : when the first step of 2 m begins and ends.
+    """
+    first, last = (round(t / dt_s) for t in step_s)
     step = away[first:last] / 2.0
     outside = np.flatnonzero(np.abs(step) > 0.05)
-    settled = (outside[-1] + 1) * PERIOD_S if len(outside) and outside[-1] + 1 < len(step) else math.nan
+    settled = (outside[-1] + 1) * dt_s if len(outside) and outside[-1] + 1 < len(step) else math.nan
     return Flown(
-        float((away**2).sum() * PERIOD_S),
+        float((away**2).sum() * dt_s),
         float(max(0.0, -step.min())),
         settled,
         float(np.sqrt((u**2).mean())),
-        float(np.abs(np.diff(u)).sum() / (len(u) * PERIOD_S)),
+        float(np.abs(np.diff(u)).sum() / (len(u) * dt_s)),
         float((np.abs(u) >= limit - 1e-9).mean()),
         lost,
         bool((np.abs(away) > blown_m).any()),
     )
+
+
+@njit(cache=True)
+def steer(law, keep, limit, dt_s, away, asked_speed, v, held, first):  # type: ignore[no-untyped-def]
+    """The input of one sample by `flysid.design.law`, inside its limit.
+
+    `held` (HELD,) is moved on: the integral, the filtered slope's signal, the filtered error.
+    """
+    position, velocity, integral, derivative, _, _, on_error, feedforward = law
+    asked = asked_speed if feedforward != 0.0 else 0.0
+    error = position * away + asked - v
+    if not first:
+        error = keep[1] * held[2] + (1.0 - keep[1]) * error
+    held[2] = error
+    seen = error if on_error != 0.0 else -v
+    before = seen if first else held[1]
+    held[1] = keep[0] * before + (1.0 - keep[0]) * seen
+    summed = held[0] + dt_s * error
+    u = velocity * error + integral * summed + derivative * (held[1] - before) / dt_s
+    u += feedforward * asked
+    if abs(u) <= limit or u * error < 0.0:
+        held[0] = summed
+    return min(max(u, -limit), limit)
 
 
 @njit(cache=True)
@@ -212,9 +251,7 @@ def _fly(x, place, speed, noise, air, laws, keep, limit, late, f, tuners, counts
     climb = np.zeros(n)
     row = np.zeros((1, INPUTS))
     scrap = np.empty((1, STATES + ROTORS))
-    total = np.zeros(2)
-    smooth = np.zeros(2)
-    even = np.zeros(2)
+    held = np.zeros((2, HELD))
     seen_by = np.zeros((2, numbers.shape[3]))
     for k in range(n):
         states[k] = x
@@ -241,34 +278,25 @@ def _fly(x, place, speed, noise, air, laws, keep, limit, late, f, tuners, counts
                 if abs(u) <= limit or u * away > 0.0:
                     xi[speeds + sent + 1] += PERIOD_S * away
                 continue
-            position, velocity, integral, derivative, _, _, on_error, feedforward = laws[axis]
+            own = laws[axis]
             if tuners[axis, 0] > 0.0:
                 spring, velocity = tuned_gains(place[k, axis] - p, -v, tuners[axis])
-                position = spring / velocity
-            asked = speed[k, axis] if feedforward != 0.0 else 0.0
-            error = position * (place[k, axis] - p) + asked - v
-            if k:
-                error = keep[axis, 1] * even[axis] + (1.0 - keep[axis, 1]) * error
-            even[axis] = error
-            seen = error if on_error != 0.0 else -v
-            before = smooth[axis] if k else seen
-            smooth[axis] = keep[axis, 0] * before + (1.0 - keep[axis, 0]) * seen
-            summed = total[axis] + PERIOD_S * error
-            u = velocity * error + integral * summed + derivative * (smooth[axis] - before) / PERIOD_S
-            u += feedforward * asked
-            inputs[k, axis] = min(max(u, -limit), limit)
-            if abs(u) <= limit or u * error < 0.0:
-                total[axis] = summed
+                own = own.copy()
+                own[0] = spring / velocity
+                own[1] = velocity
+            inputs[k, axis] = steer(
+                own, keep[axis], limit, PERIOD_S, place[k, axis] - p, speed[k, axis], v, held[axis], k == 0
+            )
         climb[k] = ALTITUDE_M - x[2]
         row[0, 4:] = air[k]
         for part in range(2):  # first the older command, then the newer, each as long as it acts
-            held = rest if part == 0 else hold - rest
+            acts = rest if part == 0 else hold - rest
             at = k - whole - 1 + part
             row[0, 0] = math.radians(inputs[at, 0]) if at >= 0 else 0.0
             row[0, 1] = math.radians(inputs[at, 1]) if at >= 0 else 0.0
             row[0, 2] = climb[at] if at >= 0 else 0.0
-            if held > 0:
-                integrate(x, row, f, STEP_S, held, scrap)
+            if acts > 0:
+                integrate(x, row, f, STEP_S, acts, scrap)
     return states, inputs
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
 from importlib import resources
 from typing import Any
 
@@ -31,7 +30,7 @@ def trial_page(campaign: Campaign, title: str) -> str:
             campaign=campaign,
             said=SAID,
             tables={axis: campaign.table(axis) for axis in campaign.rows},
-            pictures={axis: _ratios(campaign, axis) for axis in campaign.rows},
+            pictures={axis: _ratios(campaign, axis) for axis in campaign.rows if "present" in campaign.flown},
             drawn=_drawn(campaign),
             safety=SAFETY,
             version=__version__,
@@ -57,7 +56,7 @@ def _ratios(campaign: Campaign, axis: str) -> Markup:
 
 def _drawn(campaign: Campaign) -> list[tuple[str, str]]:
     told: list[tuple[str, str]] = []
-    for name, value in asdict(campaign.doubtful).items():
+    for name, value in campaign.drawn.items():
         unit = UNITS.get(name, "times nominal")
         words: Any = f"{value[0]:g} to {value[1]:g}" if isinstance(value, tuple) else f"{value:g}"
         told.append(

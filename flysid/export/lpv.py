@@ -61,22 +61,7 @@ class Lpv:
 
     def weights(self, z: FloatArray) -> FloatArray:
         """(R,) of the systems at scheduling values z (n_z,)."""
-        m = self.memberships
-        if m is None:
-            return np.ones(1)
-        gap = np.clip(z, m.low, m.high) - m.centre
-        d = gap / np.where(gap < 0.0, m.left, m.right)
-        if m.shape == "gaussian":
-            grade = -0.5 * d * d
-            grade = grade.min(axis=1) if m.conjunction == "minimum" else grade.sum(axis=1)
-            phi = np.exp(grade - grade.max())
-        else:
-            sides = 1.0 - np.abs(d) / 2.0 if m.shape == "triangle" else (2.0 - np.abs(d)) / 1.5
-            sides = np.clip(sides, 0.0, 1.0)
-            phi = sides.min(axis=1) if m.conjunction == "minimum" else sides.prod(axis=1)
-            if not phi.max() > 0.0:  # no rule fires: the nearest speaks
-                phi = np.eye(len(d))[np.argmin((d * d).sum(axis=1))]
-        return np.asarray(phi / phi.sum())
+        return np.ones(1) if self.memberships is None else self.memberships.weights(z)
 
     def simulate(self, u: FloatArray, x: FloatArray | None = None) -> FloatArray:
         """(N, n_y) for inputs (N, n_u), from rest or from x."""
@@ -130,7 +115,7 @@ class Lpv:
             else {
                 "shape": m.shape,
                 "conjunction": m.conjunction,
-                **{k: getattr(m, k).tolist() for k in ("centre", "left", "right", "low", "high")},
+                **{k: getattr(m, k).tolist() for k in Memberships.NUMBERS},
             },
         }
 
@@ -154,9 +139,7 @@ class Lpv:
         }
         if self.memberships is not None:
             m = self.memberships
-            told |= {
-                k: getattr(m, k) for k in ("centre", "left", "right", "low", "high", "shape", "conjunction")
-            }
+            told |= {k: getattr(m, k) for k in (*Memberships.NUMBERS, "shape", "conjunction")}
         file = io.BytesIO()
         savemat(file, told, oned_as="column")
         return file.getvalue()

@@ -17,7 +17,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal, NamedTuple
+from typing import ClassVar, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -51,11 +51,31 @@ class Memberships:
     high: FloatArray
     shape: Shape = "gaussian"
     conjunction: Conjunction = "product"
+    NUMBERS: ClassVar[tuple[str, ...]] = ("centre", "left", "right", "low", "high")
 
     @property
     def two_sided(self) -> bool:
         """Whether any width below a centre differs from that above it."""
         return not np.array_equal(self.left, self.right)
+
+    def weights(self, z: FloatArray) -> FloatArray:
+        """(..., R) how loudly each rule speaks at antecedents (..., n_z); every row sums to 1.
+
+        The memberships may have leading axes of their own, which broadcast with those of z.
+        """
+        gap = np.clip(z, self.low, self.high)[..., None, :] - self.centre
+        d = gap / np.where(gap < 0.0, self.left, self.right)
+        if self.shape == "gaussian":
+            grade = -0.5 * d * d
+            grade = grade.min(axis=-1) if self.conjunction == "minimum" else grade.sum(axis=-1)
+            phi = np.exp(grade - grade.max(axis=-1, keepdims=True))
+        else:
+            sides = 1.0 - np.abs(d) / 2.0 if self.shape == "triangle" else (2.0 - np.abs(d)) / 1.5
+            sides = np.clip(sides, 0.0, 1.0)
+            phi = sides.min(axis=-1) if self.conjunction == "minimum" else sides.prod(axis=-1)
+            nearest = np.eye(phi.shape[-1])[np.argmin((d * d).sum(axis=-1), axis=-1)]
+            phi = np.where(phi.max(axis=-1, keepdims=True) > 0.0, phi, nearest)  # else no rule fires
+        return np.asarray(phi / phi.sum(axis=-1, keepdims=True))
 
 
 class Worked(NamedTuple):

@@ -35,7 +35,7 @@ from flysid.model.documents import (
 from flysid.model.freerun import Difference, far, saturate
 from flysid.model.linear.laws import always, is_stable, predict_ahead
 from flysid.model.linear.text import conclusion, describe
-from flysid.model.linear.uncertainty import coefficients_of, free_run_band, response_of
+from flysid.model.linear.uncertainty import coefficients_of, draw_steps, free_run_band, response_of
 from flysid.model.noise import k_step_ahead
 from flysid.model.own_constants import OwnConstants
 from flysid.model.polynomials import ComplexArray
@@ -219,9 +219,16 @@ class FittedLinear(FreeRuns):
         ------
         UsageError : the model carries no covariance.
         """
-        if not np.isfinite(self.covariance).all() or not len(self.free):
-            raise UsageError("this model carries no covariance", hint="fit it, rather than take it over")
-        return free_run_band(self, self._move, self.covariance, draws, seed, u=u, y0=y0)
+        return free_run_band(self, self._move, self._known_covariance(), draws, seed, u=u, y0=y0)
+
+    def draws(self, count: int = 200, seed: int = 0) -> list[FittedLinear]:
+        """Models whose parameters are drawn from their normal distribution; some may be unstable.
+
+        Raises
+        ------
+        UsageError : the model carries no covariance.
+        """
+        return [self._move(step) for step in draw_steps(self._known_covariance(), count, seed)]
 
     def coefficients(self) -> list[Coefficient]:
         """Estimated entries of A and B, signed as in y(k) = ...; none where there is no covariance."""
@@ -305,6 +312,11 @@ class FittedLinear(FreeRuns):
         return np.stack(
             [apply_filter(np.ones(1), self.ma[:, i], right[:, i]) for i in range(y.shape[1])], axis=1
         )
+
+    def _known_covariance(self) -> FloatArray:
+        if not np.isfinite(self.covariance).all() or not len(self.free):
+            raise UsageError("this model carries no covariance", hint="fit it, rather than take it over")
+        return self.covariance
 
     def _move(self, step: FloatArray) -> FittedLinear:
         """The model with a step added to its estimated parameters."""

@@ -103,6 +103,13 @@ STEP = 0.01
 """Of a standard deviation: small enough that a run moves in proportion to it."""
 
 
+def draw_steps(covariance: FloatArray, count: int, seed: int) -> list[FloatArray]:
+    """Steps (P,) of the parameters, drawn from their normal distribution; the same for the same seed."""
+    rng = np.random.default_rng(seed)
+    root = root_of(covariance)
+    return [root @ rng.standard_normal(len(covariance)) for _ in range(count)]
+
+
 def free_run_band(
     model: _Runs,
     moved: Callable[[FloatArray], _Runs],
@@ -122,10 +129,8 @@ def free_run_band(
     ----------
     moved : gives the model with a step added to its parameters.
     """
-    rng = np.random.default_rng(seed)
-    root = root_of(covariance)
     nominal = model.simulate(u, y0)
-    steps = [root @ rng.standard_normal(len(covariance)) for _ in range(draws)]
+    steps = draw_steps(covariance, draws, seed)
     runs = [nominal + (moved(STEP * step).simulate(u, y0) - nominal) / STEP for step in steps]
     low, high = np.percentile(runs, [2.5, 97.5], axis=0)
     return low, high

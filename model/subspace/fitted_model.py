@@ -33,7 +33,7 @@ from flysid.model.documents import (
 from flysid.model.freerun import far, saturate
 from flysid.model.linear.laws import always, is_stable, predict_ahead
 from flysid.model.linear.text import gains_text
-from flysid.model.linear.uncertainty import free_run_band
+from flysid.model.linear.uncertainty import draw_steps, free_run_band
 from flysid.model.noise import output_error_ahead
 from flysid.model.own_constants import OwnConstants
 from flysid.model.polynomials import ComplexArray, modes_of
@@ -197,11 +197,16 @@ class FittedStateSpace(FreeRuns):
         ------
         UsageError : the model carries no covariance.
         """
-        if not len(self.covariance):
-            raise UsageError(
-                "this model carries no covariance", hint="fit it in memory, with refine=True or stable=True"
-            )
-        return free_run_band(self, self._move, self.covariance, draws, seed, u=u, y0=y0)
+        return free_run_band(self, self._move, self._known_covariance(), draws, seed, u=u, y0=y0)
+
+    def draws(self, count: int = 200, seed: int = 0) -> list[FittedStateSpace]:
+        """Models whose numbers are drawn from their normal distribution; some may be unstable.
+
+        Raises
+        ------
+        UsageError : the model carries no covariance.
+        """
+        return [self._move(step) for step in draw_steps(self._known_covariance(), count, seed)]
 
     def to_control(self, form: ControlForm = "auto") -> Any:
         """The model as control.StateSpace, or for "tf" as control.TransferFunction; offsets are left out.
@@ -242,6 +247,13 @@ class FittedStateSpace(FreeRuns):
         du = self.late(u - self.u_origin)
         states = filtered_states(system, du, y - self.y_origin, self.gains)[:-1]
         return ahead(system, states, du, k) + self.y_origin
+
+    def _known_covariance(self) -> FloatArray:
+        if not len(self.covariance):
+            raise UsageError(
+                "this model carries no covariance", hint="fit it in memory, with refine=True or stable=True"
+            )
+        return self.covariance
 
     def _move(self, step: FloatArray) -> FittedStateSpace:
         """The model with a step added to the numbers that its covariance is of."""

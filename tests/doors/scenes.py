@@ -260,7 +260,7 @@ NOT_TYPED: dict[str, dict[str, str]] = {
 ALL = "ALL_DOORS"
 """The variable with which `make soak` asks for the pages of `LONG`, too."""
 LONG: dict[str, int] = {
-    "docs/design.md": 45,
+    "docs/design.md": 50,
     "docs/export.md": 17,
     "docs/fleet.md": 38,
     "docs/fleet-models.md": 7,

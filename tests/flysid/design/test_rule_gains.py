@@ -114,6 +114,12 @@ def test_compiled_blend_is_the_law(law: RuleLaw) -> None:
         assert blend(x, numbers[1], sets[1]) == pytest.approx(expected, rel=1e-12)
 
 
+def write_run(root: Path) -> None:
+    """A folder that is taken for a run; whoever opens it replaces `open_run`."""
+    (root / "run").mkdir()
+    (root / "run" / run.RUN_FILE).touch()
+
+
 def test_the_printed_numbers_alone_hold_the_proof(
     law: RuleLaw, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
@@ -121,6 +127,7 @@ def test_the_printed_numbers_alone_hold_the_proof(
     design = RuleDesign("run", (axis,), {"y": ("too little moved", "fly longer")})
     monkeypatch.setattr(rule_design, "design_rules", lambda *_: design)
     monkeypatch.setattr(run, "open_run", lambda _: None)
+    write_run(tmp_path)
     done = call("design", "run", "--method", "pdc", "--limit", "12", "--json", cwd=tmp_path)
     assert done.returncode == 3
     assert "y: refused: too little moved. Try: fly longer" in done.stderr
@@ -135,6 +142,7 @@ def test_the_printed_numbers_alone_hold_the_proof(
 
 
 def test_what_only_a_pid_knows_is_refused_for_rules(tmp_path: Path) -> None:
+    write_run(tmp_path)
     for words in (["--old", "mine.param"], ["--for", "px4"], ["--feed-forward"]):
         done = call("design", "run", "--method", "pdc", "--limit", "12", *words, cwd=tmp_path)
         assert done.returncode == 2
