@@ -124,8 +124,11 @@ def command(
         named = {}
     files = {target: place for target, place in named.items() if place is not None}
     if files:
-        if matlab is not None or lpv is not None:
-            raise UsageError("--matlab and --lpv are of a run's model", hint=f"--to {' or '.join(FILES)}")
+        if any((matlab, lpv, float32, channel, label, data)):
+            raise UsageError(
+                "--matlab, --lpv, --float32, --channel, --model and --data are for a run's model",
+                hint=f"--to {' or '.join(FILES)}",
+            )
         for target, place in files.items():
             path = write_vehicle(source, target, place, mass_kg, arm_m, force, 3 if fmi == "3" else 2)
             click.echo(str(path))

@@ -143,7 +143,7 @@ def test_a_folder_takes_the_c_of_a_vehicle_as_it_takes_that_of_a_model(folder: P
 
 
 def test_what_only_a_run_has_is_refused_for_a_vehicle(folder: Path, tmp_path: Path) -> None:
-    for more in (["--matlab", str(tmp_path / "m")], ["--lpv", str(tmp_path / "m.json")]):
+    for more in (["--matlab", "m"], ["--lpv", "m.json"], ["--float32"], ["-c", "roll"], ["--model", "ts"]):
         done = CliRunner().invoke(root, ["export", str(folder), "--c", str(tmp_path / "c"), *more])
         assert isinstance(done.exception, UsageError)
         assert "run's model" in str(done.exception)
