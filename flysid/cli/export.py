@@ -116,13 +116,19 @@ def command(
     of MPC and of learning: --to casadi is --casadi with the file after -o, or model_casadi.py. A vehicle
     (what 'flysid vehicle -o' wrote) becomes parameters of a simulator, or functions for a controller.
     """
-    named = {"fmu": fmu, "casadi": casadi, "jax": jax, "onnx": onnx}
+    header = None if c_folder is None else c_folder / FILES["c"]
+    named = {"c": header, "fmu": fmu, "casadi": casadi, "jax": jax, "onnx": onnx}
     if kind in FILES and (kind not in CALLED or is_vehicle(source)):
         named = {**named, kind: named.get(kind) or out or Path(FILES[kind])}
     elif not is_vehicle(source):
         named = {}
     files = {target: place for target, place in named.items() if place is not None}
     if files:
+        if any((matlab, lpv, float32, channel, label, data)):
+            raise UsageError(
+                "--matlab, --lpv, --float32, --channel, --model and --data are for a run's model",
+                hint=f"--to {' or '.join(FILES)}",
+            )
         for target, place in files.items():
             path = write_vehicle(source, target, place, mass_kg, arm_m, force, 3 if fmi == "3" else 2)
             click.echo(str(path))

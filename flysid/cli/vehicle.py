@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import shlex
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -102,12 +104,24 @@ def command(
     if data.lacking:
         say(f"not logged: {', '.join(data.lacking)}", quiet)
     if output is not None:
+        from flysid.extras import Extra, extra
         from flysid.files import replacing_folder
+        from flysid.reviews.vehicle_page import PAGE, write_vehicle_page
 
         with replacing_folder(output) as folder:
             vehicle.save(folder / FILE)
+            draw = partial(write_vehicle_page, folder / PAGE, vehicle, found, _typed(logs, recipe, output))
+            page = extra(Extra.PAGE, draw, None, of="the vehicle")
         say(f"written: {output / FILE}", quiet)
+        if page is not None:
+            say(f"its page, with pictures: {output / PAGE}", quiet)
     return 0
+
+
+def _typed(logs: Sequence[Path], recipe: str, output: Path) -> str:
+    """The command, as it would be typed again, without its settings."""
+    own = [] if recipe == RECIPE else ["-r", recipe]
+    return shlex.join(["flysid", "vehicle", *map(str, logs), *own, "-o", str(output)])
 
 
 @contextmanager

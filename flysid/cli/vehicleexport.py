@@ -69,6 +69,7 @@ def write_vehicle(
     in_metres = target in IN_METRES
     content = _in_metres(vehicle, target, path.stem, mass, arm) if in_metres else _plain(vehicle, target, fmi)
     with writing_to(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
         write_atomically(path, content)
     if in_metres and (mass_kg is None or arm_m is None):
         say(f"mass and arm are taken as {mass:g} kg and {arm:g} m: state them with --mass and --arm")

@@ -10,7 +10,7 @@ import numpy as np
 from markupsafe import Markup
 
 from flysid.dataset import FloatArray
-from flysid.reviews.fact import HeatMap, Line, MotorPlan, Picture
+from flysid.reviews.fact import HeatMap, Line, MotorPlan, Picture, TopView
 from flysid.validate.show.page.decimate import extremes
 from flysid.validate.show.page.svg import (
     Axes,
@@ -26,6 +26,8 @@ from flysid.validate.show.page.svg import (
 
 WIDTH = 470.0
 HEIGHT = 210.0
+FROM_ABOVE = 240.0
+"""Width and height of motors from above."""
 LEVELS = 8
 """Shades of a heat map: more are not told apart."""
 CELLS = 72
@@ -93,13 +95,9 @@ def draw_heat_map(drawn: HeatMap) -> Markup:
 
 def draw_motors(drawn: MotorPlan) -> Markup:
     """Motors from above, front up, each with its share of the range in percent."""
-    size = 240.0
-    middle = size / 2.0
-    reach = 78.0
     mean = float(np.mean(drawn.shares)) if drawn.shares else 0.0
-    parts = [text(middle, 14, "front", anchor="middle")]
-    spots = [(middle + reach * right, middle - reach * forward) for forward, right in drawn.places]
-    parts += [segment(middle, middle, x, y, "arm") for x, y in spots]
+    spots = _spots(drawn.places)
+    parts = _arms(spots)
     for (x, y), share, name in zip(spots, drawn.shares, drawn.names, strict=True):
         heavy = share > 1.1 * mean
         parts.append(_disc(x, y, 20.0 + 14.0 * share, "motor heavy" if heavy else "motor"))
@@ -107,7 +105,53 @@ def draw_motors(drawn: MotorPlan) -> Markup:
             text(x, y + 5, f"{100.0 * share:.0f} %", css="t big", anchor="middle"),
             text(x, y + 19, name, anchor="middle"),
         ]
-    return picture(size, size, parts, f"{drawn.title}: motors from above, mean share of their range")
+    return picture(
+        FROM_ABOVE, FROM_ABOVE, parts, f"{drawn.title}: motors from above, mean share of their range"
+    )
+
+
+def draw_top_view(drawn: TopView) -> Markup:
+    """Motors from above, front up, an arrow the way each rotor turns; dashed where a place is not known."""
+    radius = 19.0
+    spots = _spots(drawn.places)
+    parts = _arms(spots)
+    described = []
+    rows = zip(spots, drawn.names, drawn.spins, drawn.is_known, strict=True)
+    for (x, y), name, spin, known in rows:
+        parts.append(_disc(x, y, radius, "motor" if known else "motor unsure"))
+        parts.append(text(x, y + 5, name, css="t big", anchor="middle"))
+        if spin:
+            parts.append(_spin(x, y, radius + 6.0, spin))
+        way = {1: ", turns clockwise", -1: ", turns counter-clockwise"}.get(spin, "")
+        described.append(f"motor {name}{way}{'' if known else ', place not determined'}")
+    return picture(FROM_ABOVE, FROM_ABOVE, parts, f"{drawn.title}, from above: {'; '.join(described)}")
+
+
+def _spots(places: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
+    """Pixels of places forward and right of the middle."""
+    middle = FROM_ABOVE / 2.0
+    reach = 78.0
+    return [(middle + reach * right, middle - reach * forward) for forward, right in places]
+
+
+def _arms(spots: Sequence[tuple[float, float]]) -> list[Markup]:
+    """Which way is forward, and an arm to each motor."""
+    middle = FROM_ABOVE / 2.0
+    front = text(middle, 14, "front", anchor="middle")
+    return [front, *(segment(middle, middle, x, y, "arm") for x, y in spots)]
+
+
+def _spin(x: float, y: float, radius: float, way: int) -> Markup:
+    """An arrow around a motor, open towards the bottom; `way` is 1 for clockwise."""
+    end = np.radians(90.0 - 40.0 * way)
+    tip_x = x + radius * np.cos(end)
+    tip_y = y + radius * np.sin(end)
+    sweep = 1 if way > 0 else 0
+    arc = f"M{2.0 * x - tip_x:.1f} {tip_y:.1f}A{radius:g} {radius:g} 0 1 {sweep} {tip_x:.1f} {tip_y:.1f}"
+    for turn in (-2.6, 2.6):
+        side = end + way * np.pi / 2.0 + turn
+        arc += f"M{tip_x:.1f} {tip_y:.1f}l{7.0 * np.cos(side):.1f} {7.0 * np.sin(side):.1f}"
+    return Markup('<path d="{}" class="spin"/>').format(arc)
 
 
 def _disc(x: float, y: float, radius: float, css: str) -> Markup:

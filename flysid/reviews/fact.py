@@ -236,6 +236,26 @@ class MotorPlan:
     aside: str = ""
 
 
+@dataclass(frozen=True, eq=False)
+class TopView:
+    """A vehicle from above: what its motors do to it.
+
+    Attributes
+    ----------
+    places : of each motor, forward and right, -1 to 1.
+    names : of each motor.
+    spins : 1 for a rotor that turns clockwise as seen from above, -1 against it, 0 where that is not known.
+    is_known : whether the flights determine where each motor stands.
+    """
+
+    title: str
+    places: tuple[tuple[float, float], ...]
+    names: tuple[str, ...]
+    spins: tuple[int, ...]
+    is_known: tuple[bool, ...]
+    aside: str = ""
+
+
 @dataclass(frozen=True)
 class Table:
     """Headings and rows of cells; a cell that is a number of seconds on the log's clock stands in `times`."""
@@ -246,7 +266,8 @@ class Table:
     times: tuple[float, ...] = ()
 
 
-Shown = Picture | HeatMap | MotorPlan | Table
+Drawn = Picture | HeatMap | MotorPlan | TopView
+Shown = Drawn | Table
 
 
 @dataclass(frozen=True, eq=False)

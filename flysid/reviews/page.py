@@ -14,8 +14,19 @@ from markupsafe import Markup
 from flysid.escaping import one_line
 from flysid.extras import Extra, Missing, extra
 from flysid.ingest.lake.timeline import Timeline
-from flysid.reviews.drawing import draw_heat_map, draw_motors, draw_picture
-from flysid.reviews.fact import Fact, Grade, HeatMap, MotorPlan, Picture, Section, Table
+from flysid.reviews.drawing import draw_heat_map, draw_motors, draw_picture, draw_top_view
+from flysid.reviews.fact import (
+    Action,
+    Drawn,
+    Fact,
+    Finding,
+    Grade,
+    HeatMap,
+    MotorPlan,
+    Section,
+    Table,
+    TopView,
+)
 from flysid.reviews.lines import capital, head
 from flysid.reviews.reviewed import Review
 from flysid.validate.show.page.flight_page import timeline_document
@@ -60,30 +71,47 @@ def render(
     """
     missing = Missing()
     with missing.gathering():
-        styles = "\n".join(load_asset(name) for name in ("uPlot.min.css", "page.css", "plot.css")) + _asset(
-            "review.css"
-        )
-        scripts = [load_asset("uPlot.iife.min.js"), load_asset("plot.js")]
         timelines = [review.timeline for review in reviews]
         most = MOST_SAMPLES // len(reviews)
         shown = [_filled(review, i) for i, review in enumerate(reviews)]
-        filled = {
-            "csp": security_policy(scripts, styles),
-            "styles": Markup(styles),
-            "scripts": [Markup(script) for script in scripts],
-            "data": Markup(script_json([_timeline(each, most) for each in timelines])),
-            "title": one_line(
-                reviews[0].findings[0].text if len(reviews) == 1 else f"{len(reviews)} flights"
-            ),
-            "reviews": shown,
-            "series": [_table(table) for table in series],
-            "command": one_line(command),
-            "version": __version__,
-        }
+        data = [_timeline(each, most) for each in timelines]
+    title = reviews[0].findings[0].text if len(reviews) == 1 else f"{len(reviews)} flights"
+    return fill_page(title, shown, data, command, series, (*absent, *missing.sentences))
+
+
+def fill_page(
+    title: str,
+    shown: Sequence[Mapping[str, Any]],
+    data: Sequence[Mapping[str, Any]] = (),
+    command: str = "",
+    series: Sequence[Table] = (),
+    absent: Sequence[str] = (),
+) -> str:
+    """The page of what `fill_answer` made, one below another.
+
+    Parameters
+    ----------
+    data : a timeline each, for plots; () where nothing is plotted: then the page runs no script.
+    command, series, absent : as in `render`.
+    """
+    styles = "\n".join(load_asset(name) for name in ("uPlot.min.css", "page.css", "plot.css"))
+    styles += _asset("review.css")
+    scripts = [load_asset("uPlot.iife.min.js"), load_asset("plot.js")] if data else []
     return (
         _environment()
         .get_template("review.html.j2")
-        .render(filled, missing=[one_line(words) for words in (*absent, *missing.sentences)])
+        .render(
+            csp=security_policy(scripts, styles),
+            styles=Markup(styles),
+            scripts=[Markup(script) for script in scripts],
+            data=Markup(script_json(list(data))),
+            title=one_line(title),
+            reviews=shown,
+            series=[_table(table) for table in series],
+            command=one_line(command),
+            version=__version__,
+            missing=[one_line(words) for words in absent],
+        )
     )
 
 
@@ -99,11 +127,38 @@ def _environment() -> Environment:
 
 
 def _filled(review: Review, index: int) -> dict[str, Any]:
-    first, *rest = review.findings
-    keys = {fact.key: _anchor(index, fact.key) for fact in review.facts}
+    aside = "from what this log shows; nothing was tried on the vehicle"
+    answer = fill_answer(head(review), review.findings, review.actions, review.sections, aside, index)
+    return answer | {
+        "broken": [one_line(sentence) for sentence in review.broken],
+        "clock": one_line(review.clock.words),
+        "moments": [(m.time_s, one_line(m.kind), one_line(m.text)) for m in review.timeline.moments],
+        "has_panels": bool(review.timeline.panels),
+    }
+
+
+def fill_answer(
+    whose: str,
+    findings: Sequence[Finding],
+    actions: Sequence[Action],
+    sections: Sequence[Section],
+    aside: str,
+    index: int = 0,
+) -> dict[str, Any]:
+    """What the template shows of one log or vehicle.
+
+    Parameters
+    ----------
+    whose : the line above the headline.
+    findings : the first one is the headline.
+    aside : what the actions rest on.
+    index : of it on its page.
+    """
+    first, *rest = findings
+    keys = {fact.key: _anchor(index, fact.key) for section in sections for fact in section.facts}
     return {
         "index": index,
-        "head": one_line(head(review)),
+        "head": one_line(whose),
         "headline": one_line(first.text),
         "headline_more": one_line(first.more),
         "headline_to": keys.get(first.fact, ""),
@@ -117,6 +172,7 @@ def _filled(review: Review, index: int) -> dict[str, Any]:
             }
             for finding in rest
         ],
+        "aside": one_line(aside),
         "actions": [
             {
                 "title": one_line(action.title),
@@ -126,13 +182,11 @@ def _filled(review: Review, index: int) -> dict[str, Any]:
                 "risk": one_line(action.risk),
                 "to": keys.get(action.fact, ""),
             }
-            for action in review.actions
+            for action in actions
         ],
-        "sections": [_section(section, index) for section in review.sections],
-        "broken": [one_line(sentence) for sentence in review.broken],
-        "clock": one_line(review.clock.words),
-        "moments": [(m.time_s, one_line(m.kind), one_line(m.text)) for m in review.timeline.moments],
-        "has_panels": bool(review.timeline.panels),
+        "sections": [_section(section, index) for section in sections],
+        "broken": [],
+        "has_panels": False,
     }
 
 
@@ -159,7 +213,9 @@ def _section(section: Section, index: int) -> dict[str, Any]:
     }
 
 
-def _draw(shown: Picture | HeatMap | MotorPlan) -> Markup:
+def _draw(shown: Drawn) -> Markup:
+    if isinstance(shown, TopView):
+        return draw_top_view(shown)
     if isinstance(shown, HeatMap):
         return draw_heat_map(shown)
     if isinstance(shown, MotorPlan):

@@ -36,6 +36,7 @@ class FlightFacts:
     gyro_bias : rad/s; force_bias : m/s^2 of the accelerometer; None where nothing tells them.
     seconds : of whole flight that were used.
     damage : what is wrong with its telemetry, in words.
+    lost_s : seconds of its telemetry that are damaged, and left out; None where a file states none.
     """
 
     name: str
@@ -44,6 +45,7 @@ class FlightFacts:
     gyro_bias: tuple[float, float, float] | None = None
     force_bias: tuple[float, float, float] | None = None
     damage: tuple[str, ...] = ()
+    lost_s: float | None = None
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -61,6 +63,7 @@ class FittedVehicle:
     dt_s : sample time of the flights, seconds.
     method : "regression", or "free runs" where these agree with it and are more accurate.
     notes, frames : what was decided, and how the log's axes were turned, in words.
+    flown_v : least and largest voltage in the air; None where none is measured, or a file states none.
     """
 
     theta: FloatArray
@@ -75,6 +78,7 @@ class FittedVehicle:
     flights: tuple[FlightFacts, ...]
     frames: tuple[str, ...] = ()
     notes: tuple[str, ...] = field(default_factory=tuple)
+    flown_v: tuple[float, float] | None = None
 
     @property
     def motors(self) -> int:
@@ -156,12 +160,12 @@ class FittedVehicle:
             said += ["", "not determined"]
         for (reason, flight), names in lacking.items():
             said.append(f"- {', '.join(names)}: {reason}. To find it, {flight}.")
-        said += self._close_pairs()
+        said += self.close_pairs()
         said += [f"{own.name}: {word}" for own in self.flights for word in own.damage]
         return [*said, *self.frames, *self.notes]
 
-    def _close_pairs(self, least: float = 0.95) -> list[str]:
-        """Numbers whose errors hang together."""
+    def close_pairs(self, least: float = 0.95) -> list[str]:
+        """Numbers whose errors hang together, in sentences: those with a correlation above `least`."""
         together = np.triu(np.abs(self.correlation), 1)
         names = [number.name for number in self.numbers]
         return [
@@ -207,11 +211,13 @@ class FittedVehicle:
                     "gyro_bias": f.gyro_bias,
                     "force_bias": f.force_bias,
                     "damage": list(f.damage),
+                    "lost_s": f.lost_s,
                 }
                 for f in self.flights
             ],
             "frames": list(self.frames),
             "notes": list(self.notes),
+            "flown_v": None if self.flown_v is None else list(self.flown_v),
         }
 
     @classmethod
@@ -250,6 +256,7 @@ class FittedVehicle:
             worst = int(np.flatnonzero((theta < low) | (theta > high))[0])
             raise ValueError(f"{layout.numbers(motors)[worst].name} is {theta[worst]:g}")
         volts = document["reference_v"]
+        flown = document.get("flown_v")
         return cls(
             theta=theta,
             covariance=covariance,
@@ -263,6 +270,7 @@ class FittedVehicle:
             flights=tuple(_flight(row) for row in document["flights"]),
             frames=tuple(map(str, document["frames"])),
             notes=tuple(map(str, document["notes"])),
+            flown_v=None if flown is None else (float(flown[0]), float(flown[1])),
         )
 
     def save(self, path: str | Path) -> None:
@@ -284,6 +292,7 @@ def _flight(row: Mapping[str, Any]) -> FlightFacts:
         numbers("gyro_bias"),
         numbers("force_bias"),
         tuple(map(str, row["damage"])),
+        None if row.get("lost_s") is None else float(row["lost_s"]),
     )
 
 

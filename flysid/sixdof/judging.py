@@ -72,13 +72,33 @@ class Judgement:
     def _counts(self, shown: Sequence[int]) -> str:
         return ", ".join(f"{self.starts[i]} starts for {HORIZONS_S[i]:g} s" for i in shown)
 
+    @property
+    def led(self) -> tuple[float, ...]:
+        """Horizons in seconds, from the first on, at which physics alone predicts best."""
+        alone = self._size(ALONE)
+        others = [self._size(name) for name in NAMED]
+        led = []
+        for i in self._known:
+            if not all(alone[i] < size[i] for size in others):
+                break
+            led.append(HORIZONS_S[i])
+        return tuple(led)
+
+    @property
+    def leads_all(self) -> bool:
+        """Whether physics alone predicts best at every horizon that has starts."""
+        return len(self.led) == len(self._known)
+
+    @property
+    def _known(self) -> list[int]:
+        """Horizons that have starts."""
+        return [int(i) for i in np.flatnonzero(np.isfinite(self._size(ALONE)))]
+
     def words(self) -> list[str]:
         """How far physics alone leads, and what predicts best behind it."""
-        alone = self._size(ALONE)
         others = {name: self._size(name) for name in NAMED}
-        known = np.flatnonzero(np.isfinite(alone))
-        leads = [i for i in known if all(alone[i] < size[i] for size in others.values())]
-        until = [HORIZONS_S[i] for i in leads if list(known[: i + 1]) == leads[: i + 1]]
+        known = self._known
+        until = self.led
         said = []
         if not until:
             best = min(others, key=lambda name: others[name][known[0]])
@@ -86,7 +106,7 @@ class Judgement:
                 f"physics alone is not the best at {HORIZONS_S[known[0]]:g} s: {NAMED[best]} predicts "
                 "better. Trust no number of this vehicle that has no other proof"
             )
-        elif len(until) == len(known):
+        elif self.leads_all:
             said.append("physics alone is enough: it predicts best at every horizon")
         else:
             behind = known[len(until)]

@@ -125,7 +125,9 @@ class _Work:
         self.motors = first.commands.shape[1]
         self.count = layout.count(self.motors)
         volts = [r.voltage[r.flying] for r in flights.records if r.voltage is not None]
-        self.reference_v = float(np.median(np.concatenate(volts))) if volts else float("nan")
+        flown = np.concatenate(volts) if volts else np.zeros(0)
+        self.reference_v = float(np.median(flown)) if volts else float("nan")
+        self.flown_v = (float(flown.min()), float(flown.max())) if volts else None
         self.has_air = first.velocity is not None and first.attitude is not None
         self.calm = _stays_calm(flights.records) if settings.calm is None else settings.calm
         reference = self.reference_v if volts else 1.0
@@ -289,6 +291,7 @@ class _Work:
                     _gyro_bias(records),
                     self._force_bias(records, place),
                     tuple(damage.lines),
+                    float(sum(r.lost.sum() * r.dt_s for r in records)),
                 )
             )
         return FittedVehicle(
@@ -304,6 +307,7 @@ class _Work:
             flights=tuple(facts),
             frames=self.flights.frames,
             notes=tuple(self.notes),
+            flown_v=self.flown_v,
         )
 
     def _force_bias(self, records: Sequence[Record], place: int) -> tuple[float, float, float] | None:

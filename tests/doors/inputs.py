@@ -176,6 +176,15 @@ watched = lines(
 )
 """A run of longer flights, as `watch` needs it, and a flight of a vehicle whose attitude is late."""
 
+_LOGGED = "flysid synth --plant ardrone --plan pilot --duration 30 --format blackbox"
+vehicle_and_flight = lines(
+    f"{_LOGGED} --seed 1 -o motors",
+    "flysid vehicle motors/01-pilot-seed1.bbl --zero 0 --full-scale 2047 -o vehicle -q",
+    f"{_LOGGED} --seed 2 -o motors --force",
+    "mv motors/01-pilot-seed2.bbl later.bbl",
+)
+"""A whole vehicle, and a later flight of it."""
+
 three_loops = lines(
     f"flysid ingest {SAMPLES} -o data -q",
     "flysid fit data -r ardrone-synthetic -c longitudinal -m arx,oe,tf,ts --effort quick -o run -q",

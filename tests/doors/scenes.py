@@ -189,7 +189,10 @@ SCENES: dict[str, Scene] = {
     ),
     "docs/structured.md": Scene({"": inputs.hover}),
     "docs/studio.md": Scene(
-        before={"": inputs.watched},
+        before={
+            "": inputs.watched,
+            "flysid watch vehicle later.bbl --fail --json": inputs.vehicle_and_flight,
+        },
         codes={
             "flysid studio data": INTERRUPTED,
         },
@@ -216,7 +219,10 @@ SCENES: dict[str, Scene] = {
         drives={LIVE: heard},
     ),
     "docs/watching.md": Scene(
-        before={"": inputs.watched},
+        before={
+            "": inputs.watched,
+            "flysid watch vehicle later.bbl --fail --json": inputs.vehicle_and_flight,
+        },
         codes={"flysid watch run crash.bin --fail --json": 6},
         drives={WATCH: flown, f"{WATCH} --exec ./notify.sh": notified},
     ),

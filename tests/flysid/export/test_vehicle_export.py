@@ -132,6 +132,24 @@ def test_jax_has_the_same_derivative(vehicle: FittedVehicle, folder: Path) -> No
     assert np.abs(np.asarray(found) - slope(vehicle, START, COMMANDS[0])).max() < 1e-9
 
 
+def test_a_folder_takes_the_c_of_a_vehicle_as_it_takes_that_of_a_model(folder: Path, tmp_path: Path) -> None:
+    done = CliRunner().invoke(root, ["export", str(folder), "--c", str(tmp_path / "new" / "c")])
+    assert done.exit_code == 0, done.output
+    written = tmp_path / "new" / "c" / "vehicle.h"
+    assert done.output.split() == [str(written)]
+    assert written.read_bytes() == exported(folder, "c", "vehicle.h").read_bytes()
+    again = CliRunner().invoke(root, ["export", str(folder), "--c", str(tmp_path / "new" / "c")])
+    assert isinstance(again.exception, UsageError)
+
+
+def test_what_only_a_run_has_is_refused_for_a_vehicle(folder: Path, tmp_path: Path) -> None:
+    for more in (["--matlab", "m"], ["--lpv", "m.json"], ["--float32"], ["-c", "roll"], ["--model", "ts"]):
+        done = CliRunner().invoke(root, ["export", str(folder), "--c", str(tmp_path / "c"), *more])
+        assert isinstance(done.exception, UsageError)
+        assert "run's model" in str(done.exception)
+        assert not (tmp_path / "c").exists()
+
+
 @pytest.mark.skipif(shutil.which("gcc") is None, reason="no gcc")
 def test_c_moves_as_the_module_does(folder: Path, tmp_path: Path) -> None:
     header = exported(folder, "c", "vehicle.h")

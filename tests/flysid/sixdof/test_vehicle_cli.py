@@ -14,6 +14,7 @@ import flysid
 from flysid.cli import root
 from flysid.dataset import Dataset
 from flysid.errors import DataError, FlysidError, RecipeError, UsageError
+from tests.flysid.reviews.test_vehicle_page import check_against_document
 from tests.flysid.sixdof.hidden_quad import HiddenQuad, write_table
 
 
@@ -33,7 +34,25 @@ def test_a_table_becomes_a_vehicle(table: Path, tmp_path: Path) -> None:
     assert "not determined" in done.stdout
     found = flysid.load_vehicle(tmp_path / "vehicle")
     assert found["roll of motor 1"].value == pytest.approx(-HiddenQuad().roll, rel=0.05)
+    page = (tmp_path / "vehicle/vehicle.html").read_text("utf-8")
+    check_against_document(page, json.loads((tmp_path / "vehicle/vehicle.json").read_text("utf-8")))
+    assert found.flown_v is not None
+    assert found.flown_v[0] < found.reference_v < found.flown_v[1]
     assert isinstance(vehicle(table, "-o", tmp_path / "vehicle").exception, UsageError)
+
+
+def test_a_page_that_breaks_leaves_the_vehicle(
+    table: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: object) -> None:
+        raise ValueError("injected")
+
+    monkeypatch.setattr("flysid.reviews.vehicle_page.render_vehicle", fail)
+    done = vehicle(table, "-o", tmp_path / "vehicle", "--calm")
+    assert done.exit_code == 0, done.output
+    assert "The page with its pictures of the vehicle could not be given" in " ".join(done.stderr.split())
+    assert "vehicle.html" not in done.stderr
+    assert [path.name for path in (tmp_path / "vehicle").iterdir()] == ["vehicle.json"]
 
 
 def test_rates_and_a_voltage_alone_tell_no_thrust(table: Path, tmp_path: Path) -> None:
