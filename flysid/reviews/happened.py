@@ -20,6 +20,7 @@ from flysid.reviews.landing import HardLanding, find_hard_landing
 from flysid.reviews.limits import limit
 from flysid.reviews.logged import LoggedFlight
 from flysid.reviews.motors import read_motors
+from flysid.showing import clock
 
 ROWS = 60
 """Of the table: a page that a person reads."""
@@ -105,7 +106,7 @@ def _facts(story: Story) -> Iterator[Fact]:
     else:
         yield Fact("happened.modes", "flight modes", missing="the log states no mode")
     if flight.flown.seconds:
-        spans = "; ".join(f"{clock_words(a)} to {clock_words(b)}" for a, b in flight.air_s[:5])
+        spans = "; ".join(f"{clock(a)} to {clock(b)}" for a, b in flight.air_s[:5])
         yield Fact("happened.air", "in the air", spans)
     words = "; ".join(f"{failure.words} at {failure.at_s:.1f} s" for failure in story.failures[:3])
     first_s = story.failures[0].at_s if story.failures else None
@@ -186,11 +187,6 @@ def _impact(story: Story) -> Iterator[Fact]:
         yield Fact(
             "happened.impact", "largest acceleration", value, "m/s2", fields=(felt.address,), at_s=at_s
         )
-
-
-def clock_words(seconds: float) -> str:
-    """ "1:08" for 68 s."""
-    return f"{int(seconds // 60)}:{int(seconds % 60):02d}"
 
 
 # ------------------------------------------------------------------------------------------- findings
