@@ -26,6 +26,7 @@ from flysid.ingest.align.transforms import TRANSFORMS
 from flysid.ingest.lake.events import settings
 from flysid.ingest.lake.failures import Mishap
 from flysid.ingest.lake.flown import Flown, flown_of
+from flysid.ingest.lake.headers import header_of
 from flysid.ingest.lake.mishaps import failures
 
 if TYPE_CHECKING:
@@ -228,11 +229,7 @@ class LoggedFlight:
     @cached_property
     def headers(self) -> Mapping[str, str]:
         """Settings of a blackbox header as text, by name; empty in other logs."""
-        stream = self.stream("parameters")
-        if not stream or "text" not in self.log.columns(stream):
-            return {}
-        table = self.log.table(stream, ["name", "text"]).to_pydict()
-        return dict(zip(table["name"], table["text"], strict=True))
+        return header_of(self.log)
 
     @cached_property
     def is_closed(self) -> bool:
