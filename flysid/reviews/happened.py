@@ -9,17 +9,17 @@ from functools import cached_property
 import numpy as np
 
 from flysid.facts.modes import family_of
+from flysid.ingest.lake.attitude import tilt_error
+from flysid.ingest.lake.crash import Crash, acceleration, find_crash
 from flysid.ingest.lake.events import Event, events
 from flysid.ingest.lake.failures import plain_words
-from flysid.reviews.attitude import tilt_error
+from flysid.ingest.lake.motors import read_motors
 from flysid.reviews.causes import Cause, rank_causes
-from flysid.reviews.crash import Crash, acceleration, find_crash
 from flysid.reviews.fact import Fact, Finding, Grade, Section, Table
 from flysid.reviews.failures import Failure, stated_failures
 from flysid.reviews.landing import HardLanding, find_hard_landing
 from flysid.reviews.limits import limit
 from flysid.reviews.logged import LoggedFlight
-from flysid.reviews.motors import read_motors
 from flysid.showing import clock
 
 ROWS = 60

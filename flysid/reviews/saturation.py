@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from flysid.ingest.lake.motors import read_motors
 from flysid.loops.betaflight import AXES
 from flysid.reviews.follow import Counting
 from flysid.reviews.logged import Column, LoggedFlight
-from flysid.reviews.motors import read_motors
 from flysid.reviews.pairs import recipe_of
 
 
