@@ -55,7 +55,7 @@ STEPS: Mapping[str, Step] = {
     "linear side": lambda: patch.object(search_context.SearchContext, "_linear_side", lambda *_: []),
     "idle inputs": lambda: patch.object(search_context.SearchContext, "_needless", lambda *_: ()),
     "integrator": lambda: patch.object(
-        search_context.SearchContext, "_settled", lambda _, stage, *__: (stage,)
+        search_context.SearchContext, "_settle", lambda _, stage, *__: (stage,)
     ),
     "fewer orders": lambda: patch.object(search_context, "simplest", lambda errors, _: simplest(errors)),
     "short records": lambda: patch.object(learning, "_HIGHEST_LINEAR", learning._DEEPEST_DELAY),

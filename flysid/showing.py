@@ -59,6 +59,36 @@ def significant(value: float, digits: int = 3) -> str:
     return f"{rounded:.15g}" if 1e-4 <= abs(rounded) < 1e6 else f"{rounded:.{digits}g}"
 
 
+def clock(seconds: float, *, padded: bool = False) -> str:
+    """Minutes and seconds since a beginning, with hours where there are any: "8:05", "1:02:05".
+
+    Whole seconds, rounded to the nearest. Padded, minutes have two digits for a column: "08:05".
+    """
+    minutes, rest = divmod(max(0, round(seconds)), 60)
+    hours, minutes = divmod(minutes, 60)
+    if hours:
+        return f"{hours}:{minutes:02d}:{rest:02d}"
+    return f"{minutes:0{2 if padded else 1}d}:{rest:02d}"
+
+
+def duration(seconds: float) -> str:
+    """How long something takes, to the second below an hour: "40 s", "3 min 20 s", "2 h 5 min"."""
+    whole = max(0, round(seconds))
+    if whole < 100:
+        return f"{whole} s"
+    minutes, rest = divmod(whole, 60)
+    if minutes < 60:
+        return f"{minutes} min {rest} s" if rest else f"{minutes} min"
+    return f"{minutes // 60} h {minutes % 60} min"
+
+
+def rough_duration(seconds: float) -> str:
+    """How long something took, for a sentence: "42 s", "9 min", "1.5 h"."""
+    if seconds < 120:
+        return f"{seconds:.3g} s"
+    return f"{seconds / 60:.0f} min" if seconds < 7200 else f"{seconds / 3600:.1f} h"
+
+
 def first_of(names: Sequence[str], most: int) -> str:
     """The first names, and how many more there are: "a, b, c and 4 more"."""
     rest = len(names) - most

@@ -14,8 +14,9 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from flysid.cli.output import duration, printable, say
+from flysid.cli.output import printable, say
 from flysid.progress import Step, listening
+from flysid.showing import duration
 
 if TYPE_CHECKING:
     from rich.console import Group

@@ -15,7 +15,6 @@ from flysid.cli.bounds import memory_option, time_option
 from flysid.cli.display import Display, progress_options
 from flysid.cli.kinematics import Motion, check_one_log, motions, write_corrected
 from flysid.cli.losses import say_skipped
-from flysid.cli.ls import clock_text
 from flysid.cli.output import (
     NAMES_SHOWN,
     REASONS_SHOWN,
@@ -32,7 +31,7 @@ from flysid.cli.trust import Own
 from flysid.errors import UsageError
 from flysid.facts.losses import lost_words, repeat_lines
 from flysid.progress import tell
-from flysid.showing import WIDTH, counted, first_of, fold
+from flysid.showing import WIDTH, clock, counted, first_of, fold
 
 if TYPE_CHECKING:
     from flysid.ingest.lake.survey import Survey
@@ -193,7 +192,7 @@ def row(found: Survey) -> tuple[str, ...]:
     return (
         label_of(found.info),
         found.info.get("firmware") or "-",
-        clock_text(found.duration_s),
+        clock(found.duration_s, padded=True),
         *(rate_cell(found.role(role)[1]) for role in ROLES_SHOWN.values()),
         found.excited(),
         "yes" if lost_words(found.damage) else "0",

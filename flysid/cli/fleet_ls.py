@@ -8,11 +8,10 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from flysid.cli.ls import clock_text
 from flysid.cli.output import NAMES_SHOWN, align_columns, say
 from flysid.cli.trust import Own, Setting
 from flysid.facts.losses import lines_of_flights
-from flysid.showing import counted
+from flysid.showing import clock, counted
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -88,7 +87,7 @@ def _row(row: dict[str, Any]) -> tuple[str, ...]:
         row["vehicle"] or "-",
         row["firmware"] or "-",
         _cell(row["start"]),
-        clock_text(row["duration_s"]),
+        clock(row["duration_s"], padded=True),
         f"{row['rows']:,}",
         "yes" if row["lost"] else "-",
     )

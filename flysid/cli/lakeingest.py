@@ -13,9 +13,9 @@ import click
 
 from flysid.cli.display import Display
 from flysid.cli.lakeoptions import LakeOptions, dask_cluster
-from flysid.cli.output import ExitCode, cores, duration, printable, say
+from flysid.cli.output import ExitCode, cores, printable, say
 from flysid.errors import FlysidError, PlaceError, UsageError
-from flysid.showing import counted, first_of
+from flysid.showing import counted, duration, first_of
 
 if TYPE_CHECKING:
     from flysid.fleet.ingest_many import Engine, Sorted

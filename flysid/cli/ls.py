@@ -13,6 +13,7 @@ from flysid.cli.display import Display, progress_options
 from flysid.cli.output import align_columns, explain
 from flysid.cli.source import READING_OF_A_FIT, opened_flights, selection_options
 from flysid.extras import Missing
+from flysid.showing import clock
 
 if TYPE_CHECKING:
     from flysid.catalogue import FlightFacts
@@ -85,18 +86,11 @@ def row(flight: FlightFacts) -> tuple[str, ...]:
         flight.id,
         flight.format,
         label_of(flight.info),
-        clock_text(flight.duration_s),
+        clock(flight.duration_s, padded=True),
         str(len(flight.streams)),
         f"{flight.rows:,}",
         "yes" if flight.lost else "-",
     )
-
-
-def clock_text(seconds: float) -> str:
-    """Minutes and seconds, with hours where there are any."""
-    whole = max(0, round(seconds))
-    hours, rest = divmod(whole, 3600)
-    return f"{hours}:{rest // 60:02d}:{rest % 60:02d}" if hours else f"{rest // 60:02d}:{rest % 60:02d}"
 
 
 def as_document(flight: FlightFacts) -> dict[str, Any]:

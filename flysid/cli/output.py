@@ -89,17 +89,6 @@ def say_passed_over(files: Sequence[PassedOver], quiet: bool) -> None:
     explain(f"ignored {counted(len(files), 'file')} that {logs}: {'; '.join(told)}", quiet)
 
 
-def duration(seconds: float) -> str:
-    """ "40 s", "3 min 20 s", "2 h 5 min"."""
-    whole = max(0, round(seconds))
-    if whole < 100:
-        return f"{whole} s"
-    minutes, rest = divmod(whole, 60)
-    if minutes < 60:
-        return f"{minutes} min {rest} s"
-    return f"{minutes // 60} h {minutes % 60} min"
-
-
 def cores() -> int:
     """Processors that this process may use."""
     try:

@@ -17,14 +17,13 @@ from flysid.cli.addresses import SOURCE
 from flysid.cli.bounds import COUNT
 from flysid.cli.checks import Words
 from flysid.cli.display import Display
-from flysid.cli.ls import clock_text
 from flysid.cli.output import align_columns, printable, say
 from flysid.cli.source import opened_flights, reading_options
 from flysid.errors import StoreError, UsageError
 from flysid.facts.clock import log_clock
 from flysid.facts.losses import loss_lines, repeat_lines
 from flysid.flight import BOOT, RECEIVED, TIME
-from flysid.showing import counted
+from flysid.showing import clock, counted
 
 if TYPE_CHECKING:
     from flysid.flight import ClockMap
@@ -139,7 +138,7 @@ def mode_times(log: StoredLog) -> list[str]:
         lasts = after is not None and after.boot == change.boot
         end_ns = after.time_ns if after and lasts else ends.get(change.boot, change.time_ns)
         flown[change.text] = flown.get(change.text, 0.0) + max(0, end_ns - change.time_ns) * 1e-9
-    return [f"{name} {clock_text(seconds)}" for name, seconds in flown.items()]
+    return [f"{name} {clock(seconds, padded=True)}" for name, seconds in flown.items()]
 
 
 def flown_words(log: StoredLog) -> str:
@@ -150,7 +149,7 @@ def flown_words(log: StoredLog) -> str:
         seconds = flown_of(log).seconds
     except StoreError:
         return ""
-    return UNKNOWN_FLOWN if seconds is None else clock_text(seconds)
+    return UNKNOWN_FLOWN if seconds is None else clock(seconds, padded=True)
 
 
 def _print_fields(log: StoredLog) -> None:
@@ -244,7 +243,7 @@ def flight_text(manifest: Manifest, modes: Sequence[str] = (), flown: str = "") 
         ("flight", manifest.id),
         ("log", f"{source.name} ({source.format}, {counted(source.size_bytes, 'byte')})"),
         ("sha256", source.sha256),
-        ("duration", f"{clock_text(manifest.duration_s)} in {counted(len(manifest.clocks), 'boot')}"),
+        ("duration", f"{clock(manifest.duration_s, padded=True)} in {counted(len(manifest.clocks), 'boot')}"),
     ]
     facts += [("date", when) for when in dates(manifest.clocks)]
     facts += [("times", log_clock(manifest.clocks).words)]

@@ -42,6 +42,16 @@ class LogClock:
         """Vehicle time as seconds on the axis; from zero in a boot that is not known."""
         return self.starts_s.get(boot, 0.0) + (time_ns - self.begins_ns.get(boot, 0)) * NS
 
+    def place(self, seconds: float) -> tuple[int, int]:
+        """Boot and vehicle time in ns of seconds on the axis; of the last boot that has begun by then.
+
+        >>> log_clock([ClockMap(0, 5_000_000_000, 9_000_000_000), ClockMap(1, 0, 3_000_000_000)]).place(4.5)
+        (1, 500000000)
+        """
+        begun = [boot for boot, start_s in self.starts_s.items() if start_s <= seconds]
+        boot = begun[-1] if begun else next(iter(self.begins_ns), 0)
+        return boot, self.begins_ns.get(boot, 0) + round((seconds - self.starts_s.get(boot, 0.0)) / NS)
+
     @property
     def words(self) -> str:
         """Which clock this is, for people."""

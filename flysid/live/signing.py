@@ -27,7 +27,6 @@ from flysid.live.batches import ByteArray, IntArray
 KEY_BYTES = 32
 KEY_VARIABLE = "FLYSID_SIGNING_KEY"
 STREAM_BEHIND = 6_000_000  # a new stream may be a minute behind the newest, in 10 us
-POLICIES = ("reject", "keep", "radio")
 
 UNSIGNED = "unsigned"
 WRONG_HASH = "wrong signature"

@@ -13,7 +13,8 @@ from numba import njit
 from flysid.dataset import FloatArray
 from flysid.errors import DataError, UsageError
 from flysid.flightwriter import float_values
-from flysid.loops.betaflight import AXES, BetaflightLaw, number_of
+from flysid.ingest.lake.headers import stated_number
+from flysid.loops.betaflight import AXES, BetaflightLaw
 from flysid.loops.rebuilt import MOST_LOOPS_BETWEEN, Rows
 
 FULL_STICK = 500.0
@@ -70,7 +71,7 @@ def axis_flight(log: Any, axis: str, settings: Mapping[str, str], law: Betafligh
     DataError : fields are missing.
     """
     k = list(AXES).index(axis)
-    fine = FINE if number_of(settings, 0.0, "blackbox_high_resolution") else 1.0
+    fine = FINE if stated_number(settings, "blackbox_high_resolution", otherwise=0.0) else 1.0
     fields = term_fields(law, k)
     names = ["time_ns", "loopIteration", f"gyroADC[{k}]", *fields.values(), f"rcCommand[{k}]", "rcCommand[3]"]
     mixer = ["setpoint[3]"] if law.throttle_of == "mixer" else []

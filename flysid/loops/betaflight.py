@@ -18,7 +18,6 @@ are those of the stated step, and in some versions so are integral and derivativ
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
@@ -26,6 +25,7 @@ import numpy as np
 
 from flysid.dataset import FloatArray
 from flysid.errors import DataError
+from flysid.ingest.lake.headers import WHOLE, needed_numbers, stated_number, stated_numbers
 from flysid.laws.described import Law, blackbox_law
 from flysid.loops.controller import Controller
 from flysid.loops.law_parts import AntiGravity, Boost, Means, Moving, Relax, TermCheck
@@ -49,7 +49,11 @@ RELAXED_BY_SETPOINT = 1.0
 
 def stated_step_s(settings: Mapping[str, str]) -> float:
     """Of the rate loop, s, as a header states it; 0 where it does not."""
-    return 1e-6 * number_of(settings, 0.0, "looptime") * number_of(settings, 1.0, "pid_process_denom")
+    return (
+        1e-6
+        * stated_number(settings, "looptime", otherwise=0.0)
+        * stated_number(settings, "pid_process_denom", otherwise=1.0)
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,14 +159,14 @@ class BetaflightLaw:
         """
         law = blackbox_law(settings.get("Firmware revision", ""))
         read = _Header(law, settings)
-        p, i, d, *more = numbers_of(settings, AXES[axis])
+        p, i, d, *more = needed_numbers(settings, AXES[axis], least=3)
         derived = law.part("derivative")
         integral = law.part("integral")
         if axis not in derived["axes"]:
             d = 0.0
         parts = float(derived["weight_parts"])
-        (weight,) = read.needed("setpoint_weight") if parts else (0.0,)
-        (relaxed,) = read.needed("relaxed") if parts else (0.0,)
+        weight = read.needed("setpoint_weight")[0] if parts else 0.0
+        relaxed = read.needed("relaxed")[0] if parts else 0.0
         forward = more[0] if more else _of_axis(read.several("forward"), axis)
         roll = read.one("limit", UNLIMITED)
         yaw = read.one("yaw_limit", UNLIMITED)
@@ -211,7 +215,7 @@ class BetaflightLaw:
             tuple(
                 f"{what} ({name})"
                 for name, what in law.not_described.items()
-                if number_of(settings, 0.0, name)
+                if stated_number(settings, name, otherwise=0.0)
             ),
         )
 
@@ -285,17 +289,15 @@ class _Header:
 
     def several(self, name: str) -> tuple[float, ...]:
         """The numbers of a setting; none where the header does not state it."""
-        known = (self.settings.get(own) for own in self.law.names.get(name, ()))
-        return next((_split(text) for text in known if text), ())
+        return stated_numbers(self.settings, *self.law.names.get(name, ()))
 
     def one(self, name: str, otherwise: float) -> float:
         """The first number of a setting, or another value."""
-        found = self.several(name)
-        return found[0] if found else otherwise
+        return stated_number(self.settings, *self.law.names.get(name, ()), otherwise=otherwise)
 
     def needed(self, name: str) -> tuple[float, ...]:
         """The numbers of a setting that the law cannot do without."""
-        return numbers_of(self.settings, *self.law.names[name])
+        return needed_numbers(self.settings, *self.law.names[name])
 
 
 def _kind(law: Law, read: _Header, name: str) -> str:
@@ -366,7 +368,7 @@ def _anti_gravity(
 ) -> tuple[tuple[float, float], AntiGravity | None]:
     """Factor and threshold of the older kind; what the newer kinds need."""
     off = (1.0, np.inf)
-    if kind == "none" or not int(number_of(settings, 0.0, "features")) & ANTI_GRAVITY:
+    if kind == "none" or not int(stated_number(settings, "features", otherwise=0.0)) & ANTI_GRAVITY:
         return off, None
     gain = read.one("anti_gravity_gain", 1000.0 if kind == "steps" else 0.0)
     if kind == "steps":
@@ -410,27 +412,6 @@ def _unpack(value: float) -> float:
     """
     if value < 2.0**24:
         return value
+    if value >= 2.0**32:
+        raise DataError(f"the log's header limits the acceleration by {value:.0f}", hint=WHOLE)
     return 10.0 * float(np.array(int(value), dtype=np.uint32).view(np.float32))
-
-
-def _split(text: str) -> tuple[float, ...]:
-    return tuple(float(part) for part in re.split("[,/]", text))
-
-
-def number_of(settings: Mapping[str, str], otherwise: float, *names: str) -> float:
-    """The first of these settings that the header states, or another value."""
-    return next((float(settings[name]) for name in names if settings.get(name)), otherwise)
-
-
-def numbers_of(settings: Mapping[str, str], *names: str) -> tuple[float, ...]:
-    """The numbers of the first of these settings that the header states.
-
-    Raises
-    ------
-    DataError : it states none of them.
-    """
-    for name in names:
-        text = settings.get(name)
-        if text:
-            return _split(text)
-    raise DataError(f"the log's header does not state {names[0]}", hint="log with the header whole")

@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from flysid.dataset import FloatArray
 from flysid.errors import DataError
+from flysid.ingest.lake.headers import header_of
 from flysid.loops.axis_flight import GAP_S, AxisFlight, axis_flight
 from flysid.loops.betaflight import AXES, BetaflightLaw, Conditions
 from flysid.loops.stick_response import Loop, StickRecord, output
@@ -27,14 +28,14 @@ def settings_of(log: Any) -> dict[str, str]:
     ------
     DataError : the log is no blackbox log.
     """
-    if "parameters" not in log.facts.streams or "main" not in log.facts.streams:
+    settings = header_of(log)
+    if not settings or "main" not in log.rows:
         raise DataError(
             f"{log.name} records no rate loop: it has neither vehicle_rates_setpoint (PX4) nor RATE "
             "(ArduPilot) nor a blackbox header (Betaflight)",
             hint="take the log that the vehicle wrote itself: .ulg, .bin with RATE, or blackbox",
         )
-    table = log.table("parameters", ["name", "text"]).to_pydict()
-    return dict(zip(table["name"], table["text"], strict=True))
+    return settings
 
 
 def record_of(

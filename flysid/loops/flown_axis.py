@@ -17,6 +17,7 @@ from numba import njit
 
 from flysid.dataset import FloatArray
 from flysid.errors import DataError, UsageError
+from flysid.ingest.lake.headers import stated_numbers
 from flysid.loops.axis_flight import FULL_STICK, MOVED_WITHIN_S, SIDES, fields_of, outputs_of, slower
 from flysid.loops.betaflight import AXES, FULL_THROTTLE, IDLE_STICK, BetaflightLaw
 from flysid.loops.blackbox_loops import even_pieces
@@ -156,7 +157,7 @@ def flown_axis(log: Any, axis: str, settings: Mapping[str, str], *, largest_miss
     values = fields_of(log, "main", [*names, *motors])
     asked = fields_of(log, "setpoint", ["time_ns", f"setpoint[{k}]"])
     time = values["time_ns"] * 1e-9
-    idle, full = (float(part) for part in settings.get("motorOutput", "0,0").split(","))
+    idle, full = stated_numbers(settings, "motorOutput", least=2)[:2] or (0.0, 0.0)
     turned = (np.array([values[name] for name in motors]) - idle) / max(full - idle, 1.0)
     throttle = values["rcCommand[3]"]
     outputs = outputs_of(log, settings)

@@ -10,6 +10,7 @@ from typing import Any
 
 from flysid.errors import DataError, UsageError
 from flysid.files import remedy_unread, why_unread
+from flysid.ingest.lake.headers import stated_numbers
 from flysid.laws.described import Law, blackbox_law
 from flysid.loops.betaflight import AXES
 
@@ -110,12 +111,12 @@ def value_of(stated: Mapping[str, Any], name: str) -> float:
             raise _unknown(name, stated)
         return float(stated[name])
     line, place = _place(blackbox_law(stated["Firmware revision"]), stated, name)
-    numbers = re.split("[,/]", stated[line])
+    numbers = stated_numbers(stated, line)
     if place >= len(numbers):
         raise DataError(
             f"the header's line {line} has no place {place + 1}", hint="log with the header whole"
         )
-    return float(numbers[place])
+    return numbers[place]
 
 
 def _in_header(stated: Mapping[str, str], changes: Mapping[str, str]) -> dict[str, str]:
@@ -126,7 +127,7 @@ def _in_header(stated: Mapping[str, str], changes: Mapping[str, str]) -> dict[st
         number = _number(name, WORDS.get(value.upper(), value))
         line, place = _place(law, found, name)
         numbers = re.split("([,/])", found[line])
-        numbers[2 * place] = f"{number:g}"
+        numbers[2 * place] = f"{number:.12g}"
         found[line] = "".join(numbers)
     return found
 

@@ -21,6 +21,7 @@ from flysid.model.base import Fitted
 from flysid.model.capabilities import HasIntervals, HasTransferFunctions, LinearModel
 from flysid.model.polynomials import Z95
 from flysid.model.structures import leaders
+from flysid.showing import duration
 from flysid.validate.runs.run import HeldOut
 
 UNDETERMINED = 0.5
@@ -67,17 +68,17 @@ class Known:
     def words(self, more_s: float, aim: float | None = None) -> str:
         """One sentence."""
         size = f"{self.what} {self.value:.3g}{' ' + self.unit if self.unit else ''}"
-        flown = _minutes(self.seconds)
+        flown = duration(self.seconds)
         if not self.is_determined:
             spread = f"known to no better than {100 * self.share:.0f} %" if self.share < 10 else "not known"
             return (
                 f"{size}: {spread} from {flown}. More of the same helps little: fly a plan that excites it."
             )
-        later = f"{_minutes(more_s)} more of the same make it {_percent(self.share_after(more_s))}"
+        later = f"{duration(more_s)} more of the same make it {_percent(self.share_after(more_s))}"
         if aim is None:
             return f"{size}: known to {_percent(self.share)} from {flown}; {later}."
         needed = self.seconds_for(aim)
-        goal = f"{_percent(aim)} takes {_minutes(needed)} more" if needed else f"{_percent(aim)} is reached"
+        goal = f"{_percent(aim)} takes {duration(needed)} more" if needed else f"{_percent(aim)} is reached"
         return f"{size}: known to {_percent(self.share)} from {flown}; {later}; {goal}."
 
 
@@ -191,9 +192,3 @@ def _seconds(data: Dataset) -> float:
 
 def _percent(share: float) -> str:
     return f"{100 * share:.2g} %"
-
-
-def _minutes(seconds: float) -> str:
-    if seconds < 100:
-        return f"{seconds:.0f} s"
-    return f"{seconds / 60:.3g} minutes"

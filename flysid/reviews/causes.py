@@ -7,15 +7,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from flysid.ingest.lake.attitude import lean_towards
 from flysid.ingest.lake.events import Event
 from flysid.ingest.lake.failures import plain_words
-from flysid.reviews.attitude import lean_towards
+from flysid.ingest.lake.motors import Motor, read_motors
 from flysid.reviews.battery import read_battery
 from flysid.reviews.failures import Failure
 from flysid.reviews.gps import find_jump, read_receiver
 from flysid.reviews.limits import limit
 from flysid.reviews.logged import Column, LoggedFlight
-from flysid.reviews.motors import Motor, read_motors
 
 BEFORE_S = 10.0
 AT_FULL = 0.95

@@ -6,10 +6,10 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from flysid.ingest.lake.motors import Motor
 from flysid.reviews.fact import Action, Fact, Finding, Grade
 from flysid.reviews.limits import limit
 from flysid.reviews.logged import Column, LoggedFlight
-from flysid.reviews.motors import Motor
 
 MOST = 8
 """ESCs in a message of PX4's."""

@@ -40,11 +40,6 @@ class Receiver:
     east: Column | None
     speed: Column | None
 
-    @property
-    def is_logged(self) -> bool:
-        """Whether there is one."""
-        return self.fix is not None
-
 
 def read_receiver(flight: LoggedFlight) -> Receiver:
     """The receiver that the autopilot flies by, in the air."""

@@ -9,17 +9,18 @@ from functools import cached_property
 import numpy as np
 
 from flysid.facts.modes import family_of
+from flysid.ingest.lake.attitude import tilt_error
+from flysid.ingest.lake.crash import Crash, acceleration, find_crash
 from flysid.ingest.lake.events import Event, events
 from flysid.ingest.lake.failures import plain_words
-from flysid.reviews.attitude import tilt_error
+from flysid.ingest.lake.motors import read_motors
 from flysid.reviews.causes import Cause, rank_causes
-from flysid.reviews.crash import Crash, acceleration, find_crash
 from flysid.reviews.fact import Fact, Finding, Grade, Section, Table
 from flysid.reviews.failures import Failure, stated_failures
 from flysid.reviews.landing import HardLanding, find_hard_landing
 from flysid.reviews.limits import limit
 from flysid.reviews.logged import LoggedFlight
-from flysid.reviews.motors import read_motors
+from flysid.showing import clock
 
 ROWS = 60
 """Of the table: a page that a person reads."""
@@ -105,7 +106,7 @@ def _facts(story: Story) -> Iterator[Fact]:
     else:
         yield Fact("happened.modes", "flight modes", missing="the log states no mode")
     if flight.flown.seconds:
-        spans = "; ".join(f"{clock_words(a)} to {clock_words(b)}" for a, b in flight.air_s[:5])
+        spans = "; ".join(f"{clock(a)} to {clock(b)}" for a, b in flight.air_s[:5])
         yield Fact("happened.air", "in the air", spans)
     words = "; ".join(f"{failure.words} at {failure.at_s:.1f} s" for failure in story.failures[:3])
     first_s = story.failures[0].at_s if story.failures else None
@@ -186,11 +187,6 @@ def _impact(story: Story) -> Iterator[Fact]:
         yield Fact(
             "happened.impact", "largest acceleration", value, "m/s2", fields=(felt.address,), at_s=at_s
         )
-
-
-def clock_words(seconds: float) -> str:
-    """ "1:08" for 68 s."""
-    return f"{int(seconds // 60)}:{int(seconds % 60):02d}"
 
 
 # ------------------------------------------------------------------------------------------- findings

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from flysid.dataset import FloatArray
+from flysid.ingest.lake.motors import is_multicopter
 from flysid.reviews.logged import BoolArray, Column, LoggedFlight
-from flysid.reviews.motors import is_multicopter
 
 STATED = {"ardupilot": "MOT_THST_HOVER", "px4": "MPC_THR_HOVER"}
 """Firmware -> parameter that says what hovering takes."""

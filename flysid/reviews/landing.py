@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from flysid.reviews.attitude import sink_speed
-from flysid.reviews.crash import acceleration
+from flysid.ingest.lake.attitude import sink_speed
+from flysid.ingest.lake.crash import acceleration
 from flysid.reviews.fact import Grade
 from flysid.reviews.limits import limit
 from flysid.reviews.logged import Column, LoggedFlight

@@ -12,11 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from flysid.dataset import FloatArray
+from flysid.ingest.lake.motors import Motor
 from flysid.reviews.fact import Action, Fact, Finding, Grade, MotorPlan
 from flysid.reviews.hover import find_calm
 from flysid.reviews.limits import limit
 from flysid.reviews.logged import LoggedFlight
-from flysid.reviews.motors import Motor
 
 AXES = ("roll", "pitch", "yaw")
 LEAST_S = 5.0

@@ -6,6 +6,8 @@ from collections.abc import Callable
 
 import numpy as np
 
+from flysid.errors import DataError
+from flysid.ingest.lake.headers import stated_numbers
 from flysid.reviews.fact import Action, Change
 from flysid.reviews.logged import LoggedFlight
 from flysid.showing import significant
@@ -92,7 +94,10 @@ def _ardupilot(flight: LoggedFlight, peak: Peak) -> Proposal | None:
 
 
 def _betaflight(flight: LoggedFlight, peak: Peak) -> Proposal | None:
-    stated = [float(part) for part in flight.headers.get("gyro_notch_hz", "").split(",") if part]
+    try:
+        stated = stated_numbers(flight.headers, "gyro_notch_hz")
+    except DataError:
+        return None  # which of them is free is not known
     free = [k for k, hz in enumerate(stated) if hz == 0.0]
     if not free:
         return None

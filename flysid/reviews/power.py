@@ -7,13 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 
+from flysid.ingest.lake.motors import Motor, is_multicopter, read_motors
 from flysid.reviews import battery_facts, drive, esc, motor_balance, thrust_loss
 from flysid.reviews.battery import Battery, read_battery
 from flysid.reviews.fact import Action, Change, Fact, Finding, Grade, Section, Shown
 from flysid.reviews.hover import STATED, Hover, measure_hover
 from flysid.reviews.limits import limit
 from flysid.reviews.logged import LoggedFlight
-from flysid.reviews.motors import Motor, is_multicopter, read_motors
 from flysid.reviews.remedies import remedy
 from flysid.showing import significant
 

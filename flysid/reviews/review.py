@@ -8,8 +8,8 @@ from tempfile import TemporaryDirectory
 
 from flysid.errors import FormatError, UsageError
 from flysid.extras import Extra, Missing, extra
+from flysid.ingest.lake.crash import end_at_crash
 from flysid.progress import tell
-from flysid.reviews.crash import end_at_crash
 from flysid.reviews.evidence import evidence
 from flysid.reviews.fact import Section
 from flysid.reviews.logged import LoggedFlight

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from flysid.ingest.lake.motors import read_motors
 from flysid.loops.betaflight import AXES
 from flysid.reviews.follow import Counting
 from flysid.reviews.logged import Column, LoggedFlight
-from flysid.reviews.motors import read_motors
 from flysid.reviews.pairs import recipe_of
 
 
@@ -53,11 +53,11 @@ def _output(flight: LoggedFlight, axis: str, place: int) -> tuple[Column, float]
     """A controller's output and its limit."""
     if flight.has("main"):
         name = "pidsum_limit_yaw" if axis == "yaw" else "pidsum_limit"
-        thousandths = flight.headers.get(name, "")
-        if not thousandths.isdecimal():
+        thousandths = flight.parameters.get(name)
+        if thousandths is None:
             return None
         output = flight.signal(recipe_of("betaflight-rate").signals[f"{axis}_pid_sum"])
-        return (output, 0.1 * float(thousandths)) if output is not None else None
+        return (output, 0.1 * thousandths) if output is not None else None
     output = flight.quantity(
         f"RATE.{axis[0].upper()}Out",
         f"vehicle_torque_setpoint.xyz[{place}]",

@@ -124,6 +124,6 @@ def _counters(flight: LoggedFlight) -> list[Column]:
 
 def _why(flight: LoggedFlight) -> str:
     if flight.has("main") and flight.headers:
-        edge = float(flight.headers.get("acc_lpf_hz") or 0.0) / 100.0
+        edge = flight.parameters.get("acc_lpf_hz", 0.0) / 100.0
         return f"the logged accelerometer is low-passed at {edge:g} Hz" if edge else "it is not logged"
     return "the log does not hold it"

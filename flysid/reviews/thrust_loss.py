@@ -11,10 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from flysid.dataset import FloatArray
-from flysid.reviews.attitude import commanded_axis, up_axis
+from flysid.ingest.lake.attitude import commanded_axis, up_axis
+from flysid.ingest.lake.motors import Motor
 from flysid.reviews.fact import Fact, Finding, Grade
 from flysid.reviews.logged import LoggedFlight
-from flysid.reviews.motors import Motor
 
 AWAY_DEG = 12.0
 """From the commanded tilt: half of what ArduPilot's crash check takes, and more than gusts give."""

@@ -97,11 +97,6 @@ def limits(motors: int) -> tuple[FloatArray, FloatArray]:
     return low, high
 
 
-def index_of(name: str, motors: int) -> int:
-    """The place of the number with this name; KeyError where there is none."""
-    return {number.name: number.index for number in numbers(motors)}[name]
-
-
 def group(start: int, length: int) -> Sequence[int]:
     """The places of a group."""
     return range(start, start + length)

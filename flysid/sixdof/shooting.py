@@ -15,7 +15,7 @@ import numpy as np
 from flysid.sixdof import layout, rotations
 from flysid.sixdof.actuators import shares
 from flysid.sixdof.descent import Block, Found, descend
-from flysid.sixdof.rigid_body import STATES, WIND, run, run_with_slopes
+from flysid.sixdof.rigid_body import STATES, WIND, run_with_slopes
 from flysid.sixdof.thrust_fit import Stretch
 from flysid.stretch import FloatArray
 
@@ -205,13 +205,3 @@ def fit_windows(
         shooter.sizes = np.maximum(shooter.left_at(found.theta), 1e-9)
         found = descend(shooter.blocks_at, found.theta, wanted, limits, prior, steps=15, enough=1e-6)
     return found, shooter.sizes
-
-
-def open_loop_errors(windows: Sequence[Window], theta: FloatArray, winds: FloatArray) -> FloatArray:
-    """(W, n, 12) errors of free runs from measured starts; winds (flights, 3)."""
-    rows = []
-    for window in windows:
-        halves, _ = window.halves(theta)
-        states = run(window.measured[0], halves, window.dt_s, theta, winds[window.flight])
-        rows.append(errors(states, window.measured))
-    return np.array(rows)

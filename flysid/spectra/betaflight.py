@@ -13,6 +13,7 @@ import numpy as np
 
 from flysid.dataset import FloatArray
 from flysid.errors import DataError
+from flysid.ingest.lake.headers import WHOLE, needed_numbers, stated_number, stated_numbers
 from flysid.spectra.chain import AtTimes, Chain, Step
 from flysid.spectra.settings import Moving, thinned
 from flysid.spectra.stages import Kind, Stage
@@ -24,6 +25,8 @@ DYNAMIC_NOTCH = 1 << 29
 THROTTLE_STEPS = 100
 WAIT_S = 0.005
 """The throttle moves the dynamic low-pass filter in so many steps, and not again before this time."""
+MOST_HARMONICS = 3
+"""RPM_FILTER_HARMONICS_MAX."""
 NYQUIST_SHARE = 0.48
 """Of the rate: no RPM notch goes higher."""
 
@@ -48,8 +51,11 @@ def betaflight_chain(
     DataError : the header is of another firmware, or of a version that states no filters.
     """
     version = _version(settings)
-    sample_s = 1e-6 * _number(settings, "looptime") * slower
-    loop_s = sample_s * (_number(settings, "pid_process_denom", otherwise=1.0) if version >= (4, 2) else 1.0)
+    sample_s = 1e-6 * _positive(settings, "looptime") * slower
+    every = (
+        _positive({"pid_process_denom": "1", **settings}, "pid_process_denom") if version >= (4, 2) else 1.0
+    )
+    loop_s = sample_s * every
     loop_hz, sample_hz = 1.0 / loop_s, 1.0 / sample_s
     steps: list[Step] = []
     unknown: list[str] = []
@@ -80,24 +86,33 @@ def _version(settings: Mapping[str, str]) -> tuple[int, int]:
     return version
 
 
-def _number(settings: Mapping[str, str], *names: str, otherwise: float | None = None) -> float:
-    """The first of these settings that the header states.
+def _positive(settings: Mapping[str, str], *names: str) -> float:
+    """A number that others are divided by.
 
     Raises
     ------
-    DataError : it states none, and there is no other value.
+    DataError : the header does not state it, or states 0 or less.
     """
-    found = _numbers(settings, *names)
-    if found:
-        return found[0]
-    if otherwise is None:
-        raise DataError(f"the log's header does not state {names[0]}", hint="log with the header whole")
-    return otherwise
+    number = needed_numbers(settings, *names)[0]
+    if number <= 0.0:
+        raise DataError(f"the log's header states {number:g} for {names[0]}", hint=WHOLE)
+    return number
 
 
-def _numbers(settings: Mapping[str, str], *names: str) -> tuple[float, ...]:
-    text = next((settings[name] for name in names if settings.get(name)), "")
-    return tuple(float(part) for part in re.split("[,/]", text)) if text else ()
+def _kind(settings: Mapping[str, str], *names: str) -> Kind:
+    """Of a low-pass, PT1 where none is stated.
+
+    Raises
+    ------
+    DataError : the version has a kind that is not known here.
+    """
+    number = int(stated_number(settings, *names, otherwise=0.0))
+    if not 0 <= number < len(KINDS):
+        raise DataError(
+            f"the log's header states {number} for {names[0]}: no such low-pass is known here",
+            hint="the spectrum itself: flysid spectrum LOG",
+        )
+    return KINDS[number]
 
 
 def _second_low_pass(
@@ -106,16 +121,16 @@ def _second_low_pass(
     """It came with 3.4. Filters are made for the nominal time: in a slower loop their edges lie lower."""
     if version < (3, 4):
         return None
-    hz = _number(settings, "gyro_lpf2_static_hz", "gyro_lowpass2_hz", otherwise=0.0)
-    kind = KINDS[int(_number(settings, "gyro_lpf2_type", "gyro_lowpass2_type", otherwise=0.0))]
+    hz = stated_number(settings, "gyro_lpf2_static_hz", "gyro_lowpass2_hz", otherwise=0.0)
+    kind = _kind(settings, "gyro_lpf2_type", "gyro_lowpass2_type")
     return (Stage(kind, hz / slower), f"gyro_lpf2 {kind} {hz:g} Hz") if hz > 0.0 else None
 
 
 def _notches(settings: Mapping[str, str], rate_hz: float, slower: float) -> list[Step]:
     """Two of a fixed frequency; one above half the rate is moved there, as the firmware does it."""
     found = []
-    centres = _numbers(settings, "gyro_notch_hz")
-    for centre, edge in zip(centres, _numbers(settings, "gyro_notch_cutoff"), strict=False):
+    centres = stated_numbers(settings, "gyro_notch_hz")
+    for centre, edge in zip(centres, stated_numbers(settings, "gyro_notch_cutoff"), strict=False):
         nominal_half = rate_hz * slower / 2.0
         hz = min(centre, nominal_half) if edge < nominal_half else 0.0
         if hz > edge > 0.0:
@@ -131,22 +146,21 @@ def _first_low_pass(
     slower: float,
     throttle: Moving | None,
 ) -> tuple[list[Step], list[str]]:
-    number = int(_number(settings, "gyro_lpf1_type", "gyro_lowpass_type", "gyro_soft_type", otherwise=0.0))
-    kind = KINDS[number]
-    moves = _numbers(settings, "gyro_lpf1_dyn_hz", "gyro_lowpass_dyn_hz")
+    kind = _kind(settings, "gyro_lpf1_type", "gyro_lowpass_type", "gyro_soft_type")
+    moves = stated_numbers(settings, "gyro_lpf1_dyn_hz", "gyro_lowpass_dyn_hz")
     if len(moves) == 2 and moves[0] > 0.0:
         low, high = moves
         words = f"gyro_lpf1 {kind} {low:g} to {high:g} Hz with the throttle"
         if throttle is None:
             return [], [f"{words}: the log does not hold the throttle"]
-        expo = _number(settings, "gyro_lpf1_dyn_expo", otherwise=0.0) / 10.0
+        expo = stated_number(settings, "gyro_lpf1_dyn_expo", otherwise=0.0) / 10.0
 
         def at(time_s: FloatArray) -> Stage:
             opened = throttle_in_force(time_s, np.nan_to_num(throttle.held(time_s)))
             return Stage(kind, _edge(opened, low, high, expo, version) / slower)
 
         return [Step(at(thinned(throttle)), rate_hz, words, at)], []
-    hz = _number(settings, "gyro_lpf1_static_hz", "gyro_lowpass_hz", otherwise=0.0)
+    hz = stated_number(settings, "gyro_lpf1_static_hz", "gyro_lowpass_hz", otherwise=0.0)
     return ([Step(Stage(kind, hz / slower), rate_hz, f"gyro_lpf1 {kind} {hz:g} Hz")] if hz > 0.0 else []), []
 
 
@@ -181,15 +195,17 @@ def _rpm_notches(
     settings: Mapping[str, str], rate_hz: float, motors_hz: Sequence[Moving]
 ) -> tuple[list[Step], list[str]]:
     """A notch for every motor and harmonic; they fade out towards their lowest frequency."""
-    harmonics = int(_number(settings, "rpm_filter_harmonics", "gyro_rpm_notch_harmonics", otherwise=0.0))
-    if not harmonics or not int(_number(settings, "dshot_bidir", otherwise=0.0)):
+    harmonics = int(
+        stated_number(settings, "rpm_filter_harmonics", "gyro_rpm_notch_harmonics", otherwise=0.0)
+    )
+    if not harmonics or not int(stated_number(settings, "dshot_bidir", otherwise=0.0)):
         return [], []
     if not motors_hz:
         return [], [f"{harmonics} RPM notches for each motor: the log does not hold the motors' RPM"]
-    q = _number(settings, "rpm_filter_q", "gyro_rpm_notch_q") / 100.0
-    lowest = _number(settings, "rpm_filter_min_hz", "gyro_rpm_notch_min")
-    fade = _number(settings, "rpm_filter_fade_range_hz", otherwise=0.0)
-    weights = _numbers(settings, "rpm_filter_weights") or (100.0,) * harmonics
+    q = _positive(settings, "rpm_filter_q", "gyro_rpm_notch_q") / 100.0
+    lowest = _positive(settings, "rpm_filter_min_hz", "gyro_rpm_notch_min")
+    fade = stated_number(settings, "rpm_filter_fade_range_hz", otherwise=0.0)
+    weights = stated_numbers(settings, "rpm_filter_weights") or (100.0,) * MOST_HARMONICS
     found = []
     for number, motor in enumerate(motors_hz, 1):
         for harmonic, percent in zip(range(1, harmonics + 1), weights, strict=False):
@@ -215,8 +231,8 @@ def _rpm_notch(
 
 def _dynamic_notches(settings: Mapping[str, str], version: tuple[int, int]) -> list[str]:
     """They follow a spectrum that the firmware computes itself and does not log."""
-    on = int(_number(settings, "features", otherwise=0.0)) & DYNAMIC_NOTCH
-    count = _number(settings, "dyn_notch_count", otherwise=1.0 if (3, 2) <= version < (4, 3) else 0.0)
+    on = int(stated_number(settings, "features", otherwise=0.0)) & DYNAMIC_NOTCH
+    count = stated_number(settings, "dyn_notch_count", otherwise=1.0 if (3, 2) <= version < (4, 3) else 0.0)
     if not on or not count:
         return []
     return ["dynamic notches follow the firmware's own spectrum: the log does not hold their frequencies"]

@@ -1,70 +1,32 @@
 """What goes wrong in a flight so that its rest tells nothing of the vehicle: crash, dead motor, failsafe.
 
-The log's own words count first. Where it states the attitude and the setpoint, ArduPilot's criterion of a
-crash is looked for too: more than 30 degrees apart for 2 s while flying (ArduCopter/crash_check.cpp).
+The log's own words, its attitude, and its sensors: a log that breaks off after an impact states nothing.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import Any
-
-import numpy as np
-
-from flysid.errors import RecipeError
-from flysid.ingest.align import resample
-from flysid.ingest.align.conditions import condition_spans
-from flysid.ingest.align.recipe import load_recipe
-from flysid.ingest.align.resample import FOREVER, Span
-from flysid.ingest.align.signals import Log, Samples, load_signal
-from flysid.ingest.lake.failures import Mishap, stated_failures
-
-APART_DEG = 30.0
-ATTITUDES = ("ardupilot-attitude", "px4-attitude")
+from flysid.ingest.align.resample import FOREVER
+from flysid.ingest.align.signals import Log
+from flysid.ingest.lake.attitude_lost import failures
+from flysid.ingest.lake.clocked import ClockedLog
+from flysid.ingest.lake.crash import Crash, find_crash
+from flysid.ingest.lake.failures import Mishap
 
 
 def mishaps(log: Log) -> list[Mishap]:
     """All that spoils a flight, in order of boot and time."""
-    return [found for found in failures(log) if found.spoils]
+    stated = [found for found in failures(log) if found.spoils]
+    flight = ClockedLog(log)
+    crash = find_crash(flight)
+    if crash is None:
+        return stated
+    felt = _as_mishap(crash, flight)
+    if any(m.ends and m.boot == felt.boot and m.span[0] <= felt.span[0] for m in stated):
+        return stated
+    return sorted([*stated, felt], key=lambda m: (m.boot, m.span))
 
 
-def failures(log: Log) -> list[Mishap]:
-    """All that went wrong, in order of boot and time: a breached fence, too, which spoils nothing."""
-    return sorted([*stated_failures(log), *_attitude_lost(log)], key=lambda m: (m.boot, m.span))
-
-
-def _attitude_lost(log: Log, *, apart_s: float = 2.0) -> Iterator[Mishap]:
-    """From where roll or pitch stays far from its setpoint, to the boot's end."""
-    for name in ATTITUDES:
-        recipe = load_recipe(name)
-        flying = condition_spans(recipe.conditions, log).spans
-        for channel in recipe.channels.values():
-            pair = channel.inputs[0], channel.outputs[0]
-            try:
-                asked, come = (load_signal(s, recipe.signals[s], log).boots for s in pair)
-            except RecipeError:
-                continue  # this log does not state it
-            for boot in sorted(asked.keys() & come.keys()):
-                runs = _far_apart(asked[boot], come[boot])
-                start = next((a for a, b in resample.intersect(runs, flying.get(boot, [(0, FOREVER)]))
-                              if b - a >= apart_s * 1e9), None)  # fmt: skip
-                if start is not None:
-                    words = f"{pair[1]} more than {APART_DEG:.0f} deg from its setpoint for {apart_s:g} s"
-                    yield Mishap(boot, (start, FOREVER), words, ends=True)
-
-
-def _far_apart(asked: Samples, come: Samples) -> list[Span]:
-    wanted = resample.tidy(asked.t_ns, asked.x)
-    series = resample.tidy(come.t_ns, come.x)
-    if not (len(wanted.t_ns) and len(series.t_ns)):
-        return []
-    inside = (series.t_ns >= wanted.t_ns[0]) & (series.t_ns <= wanted.t_ns[-1])
-    t_ns = series.t_ns[inside]
-    error = series.x[inside] - resample.hold(wanted, t_ns)
-    return _runs(t_ns, np.abs((error + 180.0) % 360.0 - 180.0) > APART_DEG)
-
-
-def _runs(t_ns: Any, holds: Any) -> list[Span]:
-    """Spans of consecutive samples for which something holds."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], holds.astype(np.int8), [0]])))
-    return [(int(t_ns[a]), int(t_ns[b - 1]) + 1) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+def _as_mishap(crash: Crash, flight: ClockedLog) -> Mishap:
+    """From where it began to the end of its boot."""
+    boot, begin_ns = flight.clock.place(crash.begins_s)
+    return Mishap(boot, (begin_ns, FOREVER), f"crash: impact of {crash.impact_m_s2:.0f} m/s2", ends=True)

@@ -17,6 +17,7 @@ from flysid.ingest.align.resample import FOREVER, Span
 from flysid.ingest.align.signals import Log
 from flysid.ingest.lake.events import mode_changes
 from flysid.ingest.lake.mishaps import mishaps
+from flysid.showing import clock
 
 _CLOCK = re.compile(r"(?:(?:(\d+):)?(\d+):)?(\d+(?:\.\d*)?)")
 
@@ -171,11 +172,6 @@ def _seconds(text: str) -> float:
         raise ValueError(text)
     hours, minutes, seconds = (float(part or 0.0) for part in match.groups())
     return 3600.0 * hours + 60.0 * minutes + seconds
-
-
-def clock(seconds: float) -> str:
-    """ "12:30": minutes and seconds since the beginning of a flight."""
-    return f"{int(seconds // 60)}:{seconds % 60:02.0f}"
 
 
 def beginnings(log: Log) -> dict[int, int]:

@@ -89,11 +89,6 @@ class MeasuredResponse:
         spread = DB * self.half_width(level)
         return self.gain_db - spread, self.gain_db + spread
 
-    def phase_interval_deg(self, level: float = 0.95) -> tuple[FloatArray, FloatArray]:
-        """(lower, upper), (F, n_u) each."""
-        spread = np.degrees(self.half_width(level))
-        return self.phase_deg - spread, self.phase_deg + spread
-
     def trusted(self, source: int = 0, among: npt.NDArray[np.bool_] | None = None) -> FloatArray:
         """(F,) 1 inside the widest band (in octaves) where the coherence counts, else 0; see `band`.
 

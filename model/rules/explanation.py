@@ -14,7 +14,7 @@ from flysid.model.base import Rule
 from flysid.model.polynomials import ROUNDING
 from flysid.model.rules.kernel import firing
 from flysid.model.rules.rule_model import RuleModel
-from flysid.model.rules.vocabulary import number
+from flysid.showing import significant
 
 CAUTION = "Caution:"
 """How a model's note begins that whoever uses the model must know."""
@@ -61,15 +61,15 @@ class Explanation:
 
     def __str__(self) -> str:
         """In words."""
-        seen = ", ".join(f"{name} = {number(value)}" for name, value in self.antecedents.items())
+        seen = ", ".join(f"{name} = {significant(value)}" for name, value in self.antecedents.items())
         lines = [f"At sample {self.row}" + (f", {seen}:" if seen else ":")]
         for voice in self.voices:
             if voice.share >= 0.005:
-                says = ", ".join(number(v) for v in voice.output)
+                says = ", ".join(significant(v) for v in voice.output)
                 lines.append(
                     f"  {voice.label} has weight {100 * voice.share:.0f} % ({voice.condition}): {says}"
                 )
-        lines.append("  together: " + ", ".join(number(v) for v in self.output))
+        lines.append("  together: " + ", ".join(significant(v) for v in self.output))
         lines += [f"  {name} is outside the range seen in training" for name in self.outside]
         lines += [f"  {caution}" for caution in self.cautions]
         return "\n".join(lines)

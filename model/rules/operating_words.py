@@ -11,7 +11,7 @@ import numpy as np
 from flysid.dataset import FloatArray, Signal
 from flysid.extras import Extra, extra
 from flysid.model.base import OperatingPoint
-from flysid.model.rules.vocabulary import number
+from flysid.showing import significant
 
 Signals = tuple[Sequence[Signal], Sequence[Signal]]
 """Outputs and inputs."""
@@ -131,10 +131,9 @@ def _place(group: Sequence[OperatingPoint], own: Sequence[OperatingPoint], signa
         return f"From {signal.name} = {_round_off(low, own)} to {_round_off(high, own)}{unit}"
     size = np.abs(levels)
     if len(group) == 2:
-        return f"Near {signal.name} = {number(float(size.mean()))}{unit} in either direction"
-    return (
-        f"From {number(float(size.min()))} to {number(float(size.max()))}{unit} of {signal.name} either way"
-    )
+        return f"Near {signal.name} = {significant(float(size.mean()))}{unit} in either direction"
+    least, most = significant(float(size.min())), significant(float(size.max()))
+    return f"From {least} to {most}{unit} of {signal.name} either way"
 
 
 def _is_covered(levels: FloatArray, *, widest: float = 0.5) -> bool:
@@ -153,7 +152,7 @@ def _is_covered(levels: FloatArray, *, widest: float = 0.5) -> bool:
 
 def _round_off(level: float, own: Sequence[OperatingPoint]) -> str:
     span = max(abs(_level(p)) for p in own)
-    return number(0.0 if abs(level) < 1e-9 * span else level)
+    return significant(0.0 if abs(level) < 1e-9 * span else level)
 
 
 def _effects(group: Sequence[OperatingPoint], output: Signal, inputs: Sequence[Signal]) -> str:
@@ -188,7 +187,7 @@ def _time(group: Sequence[OperatingPoint], j: int) -> str:
         text = f"; 63 % of that is reached after {_figure(reached, sure, 's')}"
     dead = min(float(p.dead_s[j]) for p in group)
     if dead > 0.0:
-        text += f", including a dead time of {number(dead)} s"
+        text += f", including a dead time of {significant(dead)} s"
     over, wrong = (max(float(getattr(p, name)[j]) for p in group) for name in ("overshoot", "wrong_way"))
     if over > WORTH:
         text += f"; it overshoots by {100 * over:.0f} %"
@@ -203,13 +202,15 @@ def _figure(values: Sequence[float], sure: FloatArray, unit: str) -> str:
     if not _known(sure.T):
         apart = low > 0.0 and np.log(high / low) > _ALIKE
         figures = (
-            f"{number(low)} to {number(high)}" if apart else number(float(np.exp(np.mean(np.log(values)))))
+            f"{significant(low)} to {significant(high)}"
+            if apart
+            else significant(float(np.exp(np.mean(np.log(values)))))
         )
         return f"{figures} {unit}".rstrip() + " (poorly determined)"
-    middle = f"{number(float(np.exp(np.mean(np.log(values)))))} {unit}".rstrip()
+    middle = f"{significant(float(np.exp(np.mean(np.log(values)))))} {unit}".rstrip()
     if not np.isfinite(sure).all():
         return middle
-    return f"{middle} ({number(float(sure.min()))} to {number(float(sure.max()))})"
+    return f"{middle} ({significant(float(sure.min()))} to {significant(float(sure.max()))})"
 
 
 def _variation(own: Sequence[OperatingPoint]) -> str:
@@ -222,7 +223,7 @@ def _variation(own: Sequence[OperatingPoint]) -> str:
     if any((p.gain * q.gain < 0.0).any() for p, q in pairwise(own)):
         return "The gain changes its sign over this range, so a single linear model cannot describe it."
     name = max(spans, key=lambda key: np.nan_to_num(spans[key], posinf=0.0))
-    times = number(float(np.exp(spans[name])))
+    times = significant(float(np.exp(spans[name])))
     return f"Over this range the {name} varies {times}-fold, so a single linear model cannot describe it."
 
 

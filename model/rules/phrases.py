@@ -14,7 +14,8 @@ from flysid.model.polynomials import NEARLY_ONE, ROUNDING
 from flysid.model.rules.linguistics import Piece, words_of_one, words_of_several
 from flysid.model.rules.memberships import Partition
 from flysid.model.rules.operating_words import WORTH, Signals, answers_like, near
-from flysid.model.rules.vocabulary import Axis, number
+from flysid.model.rules.vocabulary import Axis
+from flysid.showing import significant
 
 ELSEWHERE = "always, strongest where no other rule applies"
 UNTOLD = "its sets hold"
@@ -40,13 +41,13 @@ def push_in_words(pushes: FloatArray, weights: FloatArray, r: int, given: Signal
         return ""
     way = "less" if size < 0 else "more"
     unit = f" {given.unit}" if given.unit else ""
-    return f"its constant acts like {number(abs(size))}{unit} {way} {given.name}"
+    return f"its constant acts like {significant(abs(size))}{unit} {way} {given.name}"
 
 
 def from_to(before: FloatArray, after: FloatArray, signals: Sequence[Signal]) -> str:
     """ "0.036 -> 0.037 m/s", one of every signal: what a figure (n,) was and is."""
     return ", ".join(
-        f"{number(float(a))} -> {number(float(b))} {s.unit}".rstrip()
+        f"{significant(float(a))} -> {significant(float(b))} {s.unit}".rstrip()
         for a, b, s in zip(before, after, signals, strict=True)
     )
 
@@ -59,7 +60,7 @@ def equation(left: str, gains: FloatArray | Sequence[float], terms: Sequence[str
 def _equation(left: str, gains: FloatArray | Sequence[float], terms: Sequence[str], offset: float) -> str:
     parts = [(float(g), f"{precise(abs(g))} {t}") for g, t in zip(gains, terms, strict=True) if g != 0]
     if offset != 0 or not parts:
-        parts.append((float(offset), number(abs(offset))))
+        parts.append((float(offset), significant(abs(offset))))
     text = "".join(f" {'-' if value < 0 else '+'} {words}" for value, words in parts)
     return f"{left} = {'-' if parts[0][0] < 0 else ''}{text[3:]}"
 
@@ -96,7 +97,7 @@ def _is(partition: Partition, r: int, j: int, axis: Axis, word: str, where: str 
     """ "v_x(k-1) is A2 'forward' (about 0.51 +- 0.2 m/s)"."""
     width = 0.5 * float(partition.left[r, j] + partition.right[r, j])
     centre = float(partition.centre[r, j])
-    about = "" if word == f"near {axis.place(centre)}" else f"about {number(centre)} "
+    about = "" if word == f"near {axis.place(centre)}" else f"about {significant(centre)} "
     return f"{axis.name} is A{r + 1} '{word}' ({about}+- {axis.place(width)}{where})"
 
 
@@ -113,10 +114,10 @@ def _strongest(partition: Partition, r: int, axis: Axis, places: Sequence[Piece]
 
 def _between(piece: Piece, axis: Axis) -> str:
     if piece.low <= axis.low:
-        return f"below {number(piece.high)}"
+        return f"below {significant(piece.high)}"
     if piece.high >= axis.high:
-        return f"above {number(piece.low)}"
-    return f"from {number(piece.low)} to {number(piece.high)}"
+        return f"above {significant(piece.low)}"
+    return f"from {significant(piece.low)} to {significant(piece.high)}"
 
 
 def in_words(
@@ -174,7 +175,7 @@ def _at_rest(at: int, rules: Sequence[Rule], signals: Signals) -> list[str]:
         figures = zip(point.gain.tolist(), signals[1], strict=True)
         several = len(signals[1]) > 1
         gain = ", ".join(_gain_text(g, given, output) + several * f" of {given.name}" for g, given in figures)
-        times = " and ".join(dict.fromkeys(number(t) for t in point.reached_s if np.isfinite(t)))
+        times = " and ".join(dict.fromkeys(significant(t) for t in point.reached_s if np.isfinite(t)))
         does = f"as {like}" if like else f"gain {gain}" + (f", 63 % after {times} s" if times else "")
         said.append(f"at rest {near(point, output)}: {does}")
     return said
@@ -188,7 +189,7 @@ def places_of(at: int, rules: Sequence[Rule]) -> list[OperatingPoint]:
 def _never_strongest(at: int, rules: Sequence[Rule], signals: Signals) -> str:
     """How loudly at most a rule speaks at the operating points of the others, and where."""
     loudest = max(places_of(at, rules), key=lambda p: float(p.shares[at]))
-    share = number(100.0 * float(loudest.shares[at]))
+    share = significant(100.0 * float(loudest.shares[at]))
     return f"never the strongest at rest, at most {share} % {near(loudest, signals[0][loudest.output])}"
 
 
@@ -206,7 +207,7 @@ def _by_itself(rule: Rule, signals: Signals) -> list[str]:
         return ["integrates"]
     if rule.pole_radius > NEARLY_ONE:
         return ["nearly integrates"]
-    slow = [f"time constant {number(rule.time_constant_s)} s"] if rule.pole_radius > 0.0 else []
+    slow = [f"time constant {significant(rule.time_constant_s)} s"] if rule.pole_radius > 0.0 else []
     return [f"gain {', '.join(gains(rule, signals))}", *slow]
 
 
@@ -218,7 +219,7 @@ def gains(rule: Rule, signals: Signals = ((), ())) -> list[str]:
     figures = np.ravel(rule.dc_gain).tolist()
     pairs = [(i, o) for o in signals[0] for i in signals[1]]
     if len(pairs) != len(figures):
-        return [number(g) for g in figures]
+        return [significant(g) for g in figures]
     named = len(pairs) > 1
     return [
         named * f"{i.name} -> {o.name} " + _gain_text(g, i, o)
@@ -229,5 +230,5 @@ def gains(rule: Rule, signals: Signals = ((), ())) -> list[str]:
 def _gain_text(gain: float, given: Signal, answer: Signal) -> str:
     """ "0.29 m/s per deg"; the figure alone where a unit is not known, or both are one."""
     if not (given.unit and answer.unit) or given.unit == answer.unit:
-        return number(gain)
-    return f"{number(gain)} {answer.unit} per {given.unit}"
+        return significant(gain)
+    return f"{significant(gain)} {answer.unit} per {given.unit}"

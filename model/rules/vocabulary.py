@@ -64,7 +64,7 @@ class Axis:
 
     def place(self, value: float) -> str:
         """ "0.5 m"."""
-        return number(value) + (f" {self.unit}" if self.unit else "")
+        return significant(value) + (f" {self.unit}" if self.unit else "")
 
 
 @dataclass(frozen=True)
@@ -83,11 +83,6 @@ class Vocabulary:
 
 
 Name = tuple[str, str]  # direction, size
-
-
-def number(value: float) -> str:
-    """Three significant digits, plain where that is short."""
-    return significant(value)
 
 
 def tongue_of(axis: Axis) -> Vocabulary | None:

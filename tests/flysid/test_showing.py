@@ -14,7 +14,7 @@ from flysid.flight import Flight, Source
 from flysid.ingest.lake.lake import Lake
 from flysid.manifest import Manifest, StreamEntry
 from flysid.model.plots import bode
-from flysid.showing import MOST_LINES, Table, as_html, as_text, significant
+from flysid.showing import MOST_LINES, Table, as_html, as_text, clock, duration, rough_duration, significant
 from tests.ingest.align.test_align import T50, table
 from tests.validate.show.page.test_first_screen import facts
 
@@ -54,6 +54,18 @@ def test_numbers_have_no_exponent_where_they_are_short() -> None:
     ]  # fmt: skip
     assert significant(283.0, 2) == "280"
     assert significant(float("inf")) == "inf"
+
+
+def test_a_clock_carries_what_it_rounds() -> None:
+    times = (0.0, 59.4, 59.7, 68.0, 119.6, 3599.6, 3725.0, -1.0)
+    assert [clock(t) for t in times] == ["0:00", "0:59", "1:00", "1:08", "2:00", "1:00:00", "1:02:05", "0:00"]
+    assert [clock(t, padded=True) for t in (68.0, 600.0, 3725.0)] == ["01:08", "10:00", "1:02:05"]
+
+
+def test_a_duration_is_exact_or_rough() -> None:
+    times = (40.2, 99.6, 180.0, 200.0, 7500.0)
+    assert [duration(t) for t in times] == ["40 s", "1 min 40 s", "3 min", "3 min 20 s", "2 h 5 min"]
+    assert [rough_duration(t) for t in times] == ["40.2 s", "99.6 s", "3 min", "3 min", "2.1 h"]
 
 
 def test_a_table_fits_and_counts_what_is_left_out() -> None:

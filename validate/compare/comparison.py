@@ -11,6 +11,7 @@ from flysid.dataset import Dataset, Segment, Signal
 from flysid.errors import UsageError
 from flysid.model.base import Fitted
 from flysid.model.structures import kind_of
+from flysid.showing import clock
 from flysid.validate.compare.intervals import ErrorChange, Scope
 from flysid.validate.compare.metrics import Scores
 from flysid.validate.compare.trials import FREE_RUN, horizon_name
@@ -242,12 +243,6 @@ def segment_names(data: Dataset) -> tuple[str, ...]:
         names.append(name if several[segment.flight] == 1 else f"{name} {clock(_time_s(segment, data))}")
     repeated = Counter(names)
     return tuple(n if repeated[n] == 1 else f"{n} ({i + 1})" for i, n in enumerate(names))
-
-
-def clock(seconds: float) -> str:
-    """ "12:30": minutes and seconds since the beginning of a flight."""
-    whole = round(max(0.0, seconds))
-    return f"{whole // 60}:{whole % 60:02d}"
 
 
 def _time_s(segment: Segment, data: Dataset) -> float:

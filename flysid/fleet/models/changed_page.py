@@ -15,10 +15,9 @@ from flysid.fleet.models.changed import Comparison
 from flysid.fleet.models.differences import JudgedChannel, Test
 from flysid.fleet.models.flag_words import Finding, date_of
 from flysid.model.polynomials import Z95
-from flysid.showing import first_of
+from flysid.showing import first_of, rough_duration
 from flysid.validate.show.page.html import environment, load_asset, security_policy, write_page
 from flysid.validate.show.page.masthead import dates
-from flysid.validate.show.page.narrative import duration
 from flysid.validate.show.page.svg import Axes, dots, frame, picture, segment, span, text
 from flysid.version import __version__
 
@@ -104,7 +103,7 @@ def _masthead(compared: Comparison) -> list[str]:
     facts = [
         f"{len(compared.names)} vehicles",
         f"{len(flights)} flights",
-        f"{duration(sum(f.duration_s for f in flights))} in total",
+        f"{rough_duration(sum(f.duration_s for f in flights))} in total",
         dates([f.start_utc_ns for f in flights if f.start_utc_ns is not None]),
         f"firmware {first_of(firmwares, SHOWN)}" if firmwares else "",
     ]

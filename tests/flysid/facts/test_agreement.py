@@ -10,9 +10,9 @@ from typing import Any
 import pytest
 
 import flysid
-from flysid.cli.ls import clock_text
 from flysid.ingest.lake.lake import open as open_lake
 from flysid.ingest.lake.timeline import lay_out, read_fields
+from flysid.showing import clock
 from flysid.studio.flights import Flights
 from flysid.studio.folders import Workspace
 from tests import private_logs
@@ -103,7 +103,9 @@ def test_time_in_the_air(told: Told) -> None:
     seconds = told.doctor["flown_s"]
     [shown] = told.show["flown"]
     assert shown == (
-        "unknown: the log states neither arming nor landing" if seconds is None else clock_text(seconds)
+        "unknown: the log states neither arming nor landing"
+        if seconds is None
+        else clock(seconds, padded=True)
     )
     assert seconds is None or 0.0 <= seconds <= told.doctor["duration_s"] + 1e-6
 
@@ -120,7 +122,7 @@ def test_vehicle_and_length(told: Told) -> None:
     assert told.ls["info"] == told.doctor["info"] == told.studio["info"] == dict(told.python.info)
     assert told.ls["duration_s"] == pytest.approx(told.doctor["duration_s"])
     assert told.studio["duration_s"] == pytest.approx(told.doctor["duration_s"])
-    assert told.show["duration"][0].startswith(clock_text(told.doctor["duration_s"]))
+    assert told.show["duration"][0].startswith(clock(told.doctor["duration_s"], padded=True))
 
 
 def test_one_axis_of_time(told: Told) -> None:

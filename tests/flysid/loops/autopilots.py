@@ -29,6 +29,10 @@ class Log:
     info: dict[str, str] = field(default_factory=dict)
 
     @property
+    def rows(self) -> dict[str, int]:
+        return dict.fromkeys(self.tables, 1)
+
+    @property
     def facts(self) -> Any:
         return SimpleNamespace(streams=dict.fromkeys(self.tables, 1), info=self.info)
 

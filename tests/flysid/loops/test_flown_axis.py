@@ -126,6 +126,13 @@ class Log:
 
     name = "flight"
 
+    @property
+    def rows(self) -> dict[str, int]:
+        return dict.fromkeys(self.tables, 1)
+
+    def columns(self, stream: str) -> list[str]:
+        return list(self.tables[stream])
+
     def __init__(self, tables: dict[str, dict[str, Any]]) -> None:
         self.tables = tables
         self.facts = SimpleNamespace(streams=dict.fromkeys(tables, 1))

@@ -48,6 +48,13 @@ class Log:
     tables: dict[str, dict[str, Any]]
 
     @property
+    def rows(self) -> dict[str, int]:
+        return dict.fromkeys(self.tables, 1)
+
+    def columns(self, stream: str) -> list[str]:
+        return list(self.tables[stream])
+
+    @property
     def facts(self) -> Any:
         return SimpleNamespace(streams=dict.fromkeys(self.tables, 1))
 

@@ -82,7 +82,7 @@ def test_of_flights_amplitudes_are_the_last_ones_within_limits(data: Path) -> No
 def test_of_a_run_what_is_known_and_what_more_makes_of_it(run: Run, tmp_path: Path) -> None:
     code, shown = plan(run.folder, "--more", 2, "--aim", 1, "--rate", 20, "-o", tmp_path / "next")
     assert "longitudinal (arx): gain of theta_in to v_x" in shown
-    assert "2 minutes more of the same make it" in shown
+    assert "2 min more of the same make it" in shown
     assert "Begin with a third" in shown
     assert code == 0
     assert (tmp_path / "next" / "recipe.toml").read_text() == (run.folder / "recipe.toml").read_text()

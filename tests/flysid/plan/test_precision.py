@@ -27,8 +27,8 @@ def test_an_interval_shrinks_with_the_square_root_of_the_time() -> None:
     assert known(0.08).seconds_for(0.04) == pytest.approx(180.0)
     assert known(0.08).seconds_for(0.1) == 0.0
     assert known(0.08).words(180.0, 0.04) == (
-        "gain of u to y 2 deg: known to 8 % from 60 s; 3 minutes more of the same make it 4 %; "
-        "4 % takes 3 minutes more."
+        "gain of u to y 2 deg: known to 8 % from 60 s; 3 min more of the same make it 4 %; "
+        "4 % takes 3 min more."
     )
 
 

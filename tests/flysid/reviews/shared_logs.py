@@ -11,7 +11,7 @@ import pytest
 import flysid
 from flysid.dataset import FloatArray
 from flysid.ingest.align.signals import FlightLog
-from flysid.reviews.crash import end_at_crash
+from flysid.ingest.lake.crash import end_at_crash
 from flysid.reviews.logged import LoggedFlight
 
 SHARED = Path(__file__).parents[4] / "shared" / "logs"

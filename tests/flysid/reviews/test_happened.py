@@ -9,10 +9,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import flysid
 from bench.faulty_dataflash import dataflash_bytes
 from bench.faulty_quadrotor import Flight
 from bench.faulty_ulog import ulog_bytes
-from flysid.reviews.crash import acceleration
+from flysid.ingest.align.signals import FlightLog
+from flysid.ingest.lake.clocked import ClockedLog
+from flysid.ingest.lake.crash import acceleration, find_crash
+from flysid.ingest.lake.mishaps import mishaps
+from flysid.ingest.lake.stretches import Stretches
 from flysid.reviews.fact import Fact, Grade, Section, Table
 from flysid.reviews.happened import review
 from flysid.reviews.power import review as review_power
@@ -61,6 +66,18 @@ def test_what_follows_a_crash_does_not_count() -> None:
     assert flight.ends_s == pytest.approx(67.8, abs=0.2)
     saturated = next(fact for fact in review_power(flight).facts if fact.key == "power.saturated")
     assert saturated.at_s is None or saturated.at_s < flight.ends_s
+
+
+@needs_shared
+def test_a_fit_leaves_out_what_the_review_calls_a_crash() -> None:
+    """The log states no crash: only its sensors show it."""
+    flight = logged(AGGRESSIVE)
+    allowed = Stretches().allowed(flight.log)
+    ((_, last_ns),) = allowed.spans[0]
+    assert flight.clock.seconds(0, last_ns) == pytest.approx(flight.crashed_s, abs=1e-6)
+    words = "left out from 1:08 to the end: crash: impact of 392 m/s2 (--keep-mishaps keeps it)"
+    assert allowed.notes == (words,)
+    assert Stretches().allowed(logged("ulog/quad_position_76s.ulg").log).notes == ()
 
 
 @needs_shared
@@ -116,6 +133,11 @@ def test_a_motor_that_stops(flights: Mapping[str, Flight], suffix: str, tmp_path
     assert "motor 1" in causes.rows[0][1]
     departure = fact_of(section, "departure").value
     assert isinstance(departure, float)
+    log = FlightLog(flysid.read(tmp_path / f"flight{suffix}"))
+    sensed = find_crash(ClockedLog(log))
+    assert sensed is not None
+    boot, begin_ns = next((m.boot, m.span[0]) for m in mishaps(log) if m.ends)
+    assert ClockedLog(log).clock.seconds(boot, begin_ns) <= sensed.begins_s + 1e-6
     assert 34.0 < departure < 35.5
 
 

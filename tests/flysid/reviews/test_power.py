@@ -265,7 +265,7 @@ def test_a_rover_has_no_motors_that_carry_it(flights: Mapping[str, Flight], tmp_
 
 def test_every_frame_is_balanced() -> None:
     """Motors around the middle, as many turning one way as the other."""
-    frames = tomllib.loads(files("flysid.reviews").joinpath("frames.toml").read_text("utf-8"))
+    frames = tomllib.loads(files("flysid.ingest.lake").joinpath("frames.toml").read_text("utf-8"))
     for firmware, layouts in frames.items():
         for name, layout in layouts.items():
             angles, spins = np.array(layout, dtype=float).T

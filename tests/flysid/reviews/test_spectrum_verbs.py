@@ -123,6 +123,30 @@ def test_filters_of_an_unknown_firmware_are_refused(tmp_path: Path) -> None:
     assert "are not known here" in done.stderr
 
 
+@pytest.mark.parametrize(
+    ("setting", "cause"),
+    [
+        (b"looptime:125", "states looptime as 'abc', not as a number"),
+        (b"looptime:125", "states 0 for looptime"),
+        (b"gyro_lpf1_type:0", "states 9 for gyro_lpf1_type"),
+        (b"gyro_notch_hz:0,0", "states gyro_notch_hz as '80,', not as a number"),
+    ],
+)
+def test_a_setting_that_makes_no_sense_is_named(
+    setting: bytes, cause: str, log: Path, tmp_path: Path
+) -> None:
+    odd = cause.split("'")[1] if "'" in cause else cause.split()[1]
+    stated = b"H " + setting + b"\n"
+    content = log.read_bytes()
+    assert stated in content
+    name = setting.partition(b":")[0]
+    (tmp_path / "odd.bbl").write_bytes(content.replace(stated, b"H " + name + b":" + odd.encode() + b"\n"))
+    done = call("filters", "odd.bbl", cwd=tmp_path)
+    assert done.returncode == 1
+    assert cause in " ".join(done.stderr.split())
+    assert "Traceback" not in done.stderr
+
+
 @needs_logs
 def test_a_chain_with_hidden_notches_states_no_noise(tmp_path: Path) -> None:
     shutil.copy(LOGS / "blackbox/btfl_002.bbl", tmp_path)

@@ -142,10 +142,16 @@ def test_attitude_far_from_its_setpoint_for_two_seconds_is_a_crash() -> None:
     assert mishaps(log(ATT=attitude(25.0, 9.0))) == []
 
 
+@pytest.mark.parametrize(("at_s", "words"), [(59.6, "1:00"), (3599.8, "1:00:00"), (4210.0, "1:10:10")])
+def test_the_second_that_a_crash_is_left_out_from_is_one_that_between_reads(at_s: float, words: str) -> None:
+    (note,) = Stretches().allowed(log(ERR=stream([at_s], Subsys=[12], ECode=[1]))).notes
+    assert note.startswith(f"left out from {words} to the end")
+
+
 def test_what_is_left_out_is_said_and_may_be_kept() -> None:
-    crashed = log(ERR=stream([30.0], Subsys=[12], ECode=[1]))
+    crashed = log(ERR=stream([29.7], Subsys=[12], ECode=[1]))
     found = Stretches().allowed(crashed)
     assert found.notes == ("left out from 0:30 to the end: crash (--keep-mishaps keeps it)",)
-    assert found.spans[0][0][1] == START + 30 * S
+    assert found.spans[0][0][1] == START + 297 * S // 10
     assert len(found.spans[0]) == 1
     assert Stretches(mishaps=True).allowed(crashed).spans == {}

@@ -18,7 +18,8 @@ from flysid.model.rules.linguistics import labels, pieces
 from flysid.model.rules.memberships import Partition
 from flysid.model.rules.operating_words import answers_alike, answers_like, sentences
 from flysid.model.rules.phrases import condition_in_words, equation, gains, in_words, meanings
-from flysid.model.rules.vocabulary import Axis, number
+from flysid.model.rules.vocabulary import Axis
+from flysid.showing import significant
 
 V_X = Axis("v_x(k-1)", "m/s", -2.0, 2.1)
 SIZES = {"slow": 1, "moderately fast": 2, "fast": 3, "": 2, "very slow": 0, "very fast": 4}
@@ -216,8 +217,8 @@ def test_equations_read_well() -> None:
     text = equation("y(k)", np.array([1.95828, -0.95898, 0.0]), ["y(k-1)", "y(k-2)", "u(k)"], -0.01)
     assert text == "y(k) = 1.95828 y(k-1) - 0.95898 y(k-2) - 0.01"
     assert equation("y(k)", np.array([0.0]), ["u(k)"], 0.0) == "y(k) = 0"
-    assert number(0.0) == "0"
-    assert number(1234567.0) == "1.23e+06"
+    assert significant(0.0) == "0"
+    assert significant(1234567.0) == "1.23e+06"
 
 
 def test_conditions_name_variable_label_place_and_unit() -> None:
@@ -344,6 +345,8 @@ def test_places_that_are_poorly_determined_are_not_called_alike() -> None:
 def test_a_range_is_said_only_where_it_was_computed(places: list[float]) -> None:
     """From -0.394 to 0.394 one gain of 2.39 was said, of two places; at zero, in hover, it was 2.95."""
     (said,) = sentences([point(at, [0.5], [0.8], 1.1) for at in places], ([V], [TILT]))
-    assert said.startswith(f"Near v_x = {', '.join(map(number, places[:-1]))} and {number(places[-1])} m/s")
+    assert said.startswith(
+        f"Near v_x = {', '.join(map(significant, places[:-1]))} and {significant(places[-1])} m/s"
+    )
     (filled,) = sentences([point(at, [0.5], [0.8], 1.1) for at in (-1.0, 0.0, 1.0)], ([V], [TILT]))
     assert filled.startswith("From v_x = -1 to 1 m/s")

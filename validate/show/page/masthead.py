@@ -8,8 +8,7 @@ from datetime import UTC, datetime
 from flysid.catalogue import FlightFacts
 from flysid.escaping import one_line
 from flysid.facts.losses import lines_of_flights
-from flysid.showing import first_of, significant
-from flysid.validate.show.page.narrative import duration
+from flysid.showing import first_of, rough_duration, significant
 
 NAMES_SHOWN = 3
 FIRMWARE = ("firmware", "software", "ver_sw")
@@ -27,7 +26,7 @@ def masthead(flights: Sequence[FlightFacts], rates_hz: Sequence[float]) -> list[
         vehicle,
         _all(flights, FIRMWARE),
         dates([f.start_utc_ns for f in flights if f.start_utc_ns is not None]),
-        f"{duration(sum(f.duration_s for f in flights))} in total",
+        f"{rough_duration(sum(f.duration_s for f in flights))} in total",
         _lost(flights),
         " and ".join(significant(r) for r in rates_hz) + " Hz",
     ]

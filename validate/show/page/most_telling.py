@@ -13,7 +13,8 @@ from flysid.dataset import FloatArray
 from flysid.escaping import one_line
 from flysid.model.base import Fitted
 from flysid.model.capabilities import HasOperatingPoints
-from flysid.validate.compare.comparison import Comparison, begin_s, clock, segment_names
+from flysid.showing import clock
+from flysid.validate.compare.comparison import Comparison, begin_s, segment_names
 from flysid.validate.compare.trials import StructureTrial
 from flysid.validate.diagnose.responses import answers
 from flysid.validate.show.page.overlay import drawn

@@ -8,7 +8,7 @@ import numpy as np
 
 from flysid.escaping import one_line
 from flysid.model.structures import row_of
-from flysid.showing import counted, list_words, number, percent, percentage, significant
+from flysid.showing import counted, list_words, number, percent, percentage, rough_duration, significant
 from flysid.validate.compare.comparison import Comparison, Pair
 from flysid.validate.compare.intervals import Scope
 from flysid.validate.compare.verdict import Verdict
@@ -295,10 +295,10 @@ def basis(comparisons: Mapping[str, Comparison], train_s: float | None) -> str:
         name = contender_words(pairs) if pairs else name_model(first.contender)
         model = _introduce(name, one_line(first.contender).upper())
         against = f"{model} against {against}"
-    held = f"{counted(segments, 'held-out segment')} ({duration(seconds)})"
+    held = f"{counted(segments, 'held-out segment')} ({rough_duration(seconds)})"
     words = f"{against[0].upper()}{against[1:]} on {held}"
     if train_s:
-        words += f" after training on {duration(train_s)}"
+        words += f" after training on {rough_duration(train_s)}"
     words += ", " + " and ".join(significant(r) for r in rates) + " Hz."
     if pairs:
         words += f" Judged on free-run error over {_units(pairs)}"
@@ -338,10 +338,3 @@ def start_words(comparisons: Mapping[str, Comparison]) -> str:
         "The initial condition of every model is estimated from the same measured window of up to "
         f"{longest:.2g} s, which is not scored."
     )
-
-
-def duration(seconds: float) -> str:
-    """ "42 s", "9 min", "1.5 h"."""
-    if seconds < 120:
-        return f"{seconds:.3g} s"
-    return f"{seconds / 60:.0f} min" if seconds < 7200 else f"{seconds / 3600:.1f} h"

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 
-from flysid.reviews.attitude import sink_speed, tilt
-from flysid.reviews.logged import Column, LoggedFlight
-from flysid.reviews.motors import Motor, read_motors
+from flysid.ingest.lake.attitude import sink_speed, tilt
+from flysid.ingest.lake.clocked import ClockedLog, Column
+from flysid.ingest.lake.motors import Motor, read_motors
 
+Flight = TypeVar("Flight", bound=ClockedLog)
 TIPPED_DEG = 60.0
 """PX4's FD_FAIL_R and FD_FAIL_P."""
 IMPACT_M_S2 = 60.0
@@ -45,7 +47,7 @@ class Crash:
     field: str
 
 
-def acceleration(flight: LoggedFlight) -> Column | None:
+def acceleration(flight: ClockedLog) -> Column | None:
     """Size of the acceleration that the first accelerometer felt, in m/s2."""
     imu = (flight.things("IMU") or ["IMU"])[0]
     for fields in (
@@ -64,7 +66,7 @@ def acceleration(flight: LoggedFlight) -> Column | None:
     return None
 
 
-def find_crash(flight: LoggedFlight) -> Crash | None:
+def find_crash(flight: ClockedLog) -> Crash | None:
     """The hardest blow in the air, if it had tipped over before it or its motors never carry again."""
     felt = acceleration(flight)
     if felt is None or not flight.was_flown:
@@ -86,13 +88,13 @@ def find_crash(flight: LoggedFlight) -> Crash | None:
     return Crash(begins_s, tipped_s, impact_s, hardest, felt.address)
 
 
-def end_at_crash(flight: LoggedFlight) -> LoggedFlight:
+def end_at_crash(flight: Flight) -> Flight:
     """The same flight, which ends where it tips over or hits something for good."""
     crash = find_crash(flight)
     return replace(flight, crashed_s=crash.begins_s) if crash else flight
 
 
-def _tipped(flight: LoggedFlight, impact_s: float) -> float:
+def _tipped(flight: ClockedLog, impact_s: float) -> float:
     """When it leant too far in the seconds before the impact; NaN where it did not."""
     if flight.family not in ("ardupilot", "px4", "inav"):
         return float("nan")
@@ -104,14 +106,14 @@ def _tipped(flight: LoggedFlight, impact_s: float) -> float:
     return float(inside.time_s[np.argmax(over)]) if over.any() else float("nan")
 
 
-def _breaks_off(flight: LoggedFlight, impact_s: float, first_s: float) -> bool:
+def _breaks_off(flight: ClockedLog, impact_s: float, first_s: float) -> bool:
     """Whether the flight ends at an impact that is no landing: it stood upright, and had hardly sunk."""
     if _lands(flight, impact_s):
         return False
     return _never_carries(read_motors(flight), impact_s, first_s) or _never_moves(flight, impact_s)
 
 
-def _lands(flight: LoggedFlight, impact_s: float) -> bool:
+def _lands(flight: ClockedLog, impact_s: float) -> bool:
     """Whether it came down upright and no faster than a landing that went wrong, at the end of a flight."""
     lean, down = tilt(flight), sink_speed(flight)
     if lean is None or down is None:
@@ -123,7 +125,7 @@ def _lands(flight: LoggedFlight, impact_s: float) -> bool:
     return bool(after.values.max() < UPRIGHT_DEG and before.values.max() < FALLING_M_S)
 
 
-def _never_moves(flight: LoggedFlight, impact_s: float) -> bool:
+def _never_moves(flight: ClockedLog, impact_s: float) -> bool:
     """Whether a vehicle that flew or drove fast stands still for good from the impact on."""
     thing = next(iter(flight.things("GPS")), "GPS")
     speed = flight.quantity(f"{thing}.Spd", "sensor_gps.vel_m_s", unit="m/s", stated="m/s")

@@ -5,17 +5,17 @@ from __future__ import annotations
 import numpy as np
 
 from flysid.dataset import FloatArray
-from flysid.reviews.logged import Column, LoggedFlight
+from flysid.ingest.lake.clocked import ClockedLog, Column
 
 
-def up_axis(flight: LoggedFlight) -> tuple[FloatArray, FloatArray, str] | None:
+def up_axis(flight: ClockedLog) -> tuple[FloatArray, FloatArray, str] | None:
     """(n,) times, (n, 3) the vehicle's downward axis with its nose to the north, its field; None for none."""
     rolls = ("ATT.Roll", "ATTITUDE.roll", "main.attitude[0]")
     pitches = ("ATT.Pitch", "ATTITUDE.pitch", "main.attitude[1]")
     return _of_angles(flight, rolls, pitches) or _of_quaternion(flight, "vehicle_attitude.q")
 
 
-def commanded_axis(flight: LoggedFlight) -> tuple[FloatArray, FloatArray, str] | None:
+def commanded_axis(flight: ClockedLog) -> tuple[FloatArray, FloatArray, str] | None:
     """As `up_axis`, of the setpoint."""
     return _of_angles(flight, ("ATT.DesRoll",), ("ATT.DesPitch",)) or _of_quaternion(
         flight, "vehicle_attitude_setpoint.q_d"
@@ -23,7 +23,7 @@ def commanded_axis(flight: LoggedFlight) -> tuple[FloatArray, FloatArray, str] |
 
 
 def _of_angles(
-    flight: LoggedFlight, rolls: tuple[str, ...], pitches: tuple[str, ...]
+    flight: ClockedLog, rolls: tuple[str, ...], pitches: tuple[str, ...]
 ) -> tuple[FloatArray, FloatArray, str] | None:
     """With the nose to the north: an angle between two of them is that between their tilts."""
     roll = flight.quantity(*rolls, unit="rad", stated="deg")
@@ -35,7 +35,7 @@ def _of_angles(
     return roll.time_s, np.stack(axis, axis=1), roll.address
 
 
-def _of_quaternion(flight: LoggedFlight, field: str) -> tuple[FloatArray, FloatArray, str] | None:
+def _of_quaternion(flight: ClockedLog, field: str) -> tuple[FloatArray, FloatArray, str] | None:
     """Without its heading, as `_of_angles`."""
     parts = [flight.quantity(f"{field}[{i}]") for i in range(4)]
     known = [part for part in parts if part is not None]
@@ -47,7 +47,7 @@ def _of_quaternion(flight: LoggedFlight, field: str) -> tuple[FloatArray, FloatA
     return known[0].time_s, axis, known[0].address
 
 
-def tilt(flight: LoggedFlight) -> Column | None:
+def tilt(flight: ClockedLog) -> Column | None:
     """Angle from level in deg."""
     found = up_axis(flight)
     if found is None:
@@ -56,7 +56,7 @@ def tilt(flight: LoggedFlight) -> Column | None:
     return Column(field, "deg", time_s, np.degrees(np.arccos(np.clip(axis[:, 2], -1.0, 1.0))))
 
 
-def tilt_error(flight: LoggedFlight) -> Column | None:
+def tilt_error(flight: ClockedLog) -> Column | None:
     """Angle in deg between the tilt that was commanded and the one that came."""
     found, wanted = up_axis(flight), commanded_axis(flight)
     if found is None or wanted is None or not len(wanted[0]):
@@ -68,7 +68,7 @@ def tilt_error(flight: LoggedFlight) -> Column | None:
     return Column(field, "deg", time_s[known], np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
 
 
-def lean_towards(flight: LoggedFlight, first_s: float, last_s: float) -> tuple[float, float] | None:
+def lean_towards(flight: ClockedLog, first_s: float, last_s: float) -> tuple[float, float] | None:
     """Forward and right components of the way it tipped between two times; None where it is not known."""
     found = up_axis(flight)
     if found is None:
@@ -81,7 +81,7 @@ def lean_towards(flight: LoggedFlight, first_s: float, last_s: float) -> tuple[f
     return -float(furthest[0]), -float(furthest[1])
 
 
-def sink_speed(flight: LoggedFlight) -> Column | None:
+def sink_speed(flight: ClockedLog) -> Column | None:
     """Downward speed in m/s, as the estimator gives it."""
     estimate = next((thing for name in ("XKF1", "NKF1") for thing in flight.things(name)[:1]), "XKF1")
     down = flight.quantity(f"{estimate}.VD", "vehicle_local_position.vz", unit="m/s", stated="m/s")

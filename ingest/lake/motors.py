@@ -16,7 +16,7 @@ import numpy as np
 
 from flysid.dataset import FloatArray
 from flysid.facts.modes import family_of
-from flysid.reviews.logged import Column, LoggedFlight
+from flysid.ingest.lake.clocked import ClockedLog, Column
 
 Place = tuple[float, float]
 FIRST_FUNCTION = {33: 1, 82: 9}
@@ -48,14 +48,14 @@ class Motor:
     speed: Column | None = None
 
 
-def read_motors(flight: LoggedFlight) -> tuple[Motor, ...]:
+def read_motors(flight: ClockedLog) -> tuple[Motor, ...]:
     """The motors of a multicopter's log; () where it holds no commands, or where the frame is not known.
 
     Examples
     --------
     >>> import flysid
     >>> from flysid.ingest.align.signals import FlightLog
-    >>> read_motors(LoggedFlight(FlightLog(flysid.read("sample_logs/01-multisine-seed1.tlog"))))
+    >>> read_motors(ClockedLog(FlightLog(flysid.read("sample_logs/01-multisine-seed1.tlog"))))
     ()
     """
     reader = READERS.get(flight.family)
@@ -67,14 +67,14 @@ def _around(degrees_and_spins: Sequence[Sequence[float]]) -> list[tuple[Place, f
     return [((float(np.cos(angle)), float(np.sin(angle))), spin) for angle, spin in turned]
 
 
-def is_multicopter(flight: LoggedFlight) -> bool:
+def is_multicopter(flight: ClockedLog) -> bool:
     """Whether it hovers on its motors, as far as the log says: a rover has a FRAME_CLASS, too."""
     if flight.family == "ardupilot":
         return family_of(flight.info.get("vehicle", "")) == "copter"
     return flight.family != "px4" or flight.parameters.get("CA_AIRFRAME", 0.0) == 0.0
 
 
-def _ardupilot(flight: LoggedFlight) -> Iterator[Motor]:
+def _ardupilot(flight: ClockedLog) -> Iterator[Motor]:
     parameters = flight.parameters
     kind = parameters.get("FRAME_TYPE", parameters.get("FRAME", 1.0))
     frame = f"{parameters.get('FRAME_CLASS', 1.0):.0f}/{kind:.0f}"
@@ -97,7 +97,7 @@ def _ardupilot(flight: LoggedFlight) -> Iterator[Motor]:
         )
 
 
-def _channels(flight: LoggedFlight, motors: int) -> dict[int, int]:
+def _channels(flight: ClockedLog, motors: int) -> dict[int, int]:
     """Motor -> output channel, by the functions of the outputs; in their order where none is logged."""
     found = {}
     for channel in range(1, CHANNELS + 1):
@@ -108,7 +108,7 @@ def _channels(flight: LoggedFlight, motors: int) -> dict[int, int]:
     return found or {motor: motor for motor in range(1, motors + 1)}
 
 
-def _thrust(output_us: FloatArray, flight: LoggedFlight) -> FloatArray:
+def _thrust(output_us: FloatArray, flight: ClockedLog) -> FloatArray:
     """Share of full thrust that an output stands for (the law of AP_MotorsMulticopter, backwards)."""
     value = flight.parameters.get
     low = value("MOT_PWM_MIN", 0.0) or value("RC3_MIN", 1000.0)
@@ -119,7 +119,7 @@ def _thrust(output_us: FloatArray, flight: LoggedFlight) -> FloatArray:
     return (1.0 - expo) * throttle + expo * throttle**2
 
 
-def _px4(flight: LoggedFlight) -> Iterator[Motor]:
+def _px4(flight: ClockedLog) -> Iterator[Motor]:
     count = int(flight.parameters.get("CA_ROTOR_COUNT", 0))
     speeds = dict(_px4_speeds(flight))
     if not count:
@@ -135,13 +135,13 @@ def _px4(flight: LoggedFlight) -> Iterator[Motor]:
         yield Motor(i + 1, command, scaled, spin, speeds.get(i + 1))
 
 
-def _px4_place(flight: LoggedFlight, rotor: int) -> tuple[Place, float]:
+def _px4_place(flight: ClockedLog, rotor: int) -> tuple[Place, float]:
     value = flight.parameters.get
     place = value(f"CA_ROTOR{rotor}_PX", 0.0), value(f"CA_ROTOR{rotor}_PY", 0.0)
     return place, float(np.sign(value(f"CA_ROTOR{rotor}_KM", 0.05)))
 
 
-def _px4_mixed(flight: LoggedFlight) -> Iterator[Motor]:
+def _px4_mixed(flight: ClockedLog) -> Iterator[Motor]:
     """Before release 1.13: outputs of a mixer; a quadrotor is taken for one in X."""
     if flight.parameters.get("MAV_TYPE") != QUADROTOR:
         return
@@ -160,7 +160,7 @@ QUADROTOR = 2
 """MAV_TYPE."""
 
 
-def _px4_speeds(flight: LoggedFlight) -> Iterator[tuple[int, Column]]:
+def _px4_speeds(flight: ClockedLog) -> Iterator[tuple[int, Column]]:
     """Motor -> speed: the ESCs are numbered by output, and say which motor is theirs."""
     for i in range(8):
         speed = flight.quantity(f"esc_status.esc[{i}].esc_rpm", unit="rpm", stated="rpm")
@@ -170,7 +170,7 @@ def _px4_speeds(flight: LoggedFlight) -> Iterator[tuple[int, Column]]:
             yield int(np.median(function.values)) - PX4_MOTOR + 1, known
 
 
-def _betaflight(flight: LoggedFlight) -> Iterator[Motor]:
+def _betaflight(flight: ClockedLog) -> Iterator[Motor]:
     columns = [flight.quantity(f"main.motor[{i}]") for i in range(4)]
     logged = [column for column in columns if column is not None]
     if len(logged) < len(columns) or flight.quantity("main.motor[4]") is not None:
@@ -184,7 +184,7 @@ def _betaflight(flight: LoggedFlight) -> Iterator[Motor]:
         yield Motor(i + 1, command, place, -spin if reversed_spin else spin, _turning(speed))
 
 
-def _betaflight_range(flight: LoggedFlight, highest: float) -> tuple[float, float]:
+def _betaflight_range(flight: ClockedLog, highest: float) -> tuple[float, float]:
     """From idle to full in the log's units: pulses in us, or DShot's 48 to 2047, logged as up to 2048."""
     stated = flight.headers.get("motorOutput", "").split(",")
     if len(stated) == 2 and all(part.strip().isdigit() for part in stated):
@@ -203,7 +203,7 @@ def _turning(speed: Column | None) -> Column | None:
     return speed if speed is not None and bool((speed.values > 0.0).any()) else None
 
 
-READERS: dict[str, Callable[[LoggedFlight], Iterator[Motor]]] = {
+READERS: dict[str, Callable[[ClockedLog], Iterator[Motor]]] = {
     "ardupilot": _ardupilot,
     "px4": _px4,
     "betaflight": _betaflight,
