@@ -13,8 +13,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from flysid.errors import DataError
+from flysid.loops.between_flights import Curve
 from flysid.loops.controller import Controller
-from flysid.loops.margins import Margins, margins
+from flysid.loops.margins import Margins, flight_curves, margins, margins_across
 from flysid.loops.prediction import Prediction, predict
 from flysid.loops.stick_response import Loop
 from flysid.reviews.fact import Action, Change
@@ -55,7 +56,7 @@ def try_next(axis: str, loops: Sequence[Loop], latest: LoggedFlight, controller:
     if len(loops) < LEAST_FLIGHTS:
         return None
     together = Loop(loops[0].f, tuple(blocks for loop in loops for blocks in loop.blocks))
-    tried = list(_tries(together, controller))
+    tried = list(_tries(together, controller, flight_curves(loops)))
     now = next((one for one in tried if one.p == one.d == 1.0), None)
     if now is None:
         return None
@@ -76,12 +77,13 @@ def try_next(axis: str, loops: Sequence[Loop], latest: LoggedFlight, controller:
     )
 
 
-def _tries(together: Loop, controller: Controller) -> Iterator[_Tried]:
+def _tries(together: Loop, controller: Controller, curves: Sequence[Curve]) -> Iterator[_Tried]:
     for p in STEPS:
         for d in STEPS:
             changed = replace(controller, p=p * controller.p, d=d * controller.d)
             try:
-                found = margins(together, changed)
+                own = margins(together, changed)
+                found = margins_across(together, changed, curves, own) or own
             except DataError:
                 continue
             if found.phase_deg.value is not None and found.crossover_hz.value is not None:
