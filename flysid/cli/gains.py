@@ -83,7 +83,10 @@ def command(
         found = judge(logs, axes or ("roll", "pitch"))
     known = [j for j in found if j.margins is not None]
     if as_json:
-        click.echo(json.dumps([j.to_dict() for j in found], indent=1, allow_nan=False))
+        from flysid.loops.contradictions import contradiction_of
+
+        told_of = [j.to_dict() | {"contradiction": contradiction_of(j, found) or None} for j in found]
+        click.echo(json.dumps(told_of, indent=1, allow_nan=False))
     else:
         click.echo("\n\n".join("\n".join(fold(printable(line)) for line in j.lines()) for j in found))
         by_name = {log.name: log for log in logs}
@@ -99,12 +102,16 @@ def command(
 
 def _print_sets(found: Sequence[Judged], logs: Mapping[str, Any], source: Path) -> None:
     """Several sets of gains in one table, and what sets them apart."""
+    from flysid.loops.contradictions import contradiction_of
     from flysid.loops.gain_sets import differences, gain_sets
 
     rows = gain_sets(found)
     if not rows:
         return
     click.echo("\n".join(["", *align_columns(rows), *differences(found)]))
+    for judged in found:
+        if sentence := contradiction_of(judged, found):
+            click.echo(fold(f"{judged.axis}: {sentence}"))
     axis = next(j.axis for j in found if j.gains)
     of_axis = [logs[j.flights[0]] for j in found if j.axis == axis and j.gains]
     say(f"next: {_words_of_next(of_axis, source)}; between two equal ones take the larger margin")

@@ -1,4 +1,8 @@
-"""Several sets of gains beside each other, an axis at a time: what a tuner has flown, in one table."""
+"""Several sets of gains beside each other, an axis at a time: what a tuner has flown, in one table.
+
+Flights differ from each other. Figures of two sets are therefore compared by intervals that hold the scatter
+between flights.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +10,7 @@ import math
 from collections.abc import Sequence
 from typing import Literal
 
+from flysid.loops.contradictions import short_name
 from flysid.loops.judged import Judged
 from flysid.loops.margins import Figure, Margins
 from flysid.showing import counted
@@ -15,7 +20,10 @@ Best = Literal["phase_deg", "bandwidth_hz"]
 
 
 def gain_sets(found: Sequence[Judged]) -> list[tuple[str, ...]]:
-    """A row for every set of gains, where an axis flew more than one; nothing otherwise."""
+    """A row for every set of gains, where an axis flew more than one; nothing otherwise.
+
+    Beside a figure stands half of its 95 % interval between flights.
+    """
     axes = [judged.axis for judged in found]
     several = [judged for judged in found if axes.count(judged.axis) > 1 and judged.gains]
     return [HEADINGS, *(_row(judged) for judged in several)] if several else []
@@ -23,28 +31,31 @@ def gain_sets(found: Sequence[Judged]) -> list[tuple[str, ...]]:
 
 def _gains(judged: Judged) -> str:
     """ "P 46, I 45" of "rollPID P 46, I 45", "P 0.15" of "MC_ROLLRATE_P 0.15"."""
-    return ", ".join(f"{name.split()[-1].split('_')[-1]} {value:g}" for name, value in judged.gains.items())
+    return ", ".join(f"{short_name(name)} {value:g}" for name, value in judged.gains.items())
 
 
 def _row(judged: Judged) -> tuple[str, ...]:
     head = (judged.axis, _gains(judged), str(len(judged.flights)))
-    m = judged.margins
-    if m is None:
+    own, across = judged.margins, judged.across
+    if own is None:
         return (*head, "refused, see above", "", "", "", "")
     return (
         *head,
-        _cell(m.crossover_hz, ".1f"),
-        _cell(m.phase_deg, ".0f"),
-        _cell(m.gain_db, ".1f"),
-        _cell(m.ms, ".2f"),
-        _cell(m.bandwidth_hz, ".1f"),
+        _cell(own.crossover_hz, across and across.crossover_hz, ".1f"),
+        _cell(own.phase_deg, across and across.phase_deg, ".0f"),
+        _cell(own.gain_db, across and across.gain_db, ".1f"),
+        _cell(own.ms, across and across.ms, ".2f"),
+        _cell(own.bandwidth_hz, across and across.bandwidth_hz, ".1f"),
     )
 
 
-def _cell(figure: Figure, form: str) -> str:
-    if figure.value is not None:
-        return f"{figure.value:{form}}"
-    return f"> {figure.low:{form}}" if math.isfinite(figure.low) else "?"
+def _cell(own: Figure, across: Figure | None, form: str) -> str:
+    """ "15.5 +-1.2"; "15.5 +-?" where the flights cannot tell how far they scatter; "> 7.6", or "?"."""
+    if across is not None and across.value is not None:
+        return f"{across.value:{form}} +-{across.high - across.value:{form}}"
+    if own.value is not None:
+        return f"{own.value:{form}} +-?"
+    return f"> {own.low:{form}}" if math.isfinite(own.low) else "?"
 
 
 def differences(found: Sequence[Judged]) -> list[str]:
@@ -60,11 +71,18 @@ def differences(found: Sequence[Judged]) -> list[str]:
 
 
 def _best(known: Sequence[tuple[Judged, Margins]], name: Best, words: str, form: str, unit: str) -> str:
-    """The set with the largest figure; which others its interval does not part from it."""
-    figures = [(judged, getattr(m, name)) for judged, m in known if getattr(m, name).value is not None]
-    if len(figures) < 2:
+    """The set with the largest figure; which others its interval between flights does not part from it."""
+    stated = [judged for judged, own in known if getattr(own, name).value is not None]
+    if len(stated) < 2:
         return f"{words}: not determined"
-    best, top = max(figures, key=lambda pair: pair[1].value)
-    near = sum(1 for judged, figure in figures if judged is not best and figure.high >= top.low)
-    rest = f", no clear difference to {near} of {counted(len(figures) - 1, 'other')}" if near else ", clearly"
+    best = max(stated, key=lambda judged: getattr(judged.margins, name).value)
+    value = getattr(best.margins, name).value
+    compared = {judged: getattr(judged.across, name, Figure(None)) for judged in stated}
+    top = compared.pop(best)
+    if top.value is None:
+        return (
+            f"{words} at {_gains(best)}: {value:{form}}{unit}, but flights scatter too much to compare sets"
+        )
+    near = sum(1 for other in compared.values() if other.value is None or other.high >= top.low)
+    rest = f", no clear difference to {near} of {counted(len(compared), 'other')}" if near else ", clearly"
     return f"{words} at {_gains(best)}: {top.said(form, unit)}{rest}"

@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 from flysid.errors import DataError, UsageError
 from flysid.laws.described import parameter_law
 from flysid.loops.betaflight import AXES, NO_CONDITIONS, Conditions, betaflight
+from flysid.loops.between_flights import Curve
 from flysid.loops.blackbox_loops import record_of, settings_of
 from flysid.loops.controller import Controller, refuse_misfit
 from flysid.loops.law_parts import TermCheck
-from flysid.loops.margins import Figure, Margins, margins, trusted_band
+from flysid.loops.margins import Figure, Margins, flight_curves, margins, margins_across, trusted_band
 from flysid.loops.parameter_checks import ardupilot_checks, px4_checks
 from flysid.loops.parameter_laws import ardupilot, px4, px4_law
 from flysid.loops.parameterlogs import (
@@ -55,6 +56,9 @@ class Judged:
     miss : how far the controller that the gains make is from what the log recorded.
     checks : the same of its terms, the worst of the flights.
     law : firmware and version, where its law is described.
+    margins : what is known of these flights; of several the intervals hold the scatter between them.
+    across : the same with that scatter even of one flight, to compare sets of gains; None of a set that
+        stands alone, or where fewer than two flights show their plant.
     """
 
     axis: str
@@ -68,6 +72,7 @@ class Judged:
     controller: Controller | None = None
     checks: tuple[TermCheck, ...] = ()
     law: str = ""
+    across: Margins | None = None
 
     def lines(self) -> list[str]:
         """At most five lines for people."""
@@ -102,11 +107,12 @@ class Judged:
         }
         if self.margins is None:
             return told
-        figures = {
-            name: _plain(value) for name, value in vars(self.margins).items() if isinstance(value, Figure)
+        return told | {
+            "controller_miss": self.miss,
+            "band_hz": list(self.margins.band_hz),
+            "figures": _plain_figures(self.margins),
+            "across_flights": _plain_figures(self.across) if self.across is not None else None,
         }
-        band = list(self.margins.band_hz)
-        return told | {"controller_miss": self.miss, "band_hz": band, "figures": figures}
 
     def _terms(self) -> str:
         return ", ".join(check.said() for check in self.checks)
@@ -151,6 +157,10 @@ def _list_unknown(m: Margins) -> list[str]:
         if not math.isfinite(figure.low):
             by_reason.setdefault(figure.why, []).append(name)
     return [f"not determined: {', '.join(names)} ({why})" for why, names in by_reason.items()]
+
+
+def _plain_figures(m: Margins) -> dict[str, Any]:
+    return {name: _plain(value) for name, value in vars(m).items() if isinstance(value, Figure)}
 
 
 def _plain(figure: Figure) -> dict[str, Any]:
@@ -253,12 +263,43 @@ def judge(logs: Iterable[Any], axes: Iterable[str] = ("roll", "pitch")) -> list[
     Flights of the same gains are judged together. What cannot be known is refused with its reason; nothing is
     raised.
     """
-    groups = _flown_alike(logs, axes)
-    found = []
+    groups = _flown_alike(logs, dict.fromkeys(axes))
+    measured: dict[str, list[Judged]] = {}
     for i, (axis, group) in enumerate(groups):
         tell(f"measuring the {axis} loop", log=group[0][0].name, share=i / len(groups))
-        found.append(_judge(group, axis))
-    return found
+        measured.setdefault(axis, []).append(_measure(group, axis))
+    return [judged for sets in measured.values() for judged in find_margins(sets)]
+
+
+def find_margins(sets: Sequence[Judged]) -> list[Judged]:
+    """The sets of gains of one axis with the margins of their loops; a loop without is refused.
+
+    All flights show how plants scatter between flights, whatever their gains.
+    """
+    loops = [judged.loop for judged in sets if judged.loop is not None]
+    curves = flight_curves(loops)
+    return [_with_margins(judged, curves, len(loops) > 1) for judged in sets]
+
+
+def _with_margins(judged: Judged, curves: Sequence[Curve], is_compared: bool) -> Judged:
+    if judged.loop is None or judged.controller is None:
+        return judged
+    law = judged.controller.at_rest()
+    try:
+        own = margins(judged.loop, law)
+        across = margins_across(judged.loop, law, curves, own)
+        is_several = len(judged.loop.blocks) > 1
+        stated = across if is_several and across is not None else own
+        return replace(judged, margins=stated, across=across if is_compared else None)
+    except (DataError, UsageError) as error:
+        return replace(
+            judged,
+            refused=error.message,
+            hint=error.hint,
+            miss=math.nan,
+            loop=None,
+            controller=None,
+        )
 
 
 def sets_of_gains(logs: Iterable[Any], axes: Iterable[str] = ("roll", "pitch")) -> int:
@@ -299,7 +340,8 @@ def _gains_key(log: Any, settings: Settings, axis: str) -> tuple[Any, ...]:
         return (log.name,)
 
 
-def _judge(group: list[Stating], axis: str) -> Judged:
+def _measure(group: list[Stating], axis: str) -> Judged:
+    """The loop and the controller of one set of gains, or why there is none."""
     logs = [log for log, _ in group]
     names = tuple(log.name for log in logs)
     gains: Mapping[str, float] = {}
@@ -317,8 +359,7 @@ def _judge(group: list[Stating], axis: str) -> Judged:
         low, high = trusted_band(loop)
         controller = each[0]
         miss = refuse_misfit(controller, loop, low, high, checks)
-        found = margins(loop, controller.at_rest())
-        return Judged(axis, names, gains, "", "", miss, found, loop, controller, checks, law)
+        return Judged(axis, names, gains, miss=miss, loop=loop, controller=controller, checks=checks, law=law)
     except (DataError, UsageError) as error:
         return Judged(axis, names, gains, error.message, error.hint, checks=checks, law=law)
     except ValueError as error:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -12,6 +13,7 @@ from scipy.special import stdtrit
 
 from flysid.dataset import FloatArray
 from flysid.errors import DataError
+from flysid.loops.between_flights import Curve, FlightScatter
 from flysid.loops.controller import Controller
 from flysid.loops.stick_response import ComplexArray, Loop, plant
 from flysid.model.polynomials import DB
@@ -19,8 +21,11 @@ from flysid.model.polynomials import DB
 TRUSTED = 0.4
 NEIGHBOURS = 7  # lines: one that the sticks happened to leave out ends no band
 POWERS = 5  # of ln f, from 0 on: four of them bend the crossover of a plant with a lag by a standard error
+FEW_POWERS = 3  # of one flight's plant beside another's: flights differ by more than those bend it
 OCTAVES = (4.0, 3.0, 2.0)  # of one such curve: the fewer the less bend, and the more scatter
 LEAST_MS = 1.0
+TOO_WIDE = "the measurement scatters too much; fly longer, in calmer air"
+TOO_DIFFERENT = "flights differ too much; fly more of them under the same gains"
 CLEAR = np.sqrt(2.0)
 """The band goes on half an octave beyond what is told of its upper part. Nearer to its end, where the sticks
 fade, the plant's gain comes out too large by up to its error, and flights that reach a figure there at all
@@ -101,8 +106,13 @@ def trusted_band(loop: Loop, *, lowest_hz: float = 1.5) -> tuple[float, float]:
     return float(loop.f[first]), float(loop.f[last])
 
 
-def margins(loop: Loop, controller: Controller) -> Margins:
+def margins(loop: Loop, controller: Controller, between: FlightScatter | None = None) -> Margins:
     """The figures of one loop.
+
+    Parameters
+    ----------
+    between : scatter between flights, for intervals that hold for other flights, too. Without it they hold
+        for these flights.
 
     Raises
     ------
@@ -125,16 +135,61 @@ def margins(loop: Loop, controller: Controller) -> Margins:
             else "fly quicker stick movements: steps and flicks, on this axis",
         )
     every = np.array([list_figures(f, g, back, forward) for g in draws])
+    others = centre * between.moves(f, loop) if between is not None else centre[None]
+    moved = np.array([list_figures(f, g, back, forward) for g in others])
     blocks = sum(len(b) for b in loop.blocks)
-    lost = _reasons(f, np.vstack([centre, draws]), (back, forward))
-    turned = np.append(every[:, -1], one[-1])
+    lost = _reasons(f, np.vstack([centre, draws, others]), (back, forward))
+    turned = np.concatenate([every[:, -1], moved[:, -1], one[-1:]])
     one = one[:-1]
-    reach = _reach(one, more[:-1], every[:, :-1], blocks)
+    within = _reach(one, more[:-1], every[:, :-1], blocks)
+    reach = within
+    if between is not None:  # flights scatter by what their stretches do, too: the larger has both
+        reach = np.maximum(within, between.reach(moved[:, :-1] - one))
     least = (0.0, 0.0, 0.0, 0.0, LEAST_MS, 0.0, 0.0)
-    named = [_figure(*figure) for figure in zip(one, reach, least, lost, strict=True)]
+    wide = [TOO_WIDE if own >= value else TOO_DIFFERENT for value, own in zip(one, within, strict=True)]
+    named = [_figure(*figure) for figure in zip(one, reach, least, lost, wide, strict=True)]
     if not turned.max() < high / CLEAR:
         named[2] = _at_least(one[2] - reach[2], named[2].why or lost[2])
     return Margins((low, high), *named)
+
+
+def flight_curves(loops: Sequence[Loop]) -> list[Curve]:
+    """The plant of every flight of these loops, for `FlightScatter.of`; none of a flight that stands alone.
+
+    A flight whose sticks moved too little to show its plant has none. Every flight is resampled in a loop of
+    its own, which is dropped: its draws are large.
+    """
+    flights = [(loop.f, blocks) for loop in loops for blocks in loop.blocks]
+    if len(flights) < 2:
+        return []
+    curves = (_curve(Loop(f, (blocks,))) for f, blocks in flights)
+    return [curve for curve in curves if curve is not None]
+
+
+def margins_across(
+    loop: Loop, controller: Controller, curves: Sequence[Curve], own: Margins
+) -> Margins | None:
+    """The figures of `own` with intervals that hold the scatter between flights, too.
+
+    None where fewer than two flights are known up to the crossover; without one, to the end of the band.
+
+    Raises
+    ------
+    DataError : as `margins`.
+    """
+    scatter = FlightScatter.of(curves, own.crossover_hz.value or own.band_hz[1])
+    return None if scatter is None else margins(loop, controller, scatter)
+
+
+def _curve(loop: Loop) -> Curve | None:
+    """None where the sticks moved too little."""
+    try:
+        low, high = trusted_band(loop)
+    except DataError:
+        return None
+    at = (loop.f >= low) & (loop.f <= high)
+    centre, _ = smooth(loop, at, FEW_POWERS)
+    return loop.f[at], centre
 
 
 def _known_band(loop: Loop) -> tuple[float, float, npt.NDArray[np.bool_]]:
@@ -335,15 +390,15 @@ def _reach(one: FloatArray, more: FloatArray, every: FloatArray, blocks: int) ->
     return np.asarray(stdtrit(blocks - 1, 0.975) * np.hypot(scatter, np.nan_to_num(more - one)))
 
 
-def _figure(value: float, reach: float, least: float, beyond: str) -> Figure:
+def _figure(value: float, reach: float, least: float, beyond: str, wide: str = TOO_WIDE) -> Figure:
     """With its interval, nothing of it below the least that the figure can be; or why there is none.
 
-    `beyond`: where it lies where it is not reached; see `_reasons`.
+    `beyond`: where it lies where it is not reached; see `_reasons`. `wide`: why its interval is too wide.
     """
     if np.isnan(value) or np.isnan(reach):
         return Figure(None, why=beyond)
     if value <= reach:
-        return Figure(None, why="the measurement scatters too much; fly longer, in calmer air")
+        return Figure(None, why=wide)
     told, low, high = (max(float(v), least) for v in (value, value - reach, value + reach))
     return Figure(told, low, high)
 

@@ -22,10 +22,8 @@ from flysid.errors import DataError
 from flysid.loops.betaflight import Conditions
 from flysid.loops.controller import Controller
 from flysid.loops.flown_axis import FlownAxis, Turning
-from flysid.loops.margins import NEIGHBOURS, smooth, trusted_band
+from flysid.loops.margins import FEW_POWERS, NEIGHBOURS, smooth, trusted_band
 from flysid.loops.stick_response import DRAWS, ComplexArray, Loop, closed_loop, plant
-
-FEW_POWERS = 3
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,6 +12,7 @@ import numpy as np
 
 from flysid.facts.vehicle import label_of, vehicle_of
 from flysid.loops.betaflight import AXES
+from flysid.loops.contradictions import contradiction_of
 from flysid.loops.judged import Judged
 from flysid.model.threads import on_one_thread
 from flysid.progress import tell
@@ -19,7 +20,7 @@ from flysid.reviews.fact import Action, Fact, Table
 from flysid.reviews.logged import LoggedFlight
 from flysid.reviews.rate_gains import stated_gains
 from flysid.reviews.reviewed import Review
-from flysid.reviews.series_effects import Effect, Figure, effects, scatter_of_equals
+from flysid.reviews.series_effects import ONE_EACH, Effect, Figure, effects, scatter_of_equals
 from flysid.reviews.series_next import try_next
 from flysid.reviews.series_plant import Sameness, compare_plants
 from flysid.reviews.series_settings import Difference, differences
@@ -138,6 +139,13 @@ class VehicleSeries:
         return tuple(same for same in found if same is not None)
 
     @cached_property
+    def contradictions(self) -> tuple[tuple[str, str], ...]:
+        """Axis and sentence of every flight whose loop no plant can have beside that of weaker gains."""
+        loops = [judged for _, judged in self.judged]
+        told = ((judged.axis, contradiction_of(judged, loops)) for judged in loops)
+        return tuple((axis, words) for axis, words in told if words)
+
+    @cached_property
     @on_one_thread
     def actions(self) -> tuple[Action, ...]:
         """What to try next, where all flights are of one plant."""
@@ -156,7 +164,7 @@ class VehicleSeries:
 
     def settle(self) -> None:
         """Compute all that needs the logs."""
-        _ = self.changed, self.effects, self.sameness, self.actions
+        _ = self.changed, self.effects, self.sameness, self.contradictions, self.actions
 
     # -------------------------------------------------------------------------------- shown
 
@@ -198,8 +206,8 @@ class VehicleSeries:
     def tables(self) -> tuple[Table, ...]:
         """For a page: the flights, what changed between them, what that did."""
         changed = tuple((d.flight, d.words) for d in self.changed)
-        did = tuple((e.figure, e.words, "yes" if e.is_clear else "no") for e in self.effects)
-        alike = tuple((same.axis, same.words) for same in self.sameness)
+        did = tuple((e.figure, e.words, _is_beyond(e)) for e in self.effects)
+        alike = (*((same.axis, same.words) for same in self.sameness), *self.contradictions)
         planned = tuple((a.title, ", ".join(c.words for c in a.changes), a.predicted) for a in self.actions)
         every = (
             self.table,
@@ -212,7 +220,13 @@ class VehicleSeries:
 
     def lines(self, most: int = MOST_LINES) -> list[str]:
         """For a terminal."""
-        below = [*(same.words for same in self.sameness), *self._effect_lines(), *self._action_lines()]
+        denied = dict(reversed(self.contradictions))
+        below = [
+            *(same.words for same in self.sameness),
+            *(f"{axis}: {words}" for axis, words in denied.items()),
+            *self._effect_lines(),
+            *self._action_lines(),
+        ]
         below = [part for line in below for part in fold(line).split("\n")]
         room = max(most - len(below) - HEAD_LINES, LEAST_ROWS)
         return [self.title, *self._rows(room), *below][:most]
@@ -233,7 +247,12 @@ class VehicleSeries:
             yield "The logs state no gains: what a change did is not known."
             return
         clear = [effect.words for effect in self.effects if effect.is_clear][:most]
-        yield from clear or ["No change of a gain did anything beyond the scatter between flights."]
+        if clear:
+            yield from clear
+        elif self.effects and not any(effect.knows_scatter for effect in self.effects):
+            yield f"What did a change of gains do? {ONE_EACH[0].upper()}{ONE_EACH[1:]}: fly each set again."
+        else:
+            yield "No change of a gain did anything beyond the scatter between flights."
         for axis in AXES:
             figure = self.figure("lag", axis)
             sigma, free = scatter_of_equals(figure.values, [flown.gains[axis] for flown in self.flights])
@@ -259,6 +278,7 @@ class VehicleSeries:
             "changed": [difference.to_dict() for difference in self.changed],
             "effects": [effect.to_dict() for effect in self.effects],
             "same": [same.to_dict() for same in self.sameness],
+            "contradictions": [{"axis": axis, "words": words} for axis, words in self.contradictions],
             "actions": [action.to_dict() for action in self.actions],
         }
 
@@ -356,6 +376,13 @@ def _known(fact: Fact | None) -> tuple[float, float]:
         return float("nan"), float("nan")
     half = 0.5 * (fact.interval[1] - fact.interval[0]) if fact.interval else float("nan")
     return fact.value, half
+
+
+def _is_beyond(effect: Effect) -> str:
+    """Whether an effect is beyond the scatter between flights, for a table."""
+    if not effect.knows_scatter:
+        return "not known"
+    return "yes" if effect.is_clear else "no"
 
 
 def _gain_words(flown: Flown, axis: str) -> str:

@@ -2,7 +2,7 @@
 
 A figure is regressed on the logarithms of the gains that changed. Gains that rose together cannot be told
 apart, and count as one. The interval is Student's t of the residuals, never less than flights of equal gains
-scatter.
+scatter. Where neither is there, as of one flight each, gains cannot be told from flights: nothing is clear.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from flysid.dataset import FloatArray
 from flysid.showing import significant
 
 Gains = Mapping[str, float]
+ONE_EACH = "one flight each cannot tell what gains did from how flights differ"
 TOGETHER = 0.9
 """Correlation from which on two gains changed together."""
 
@@ -50,6 +51,7 @@ class Effect:
     change, interval : between them, with 95 %.
     flights : on which it rests.
     note : what limits it.
+    knows_scatter : whether the interval holds the scatter between flights; else that inside them alone.
     """
 
     figure: str
@@ -61,11 +63,12 @@ class Effect:
     interval: tuple[float, float]
     flights: int
     note: str = ""
+    knows_scatter: bool = True
 
     @property
     def is_clear(self) -> bool:
-        """Beyond the scatter."""
-        return self.interval[0] > 0.0 or self.interval[1] < 0.0
+        """Beyond the scatter between flights."""
+        return self.knows_scatter and (self.interval[0] > 0.0 or self.interval[1] < 0.0)
 
     @property
     def words(self) -> str:
@@ -74,7 +77,7 @@ class Effect:
         low, high = (significant(edge, 2) for edge in self.interval)
         change = f"change {significant(self.change, 2)} {self.unit} [{low}, {high}]"
         ends = f"{significant(self.start, 2)} -> {significant(self.end, 2)} {self.unit}"
-        moved = ends if self.is_clear else "unchanged beyond the scatter"
+        moved = ends if self.is_clear or not self.knows_scatter else "unchanged beyond the scatter"
         return f"{self.figure} {moved} while {gains} ({change}{'; ' + self.note if self.note else ''})"
 
     def to_dict(self) -> dict[str, object]:
@@ -86,6 +89,7 @@ class Effect:
             "change": self.change,
             "ci95": list(self.interval),
             "clear": self.is_clear,
+            "knows_scatter": self.knows_scatter,
             "flights": self.flights,
             "note": self.note,
         }
@@ -182,11 +186,13 @@ def _regressed(
 def _between_neighbours(
     figure: Figure, stated: Sequence[Gains], values: FloatArray, halves: FloatArray
 ) -> Iterator[Effect]:
-    """Flight against the one before it: their own intervals are all that is known."""
+    """Flight against the one before it, by the scatter of equal gains; without it nothing is clear."""
+    alike, free = scatter_of_equals(values, stated)
+    between = float(stdtrit(free, 0.975)) * np.sqrt(2.0) * alike if free else 0.0
     for i in range(1, len(values)):
         before, after = stated[i - 1], stated[i]
         changed = [name for name in before if before[name] != after.get(name, before[name])]
-        half = float(np.hypot(halves[i - 1], halves[i]))
+        half = max(float(np.hypot(halves[i - 1], halves[i])), between)
         if not changed or not np.isfinite(half):
             continue
         change = float(values[i] - values[i - 1])
@@ -199,5 +205,6 @@ def _between_neighbours(
             change,
             (change - half, change + half),
             2,
-            "too few flights to know how flights of equal gains scatter",
+            "" if free else ONE_EACH,
+            free > 0,
         )

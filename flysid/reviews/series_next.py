@@ -14,7 +14,7 @@ import numpy as np
 
 from flysid.errors import DataError
 from flysid.loops.controller import Controller
-from flysid.loops.margins import Margins, margins
+from flysid.loops.margins import Margins, flight_curves, margins, margins_across
 from flysid.loops.prediction import Prediction, predict
 from flysid.loops.stick_response import Loop
 from flysid.reviews.fact import Action, Change
@@ -55,7 +55,7 @@ def try_next(axis: str, loops: Sequence[Loop], latest: LoggedFlight, controller:
     if len(loops) < LEAST_FLIGHTS:
         return None
     together = Loop(loops[0].f, tuple(blocks for loop in loops for blocks in loop.blocks))
-    tried = list(_tries(together, controller))
+    tried = list(_tries(loops, together, controller))
     now = next((one for one in tried if one.p == one.d == 1.0), None)
     if now is None:
         return None
@@ -76,12 +76,18 @@ def try_next(axis: str, loops: Sequence[Loop], latest: LoggedFlight, controller:
     )
 
 
-def _tries(together: Loop, controller: Controller) -> Iterator[_Tried]:
+def _tries(loops: Sequence[Loop], together: Loop, controller: Controller) -> Iterator[_Tried]:
+    """Nothing where the present gains have no margins; intervals hold the scatter between flights."""
+    try:
+        present = margins(together, controller)
+    except DataError:
+        return
+    curves = flight_curves(loops)
     for p in STEPS:
         for d in STEPS:
             changed = replace(controller, p=p * controller.p, d=d * controller.d)
             try:
-                found = margins(together, changed)
+                found = margins_across(together, changed, curves, present) or margins(together, changed)
             except DataError:
                 continue
             if found.phase_deg.value is not None and found.crossover_hz.value is not None:

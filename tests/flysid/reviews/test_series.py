@@ -67,16 +67,26 @@ def test_chance_is_called_an_effect_in_one_series_of_twenty(fresh_seed: int) -> 
     assert not is_rarer(clear, len(draws), 0.05), clear
 
 
-def test_two_flights_are_compared_by_their_own_intervals() -> None:
+def test_one_flight_each_does_not_tell_gains_from_flights() -> None:
     gains = [{"p_roll": 40.0}, {"p_roll": 60.0}]
-    (clear,) = effects(figure([20.0, 14.0], [1.0, 1.0]), gains)
-    assert clear.is_clear
-    (open_,) = effects(figure([20.0, 19.0], [1.0, 1.0]), gains)
-    assert not open_.is_clear
-    assert "too few flights" in open_.words
+    (effect,) = effects(figure([20.0, 14.0], [1.0, 1.0]), gains)
+    assert not effect.is_clear
+    assert effect.words.startswith("roll lag 20 -> 14 ms while p_roll 40 -> 60 (change -6")
+    assert "one flight each cannot tell" in effect.words
     assert not list(effects(figure([20.0, 14.0]), gains)), (
         "a figure without an interval tells nothing of two flights"
     )
+
+
+def test_neighbours_are_compared_by_the_scatter_of_equal_gains() -> None:
+    gains = [
+        {"p_roll": p, "i_roll": i, "d_roll": d}
+        for p, i, d in ((40.0, 80.0, 20.0), (40.0, 80.0, 20.0), (60.0, 80.0, 30.0), (60.0, 120.0, 20.0))
+    ]
+    lags = [20.0, 22.0, 14.0, 15.0]
+    found = list(effects(figure(lags, [0.5] * 4), gains))
+    assert [effect.knows_scatter for effect in found] == [True, True]
+    assert not any(effect.is_clear for effect in found), "equal gains differ by 2 ms"
 
 
 def test_equal_gains_scatter() -> None:
