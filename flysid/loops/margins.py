@@ -8,7 +8,6 @@ from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
-from scipy.ndimage import median_filter
 from scipy.special import stdtrit
 
 from flysid.dataset import FloatArray
@@ -88,6 +87,8 @@ def trusted_band(loop: Loop, *, lowest_hz: float = 1.5) -> tuple[float, float]:
     ------
     DataError : there is none: the sticks did not move the vehicle enough.
     """
+    from scipy.ndimage import median_filter
+
     spread = median_filter(loop.spread(), NEIGHBOURS, mode="nearest")
     known = (spread < TRUSTED) & (loop.f >= lowest_hz)
     first = int(np.argmax(known))
@@ -238,6 +239,8 @@ def smooth(
     quotient of S_ry = G S_ru and S_ru comes out as G (1 + (G'' / G + 2 G' / G S_ru' / S_ru) / (6 T^2)). That
     is taken off; derivatives are those of the smooth curves.
     """
+    from scipy.ndimage import median_filter
+
     f = loop.f[at]
     centre = plant(loop.mean)[at]
     away = np.log(plant(loop.draws)[:, at] / centre)

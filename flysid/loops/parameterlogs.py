@@ -9,7 +9,6 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from flysid.dataset import FloatArray
 from flysid.errors import DataError, UsageError
@@ -121,6 +120,8 @@ def _asked_of_px4(log: Any, axis: str) -> tuple[FloatArray, FloatArray] | None:
             f"{log.name} lacks {stream}: whether an angle loop moves the rate's setpoint is not known",
             hint=f"log {stream}",
         )
+    from scipy.spatial.transform import Rotation
+
     table = log.table(stream, ["time_ns", "q_d"])
     time = float_values(table["time_ns"]) * 1e-9
     turns = np.asarray(table["q_d"].to_pylist(), dtype=np.float64)

@@ -15,7 +15,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.ndimage import median_filter
 
 from flysid.dataset import FloatArray
 from flysid.errors import DataError
@@ -124,6 +123,8 @@ class Turnings:
 
 def fit_turning(loop: Loop, at: npt.NDArray[np.bool_], step_s: float) -> Turning:
     """Least squares of ln G, weighted with its scatter."""
+    from scipy.ndimage import median_filter
+
     g = plant(loop.mean)[at]
     away = np.abs(np.log(plant(loop.draws)[:, at] / g)) ** 2
     weight = 1.0 / np.sqrt(np.maximum(median_filter(away.mean(axis=0), NEIGHBOURS, mode="nearest"), 1e-8))

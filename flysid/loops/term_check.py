@@ -17,6 +17,7 @@ from flysid.dataset import FloatArray
 from flysid.loops.betaflight import BetaflightLaw
 from flysid.loops.law_parts import LARGEST_MISS, Means, TermCheck
 from flysid.loops.rebuilt import Rebuilt, Rows, rebuild
+from flysid.spectra.stages import Kind, Stage, run_both_ways
 
 GAINED_IN_S = 0.1
 BLOCK_S = 1.0
@@ -81,11 +82,9 @@ def compare(
         at = flown
         one, other = recorded, rebuilt
     else:
-        from scipy.signal import butter, sosfiltfilt  # slow to load, and for blackboxes only
-
-        low = butter(2, BELOW_SHARE * rate_hz, fs=rate_hz, output="sos")
+        low = Stage(Kind.BIQUAD, BELOW_SHARE * rate_hz).sections(rate_hz)
         at = flown
-        one, other, noise = (sosfiltfilt(low, x) for x in (recorded, rebuilt, noise))
+        one, other, noise = (run_both_ways(low, x) for x in (recorded, rebuilt, noise))
     one, other, noise = one[at], other[at], noise[at]
     weight = _even_out(one, round(BLOCK_S * rate_hz) or 1)
     size = float(np.sqrt((weight * one**2).sum() / max(weight.sum(), 1e-9)))

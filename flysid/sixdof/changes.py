@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 from flysid.dataset import Dataset
 from flysid.errors import UsageError
@@ -120,7 +120,7 @@ def compare(before: FittedVehicle, after: FittedVehicle, level: float = LEVEL) -
     after = _at_voltage(before, after)
     found = [*_strengths(before, after), *_single(before, after)]
     freedom = max(min(sum(f.seconds for f in v.flights) for v in (before, after)) / BLOCK_S - 1.0, 1.0)
-    reach = float(student.ppf(1.0 - 0.5 * level / max(len(found), 1), freedom))
+    reach = float(stdtrit(freedom, 1.0 - 0.5 * level / max(len(found), 1)))
     rows = []
     for name, ratio, error in found:
         low, high = ratio - reach * error, ratio + reach * error

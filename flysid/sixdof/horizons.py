@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from flysid.filters import apply_filter
 from flysid.sixdof import layout, rotations
 from flysid.sixdof.actuators import interval_means, shares
 from flysid.sixdof.fitted import FittedVehicle
@@ -163,10 +164,8 @@ def _met_by_hubs(theta: FloatArray, share: FloatArray, rate: FloatArray) -> Floa
 
 def averaged(values: FloatArray, time_s: float, dt_s: float) -> FloatArray:
     """(N + 1, ...) exponential averages of what was before every sample."""
-    from scipy.signal import lfilter
-
     fade = np.exp(-dt_s / time_s)
-    found = lfilter([1.0 - fade], [1.0, -fade], values, axis=0)
+    found = apply_filter(np.array([1.0 - fade]), np.array([1.0, -fade]), values)
     return np.concatenate([np.zeros((1, *values.shape[1:])), found])
 
 

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
-from scipy.signal import butter, sosfiltfilt
 
 from flysid.errors import DataError
 from flysid.sixdof import layout, rotations
@@ -20,6 +19,7 @@ from flysid.sixdof.actuators import CHAIN, interval_means, shares
 from flysid.sixdof.descent import Block, Found, descend
 from flysid.sixdof.layout import DAMPING, EFFECTS, INERTIA, LEAN
 from flysid.sixdof.record import Record
+from flysid.spectra.stages import band_pass, run_both_ways
 from flysid.stretch import FloatArray
 
 BAND_HZ = (0.4, 12.0)
@@ -86,14 +86,14 @@ def pieces_of(records: Sequence[Record], reference_v: float, lead_s: float = 1.0
     return found
 
 
-def band_of(dt_s: float, band_hz: tuple[float, float] = BAND_HZ) -> FloatArray:
+def band_of(dt_s: float, band_hz: tuple[float, float] = BAND_HZ) -> list[FloatArray]:
     """Sections of the zero-phase filter; its upper edge stays below a quarter of the sampling rate."""
     high = min(band_hz[1], 0.25 / dt_s)
     if high <= band_hz[0]:
         raise DataError(
             f"samples every {dt_s:g} s are too slow for torques", hint="log motors and gyro at 50 Hz or more"
         )
-    return np.asarray(butter(2, (band_hz[0], high), "band", fs=1.0 / dt_s, output="sos"))
+    return band_pass((band_hz[0], high), 1.0 / dt_s)
 
 
 def fit_torques(
@@ -147,8 +147,9 @@ def _left_by_axis(blocks: Sequence[Block]) -> FloatArray:
     return np.asarray(np.sqrt(np.mean(left, axis=0)))
 
 
-def _filtered(sections: FloatArray, x: FloatArray) -> FloatArray:
-    return np.asarray(sosfiltfilt(sections, x, axis=0))
+def _filtered(sections: Sequence[FloatArray], x: FloatArray) -> FloatArray:
+    columns = [run_both_ways(sections, column) for column in x.reshape(len(x), -1).T]
+    return np.stack(columns, axis=1).reshape(x.shape)
 
 
 def _basis(piece: Piece, theta: FloatArray) -> FloatArray:
@@ -185,7 +186,7 @@ def _told(basis: FloatArray, theta: FloatArray) -> tuple[FloatArray, FloatArray]
 
 
 def _blocks(
-    piece: Piece, measured: FloatArray, scale: FloatArray, sections: FloatArray, theta: FloatArray
+    piece: Piece, measured: FloatArray, scale: FloatArray, sections: Sequence[FloatArray], theta: FloatArray
 ) -> list[Block]:
     told, slopes = _told(_filtered(sections, _basis(piece, theta)), theta)
     return cut_into_blocks((measured - told) / scale, slopes / scale[:, None], round(BLOCK_S / piece.dt_s))

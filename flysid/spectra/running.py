@@ -21,7 +21,9 @@ def _run(rows: FloatArray, x: FloatArray) -> FloatArray:
     y = np.empty(x.size)
     if x.size == 0:
         return y
-    x1 = x2 = y1 = y2 = x[0]
+    b0, b1, b2, a1, a2 = rows[0]
+    x1 = x2 = x[0]
+    y1 = y2 = x[0] * (b0 + b1 + b2) / (1.0 + a1 + a2)
     fixed = rows.shape[0] == 1
     for n in range(x.size):
         k = 0 if fixed else n

@@ -12,6 +12,7 @@ import pyarrow as pa
 
 from flysid.facts.modes import holds_modes, mode_texts
 from flysid.flight import BOOT, TIME
+from flysid.flightwriter import int_values
 from flysid.ingest.align.recipe import Label
 from flysid.ingest.align.resample import Span
 from flysid.ingest.align.signals import Log, find_source
@@ -75,8 +76,8 @@ def labels_of(labels: Sequence[Label], log: Log) -> Mapping[int, Labels]:
         name = source[0].fields[0]
         table = log.table(source[1], [TIME, BOOT, base_column(name, log.columns(source[1]))])
         texts = _texts(table, source[1], name, log.info)
-        boots = np.asarray(table[BOOT].to_numpy())
-        times = np.asarray(table[TIME].to_numpy(), dtype=np.int64)
+        boots = int_values(table[BOOT])
+        times = int_values(table[TIME])
         for boot in np.unique(boots):
             rows = np.flatnonzero(boots == boot)
             rows = rows[np.argsort(times[rows], kind="stable")]

@@ -9,8 +9,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from flysid.flight import TIME
+from flysid.flightwriter import int_values
 from flysid.ingest.align.resample import IntArray
 from flysid.ingest.align.signals import Log
+from flysid.ingest.align.values import column_values
 
 COUNTER = "loopIteration"
 """The field of a blackbox that numbers the rounds of its loop."""
@@ -26,11 +29,11 @@ def late_rows(log: Log, stream: str, *, longest_s: float = 0.25) -> IntArray:
     none = np.zeros(0, dtype=np.int64)
     if stream not in log.rows or COUNTER not in log.columns(stream):
         return none
-    table = log.table(stream, ["time_ns", COUNTER])
-    time = np.asarray(table["time_ns"], dtype=np.int64)
+    table = log.table(stream, [TIME, COUNTER])
+    time = int_values(table[TIME])
     if len(time) < 2:
         return none
-    rounds = np.diff(np.asarray(table[COUNTER], dtype=np.int64))
+    rounds = np.diff(column_values(table, COUNTER).astype(np.int64))
     passed = np.diff(time)
     usual = (rounds > 0) & (rounds <= np.median(rounds))
     late = usual & (passed > np.median(passed)) & (passed <= longest_s * 1e9)

@@ -44,6 +44,7 @@ from flysid.ingest.align.values import (
     single_values,
     texts_of,
 )
+from flysid.ingest.formats.common.arrow_arrays import numeric
 from flysid.ingest.formats.common.units import factor, is_known
 from flysid.ingest.formats.keyed import key_fields
 from flysid.showing import one_of
@@ -324,7 +325,7 @@ def _rows_where(
     names = names_of(table, stream, name, info)
     there = list(dict.fromkeys(texts_of(values, names)))
     listed = ", ".join(there[:MOST_VALUES]) + (", ..." if len(there) > MOST_VALUES else "")
-    return table.filter(pa.array(is_one_of(values, [wanted], names))), listed or "never logged"
+    return table.filter(numeric(is_one_of(values, [wanted], names))), listed or "never logged"
 
 
 def _matrix(source: Source, table: pa.Table) -> FloatArray:
@@ -381,7 +382,7 @@ def _rows_timed(source: Source, table: pa.Table) -> pa.Table:
     if not source.time:
         return table
     told = np.isfinite(_stated_times(source, table))
-    return table if told.all() else table.filter(pa.array(told))
+    return table if told.all() else table.filter(numeric(told))
 
 
 def _in_order(source: Source, table: pa.Table) -> pa.Table:
@@ -389,7 +390,7 @@ def _in_order(source: Source, table: pa.Table) -> pa.Table:
     boots = int_values(table[BOOT])
     times = _times(source, table)
     order = np.lexsort((times, boots))
-    return table if (np.diff(order) == 1).all() else table.take(pa.array(order))
+    return table if (np.diff(order) == 1).all() else table.take(numeric(order))
 
 
 def _times(source: Source, table: pa.Table) -> IntArray:

@@ -17,6 +17,7 @@ import pyarrow as pa
 from flysid.errors import UsageError
 from flysid.files import new_file, writing_to
 from flysid.flight import field_scale
+from flysid.flightwriter import float_values
 from flysid.ingest.formats.base import Format, Limits
 from flysid.ingest.formats.common.packed_names import packed_as
 from flysid.ingest.formats.common.scrub_rules import (
@@ -162,7 +163,7 @@ def _fixes(table: pa.Table, place: Position) -> FloatArray:
 
 def _values(table: pa.Table, column: ScrubColumn, integers: float) -> FloatArray:
     raw = table[column.key]
-    values: FloatArray = raw.to_numpy(zero_copy_only=False).astype(np.float64)
+    values = float_values(raw)
     if column.scale not in (None, 1.0):
         return values * float(column.scale or 1.0)
     return values * (integers if pa.types.is_integer(raw.type) else 1.0)

@@ -23,10 +23,11 @@ from flysid.escaping import inert_cell, one_line
 from flysid.facts.clock import LogClock, log_clock
 from flysid.files import new_file, replacing_folder, slug, writing_to
 from flysid.flight import BOOT, RECEIVED, TIME, field_metadata, field_scale, field_unit, resolve_stream
-from flysid.flightwriter import int_values
+from flysid.flightwriter import float_values, int_values
 from flysid.ingest.align.resample import GAP_PERIODS, grid_in, linear, period_ns, spans_between_gaps, tidy
 from flysid.ingest.align.resample import hold as hold_last
 from flysid.ingest.align.signals import Log
+from flysid.ingest.formats.common.arrow_arrays import numeric
 from flysid.ingest.lake.ranges import is_number
 
 SECONDS = "time_s"
@@ -132,7 +133,7 @@ def export_tables(tables: Mapping[str, pa.Table], kind: str, target: Path) -> Pa
 
 
 def _physical(table: pa.Table, clock: LogClock) -> pa.Table:
-    time_s = pa.array(seconds_of(table, clock))
+    time_s = numeric(seconds_of(table, clock))
     columns = [time_s]
     fields = [pa.field(SECONDS, pa.float64(), metadata=field_metadata(unit="s"))]
     if len(pc.unique(table[BOOT])) > 1:
@@ -174,11 +175,12 @@ def _as_hex(value: Any) -> str:
 def _scale(column: pa.Array, scale: float) -> pa.Array:
     if scale == 1.0 or not is_number(column.type):
         return column
-    return pc.multiply(column.cast(pa.float64(), safe=False), scale)
+    factor = numeric(np.array([scale]))[0]  # to make a scalar of Python's number imports pandas
+    return pc.multiply(column.cast(pa.float64(), safe=False), factor)
 
 
 def _boots(table: pa.Table) -> Any:
-    return table[BOOT].to_numpy() if BOOT in table.column_names else np.zeros(table.num_rows, dtype=np.int32)
+    return int_values(table[BOOT]) if BOOT in table.column_names else np.zeros(table.num_rows, dtype=np.int32)
 
 
 def _gridded_boot(numbers: Sequence[tuple[str, pa.Table, str]], boot: int, dt_ns: int) -> pa.Table:
@@ -186,17 +188,17 @@ def _gridded_boot(numbers: Sequence[tuple[str, pa.Table, str]], boot: int, dt_ns
     for stream, table, _ in numbers:
         if stream not in times:
             inside = _boots(table) == boot
-            times[stream] = (inside, np.round(table[SECONDS].to_numpy()[inside] * 1e9).astype(np.int64))
+            times[stream] = (inside, np.round(float_values(table[SECONDS])[inside] * 1e9).astype(np.int64))
     flown = [t_ns for _, t_ns in times.values() if len(t_ns)]
     start_ns = min(int(t_ns.min()) for t_ns in flown) if flown else 0
     end_ns = max(int(t_ns.max()) for t_ns in flown) if flown else 0
     grid = grid_in((start_ns, end_ns + 1), dt_ns, start_ns) if flown else np.zeros(0, dtype=np.int64)
-    columns = [pa.array(grid / 1e9), pa.array(np.full(len(grid), boot, dtype=np.int32))]
+    columns = [numeric(grid / 1e9), numeric(np.full(len(grid), boot, dtype=np.int32))]
     fields = [pa.field(SECONDS, pa.float64(), metadata=field_metadata(unit="s")), pa.field(BOOT, pa.int32())]
     for stream, table, name in numbers:
         inside, t_ns = times[stream]
         column = table[name].combine_chunks()
-        values = column.cast(pa.float64(), safe=False).to_numpy(zero_copy_only=False)[inside]
+        values = float_values(column)[inside]
         columns.append(
             pa.array(_on_grid(t_ns, values, grid, pa.types.is_floating(column.type)), from_pandas=True)
         )
@@ -271,7 +273,7 @@ def _write_mat(path: Path, tables: Mapping[str, pa.Table]) -> None:
 
 def _matlab_column(column: pa.Array) -> Any:
     if is_number(column.type):
-        return column.cast(pa.float64(), safe=False).to_numpy(zero_copy_only=False)
+        return float_values(column)
     return np.array(["" if v is None else str(v) for v in column.to_pylist()], dtype=object)
 
 
@@ -356,7 +358,7 @@ def _write_topic(writer: Any, stream: str, table: pa.Table) -> None:
     schema = {"title": stream, "type": "object", "properties": properties}
     schema_id = writer.register_schema(name=stream, encoding="jsonschema", data=json.dumps(schema).encode())
     topic = writer.register_channel(topic=stream, message_encoding="json", schema_id=schema_id)
-    stamps = np.round(table[SECONDS].to_numpy() * 1e9).astype(np.int64).tolist()
+    stamps = np.round(float_values(table[SECONDS]) * 1e9).astype(np.int64).tolist()
     for i, (stamp, row) in enumerate(zip(stamps, table.select(names).to_pylist(), strict=True)):
         finite = {k: None if isinstance(v, float) and not np.isfinite(v) else v for k, v in row.items()}
         writer.add_message(topic, max(0, stamp), json.dumps(finite).encode(), max(0, stamp), sequence=i)

@@ -22,7 +22,8 @@ from flysid.ingest.align.conditions import condition_spans
 from flysid.ingest.align.recipe import Condition, Source, load_recipe, shipped_recipes
 from flysid.ingest.align.resample import Span
 from flysid.ingest.align.signals import Log
-from flysid.ingest.align.values import base_column
+from flysid.ingest.align.values import base_column, column_values
+from flysid.ingest.formats.common.arrow_arrays import numeric
 from flysid.ingest.formats.keyed import key_fields
 from flysid.ingest.lake.events import MESSAGES, PARAMETERS
 
@@ -161,6 +162,6 @@ def changes(stream: str, table: pa.Table) -> pa.Table | None:
     new = np.zeros(table.num_rows, dtype=bool)
     new[0] = True
     for name in (BOOT, *columns):
-        values = np.asarray(table[name].to_numpy())
+        values = column_values(table, name)
         new[1:] |= values[1:] != values[:-1]
-    return table.select([TIME, BOOT, *columns]).filter(pa.array(new))
+    return table.select([TIME, BOOT, *columns]).filter(numeric(new))

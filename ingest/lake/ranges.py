@@ -8,6 +8,7 @@ import numpy as np
 import pyarrow as pa
 
 from flysid.flight import field_scale
+from flysid.flightwriter import float_values
 
 
 @dataclass(frozen=True)
@@ -41,7 +42,7 @@ def _range(column: pa.Array, scale: float) -> Range:
     kind = column.type
     if not is_number(kind):
         return Range(None, None, None, column.null_count)
-    values = column.cast(pa.float64(), safe=False).to_numpy(zero_copy_only=False)
+    values = float_values(column)
     finite = values[np.isfinite(values)]
     missing = len(values) - len(finite)
     if not len(finite):

@@ -29,7 +29,7 @@ from flysid.flight import (
     stem_of,
     why_several,
 )
-from flysid.flightwriter import float_values
+from flysid.flightwriter import float_values, int_values
 from flysid.ingest.align.allowed import CHOOSE_AGAIN, Allowed
 from flysid.ingest.align.recipe import Recipe
 from flysid.ingest.align.resample import GAP_PERIODS, period_ns
@@ -314,8 +314,8 @@ def _read_field(log: Log, stream: str, field: str) -> Curve:
     table = log.table(stream, [TIME, BOOT, name])
     column = table.schema.field(name)
     values = numbers_of(table[name].combine_chunks(), "" if name == field else field) * field_scale(column)
-    boots = table[BOOT].to_numpy()
-    times_ns = table[TIME].to_numpy()
+    boots = int_values(table[BOOT])
+    times_ns = int_values(table[TIME])
     samples = {}
     for boot in np.unique(boots):
         inside = np.flatnonzero(boots == boot)

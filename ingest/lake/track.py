@@ -8,6 +8,7 @@ import pyarrow as pa
 from flysid.dataset import FloatArray
 from flysid.facts.clock import log_clock
 from flysid.flight import BOOT, TIME, field_scale, message_of
+from flysid.flightwriter import float_values, int_values
 from flysid.ingest.align.signals import Log
 from flysid.ingest.formats.common.scrub_rules import Position, ScrubColumn, has_fix, places
 from flysid.ingest.lake.flight_export import seconds_of
@@ -40,7 +41,7 @@ def read_track(log: Log) -> pa.Table | None:
     kept = has_fix(lat_deg, lon_deg)
     columns = {
         "time_s": seconds_of(table, log_clock(log.clocks))[kept],
-        "boot": table[BOOT].to_numpy()[kept],
+        "boot": int_values(table[BOOT])[kept].astype(np.int32),
         "lat_deg": lat_deg[kept],
         "lon_deg": lon_deg[kept],
     }
@@ -57,8 +58,7 @@ def _place(log: Log, stream: str) -> Position | None:
 
 
 def _numbers(table: pa.Table, name: str) -> FloatArray:
-    values = table[name].cast(pa.float64(), safe=False).to_numpy()
-    return np.asarray(values * field_scale(table.schema.field(name)))
+    return np.asarray(float_values(table[name]) * field_scale(table.schema.field(name)))
 
 
 def _degrees(table: pa.Table, name: str) -> FloatArray:

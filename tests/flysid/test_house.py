@@ -12,11 +12,15 @@ import pytest
 
 import flysid
 from flysid import errors
+from flysid.cli.output import ExitCode
 from flysid.model.structures import OWN
+from tests.command import shell
+from tests.samplelogs import blackbox, dataflash
 
 ROOT = Path(__file__).resolve().parents[2]
 HEAVY = {"numpy", "scipy", "pandas", "pyarrow", "control", "numba", "pymavlink", "mcap", "rich", "jinja2"}
 HEAVY |= {"obstore", "deltalake", "dask", "distributed"}
+SLOW = {"pandas", "scipy.signal", "scipy.stats"}
 
 
 def modules_after(code: str) -> set[str]:
@@ -26,6 +30,33 @@ def modules_after(code: str) -> set[str]:
         [sys.executable, "-c", script], capture_output=True, text=True, cwd=ROOT, timeout=60, check=True
     )
     return set(done.stdout.rpartition("MODULES")[2].split())
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "doctor flight.bin",
+        "ls flight.bin --suggest -q",
+        "show flight.bin --fields",
+        "plot flight.bin ATT.Roll,ATT.Pitch -o flight.html",
+        "export flight.bin ATT --to mat",
+        "scrub flight.bbl -o shared.bbl",
+    ],
+)
+def test_what_looks_at_a_log_imports_nothing_slow(line: str, tmp_path: Path) -> None:
+    """Neither do its workers: a process pays 0.2 s of CPU for pandas, 0.4 s for scipy.signal."""
+    (tmp_path / "flight.bin").write_bytes(dataflash.build())
+    (tmp_path / "flight.bbl").write_bytes(blackbox.build())
+    done = shell(*line.split(), cwd=tmp_path, PYTHONPROFILEIMPORTTIME="1")
+    assert done.returncode in (0, ExitCode.LOSSES), done.stderr
+    imported = {row.rpartition("|")[2].strip() for row in done.stderr.splitlines()}
+    assert "numpy" in imported
+    assert not imported & SLOW
+
+
+def test_judging_loops_and_vehicles_imports_nothing_slow() -> None:
+    code = "import flysid.loops.judged, flysid.reviews.series, flysid.sixdof.changes, flysid.sixdof.judging"
+    assert not modules_after(code) & {*SLOW, "scipy.ndimage", "scipy.spatial"}
 
 
 def test_every_folder_with_a_file_is_in_the_wheel() -> None:

@@ -264,7 +264,7 @@ class _Reader:
         counts = np.array([len(n) for n in numbers], dtype=np.int64)
         columns = [
             arrow_arrays.strings(line.name for line in lines),
-            pa.array([n[0] if len(n) == 1 else None for n in numbers], pa.float64()),
+            arrow_arrays.numeric_or_null(n[0] if len(n) == 1 else None for n in numbers),
             arrow_arrays.lists(arrow_arrays.numeric(joined), counts),
             arrow_arrays.strings(line.text for line in lines),
         ]

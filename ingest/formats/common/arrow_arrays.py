@@ -45,6 +45,15 @@ def numeric(values: Values) -> pa.Array:
     )
 
 
+def numeric_or_null(values: Iterable[float | None]) -> pa.Array:
+    """Python numbers as float64, null for None."""
+    every = list(values)
+    numbers = np.array([np.nan if v is None else v for v in every], dtype=np.float64)
+    is_there = np.packbits(np.array([v is not None for v in every], dtype=bool), bitorder="little")
+    buffers = [pa.py_buffer(is_there), pa.py_buffer(numbers)]
+    return pa.Array.from_buffers(pa.float64(), len(every), buffers)
+
+
 def number_type(kind: np.dtype[Any]) -> pa.DataType:
     """Arrow's type of a number."""
     return _types(kind)[1]

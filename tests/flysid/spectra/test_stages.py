@@ -9,7 +9,7 @@ from scipy import signal
 from flysid.dataset import FloatArray
 from flysid.spectra.ardupilot import HarmonicNotch, Option
 from flysid.spectra.px4 import _notch
-from flysid.spectra.stages import Kind, Stage, run_sections
+from flysid.spectra.stages import Kind, Stage, band_pass, response_of, run_both_ways, run_sections
 
 HZ = np.linspace(1.0, 480.0, 60)
 RATE = 1000.0
@@ -40,6 +40,27 @@ def test_a_notch_is_scipys(centre: float, q: float) -> None:
     np.testing.assert_allclose(
         Stage(Kind.NOTCH, centre, q=q).response(HZ, RATE), signal.freqz(b, a, HZ, fs=RATE)[1], atol=1e-9
     )
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "rate"), [(0.4, 12.0, 50.0), (0.4, 12.0, 500.0), (20.0, 90.0, 250.0)]
+)
+def test_a_band_pass_is_butterworths(low: float, high: float, rate: float) -> None:
+    hz = np.linspace(0.01, 0.49, 60) * rate
+    scipys = signal.butter(2, (low, high), "band", fs=rate, output="sos")
+    own = response_of(band_pass((low, high), rate), hz, rate)
+    np.testing.assert_allclose(own, signal.freqz_sos(scipys, hz, fs=rate)[1], atol=1e-9)
+
+
+@pytest.mark.parametrize("rows", [40, 1000])
+def test_a_filter_both_ways_is_scipys(rows: int) -> None:
+    """From an offset, too, on which it has settled: a band-pass on nothing."""
+    x = 30.0 + np.random.default_rng(1).standard_normal(rows).cumsum()
+    low = signal.butter(2, 125.0, fs=RATE, output="sos")
+    band = signal.butter(2, (4.0, 60.0), "band", fs=RATE, output="sos")
+    ours = (Stage(Kind.BIQUAD, 125.0).sections(RATE), band_pass((4.0, 60.0), RATE))
+    for scipys, own in zip((low, band), ours, strict=True):
+        np.testing.assert_allclose(run_both_ways(own, x), signal.sosfiltfilt(scipys, x), atol=1e-8)
 
 
 def test_px4s_notch_has_the_width_that_is_stated() -> None:

@@ -14,14 +14,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from flysid.ingest.formats.common.arrow_arrays import fixed_text, strings
+from flysid.ingest.formats.common.arrow_arrays import fixed_text, numeric_or_null, strings
 from flysid.ingest.formats.common.columns import (
     Field,
     RecordLayout,
     gather,
     message_schema,
 )
-from tests.samplelogs import dataflash, dataflash_text, mcap, tlog, ulog
+from tests.samplelogs import blackbox, dataflash, dataflash_text, mcap, tlog, ulog
 
 
 def matrix_of(rows: list[bytes], width: int) -> np.ndarray[tuple[int, int], np.dtype[np.uint8]]:
@@ -99,7 +99,15 @@ def test_lone_surrogates_do_not_break_strings() -> None:
     assert strings([]).type == pa.string()
 
 
-@pytest.mark.parametrize("log", [ulog, tlog, dataflash, dataflash_text, mcap])
+def test_none_among_numbers_is_null() -> None:
+    for values in ([], [2.0], [None], [1.0, None, 3, None, *[4.0] * 7, None]):
+        made = numeric_or_null(iter(values))
+        made.validate(full=True)
+        assert made.to_pylist() == values
+        assert made.type == pa.float64()
+
+
+@pytest.mark.parametrize("log", [ulog, tlog, dataflash, dataflash_text, mcap, blackbox])
 def test_logs_are_read_without_importing_pandas(log: ModuleType, tmp_path: Path) -> None:
     """It takes 0.3 s of CPU, as much as all else of a small log."""
     path = tmp_path / "one.log"
