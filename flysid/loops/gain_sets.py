@@ -17,6 +17,7 @@ from flysid.showing import counted
 
 HEADINGS = ("AXIS", "GAINS", "FLIGHTS", "CROSSOVER, Hz", "PHASE, deg", "GAIN, dB", "Ms", "BANDWIDTH, Hz")
 Best = Literal["phase_deg", "bandwidth_hz"]
+Named = Literal["crossover_hz", "phase_deg", "gain_db", "ms", "bandwidth_hz"]
 
 
 def gain_sets(found: Sequence[Judged]) -> list[tuple[str, ...]]:
@@ -36,22 +37,23 @@ def _gains(judged: Judged) -> str:
 
 def _row(judged: Judged) -> tuple[str, ...]:
     head = (judged.axis, _gains(judged), str(len(judged.flights)))
-    own, across = judged.margins, judged.across
-    if own is None:
+    if judged.margins is None:
         return (*head, "refused, see above", "", "", "", "")
     return (
         *head,
-        _cell(own.crossover_hz, across and across.crossover_hz, ".1f"),
-        _cell(own.phase_deg, across and across.phase_deg, ".0f"),
-        _cell(own.gain_db, across and across.gain_db, ".1f"),
-        _cell(own.ms, across and across.ms, ".2f"),
-        _cell(own.bandwidth_hz, across and across.bandwidth_hz, ".1f"),
+        _cell(judged, "crossover_hz", ".1f"),
+        _cell(judged, "phase_deg", ".0f"),
+        _cell(judged, "gain_db", ".1f"),
+        _cell(judged, "ms", ".2f"),
+        _cell(judged, "bandwidth_hz", ".1f"),
     )
 
 
-def _cell(own: Figure, across: Figure | None, form: str) -> str:
+def _cell(judged: Judged, name: Named, form: str) -> str:
     """ "15.5 +-1.2"; "15.5 +-?" where the flights cannot tell how far they scatter; "> 7.6", or "?"."""
-    if across is not None and across.value is not None:
+    own: Figure = getattr(judged.margins, name)
+    across: Figure = getattr(judged.across, name, Figure(None))
+    if across.value is not None:
         return f"{across.value:{form}} +-{across.high - across.value:{form}}"
     if own.value is not None:
         return f"{own.value:{form}} +-?"

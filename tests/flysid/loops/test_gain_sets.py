@@ -1,9 +1,13 @@
 """Several sets of gains beside each other."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
+import pytest
+from click.testing import CliRunner
 
+from flysid.cli.gains import command
 from flysid.loops.between_flights import FlightScatter
 from flysid.loops.contradictions import contradiction_of
 from flysid.loops.gain_sets import differences, gain_sets
@@ -12,6 +16,8 @@ from flysid.loops.margins import Figure, Margins
 from flysid.loops.stick_response import Loop
 from tests.drawn import is_seldom
 from tests.flysid.loops.simulated import PID, Vehicle, fly
+
+LOGS = Path("../shared/logs/blackbox")
 
 
 def flown(p: float, phase: Figure, flights: int = 1, across: Figure | None = None) -> Judged:
@@ -74,7 +80,8 @@ def test_intervals_of_a_mean_of_flights_hold_it(fresh_seed: int) -> None:
     held = 0
     for _ in range(400):
         away = rng.normal(0.0, 0.2, int(rng.integers(2, 6)))
-        scatter = FlightScatter.of([(f, np.exp(level) / f + 0j) for level in away], 20.0)
+        plants = [(f, (np.exp(level) / f).astype(np.complex128)) for level in away]
+        scatter = FlightScatter.of(plants, 20.0)
         assert scatter is not None
         loop = Loop(f, tuple(np.zeros((5, 3, 3, len(f)), dtype=np.complex128) for _ in away))
         moved = np.log(np.abs(scatter.moves(f, loop)))
@@ -84,7 +91,8 @@ def test_intervals_of_a_mean_of_flights_hold_it(fresh_seed: int) -> None:
 
 def test_a_flight_known_below_the_crossover_says_nothing_of_the_scatter() -> None:
     near, far = np.linspace(2.0, 5.0, 7), np.linspace(2.0, 30.0, 20)
-    curves = [(far, 1.0 / far + 0j), (near, 9.0 / near + 0j), (far, 1.1 / far + 0j)]
+    plants = ((far, 1.0), (near, 9.0), (far, 1.1))
+    curves = [(f, (gain / f).astype(np.complex128)) for f, gain in plants]
     scatter = FlightScatter.of(curves, 12.0)
     assert scatter is not None
     assert np.ptp(scatter.away.real) < 0.11
@@ -121,3 +129,17 @@ def test_stronger_gains_that_cross_lower_are_a_contradiction() -> None:
 def test_what_gains_explain_is_no_contradiction() -> None:
     sets = find_margins([fly_set(46.0, 70.0), fly_set(60.0, 70.0)])
     assert [contradiction_of(own, sets) for own in sets] == ["", ""]
+
+
+@pytest.mark.skipif(not LOGS.is_dir(), reason="no real logs here")
+def test_two_real_flights_that_contradict_physics_are_named(tmp_path: Path) -> None:
+    for number in (26, 28):
+        name = f"greenreaper_flight{number}.bfl"
+        (tmp_path / name).write_bytes((LOGS / name).read_bytes())
+    done = CliRunner().invoke(command, [str(tmp_path), "--axis", "roll"])
+    assert done.exit_code == 0, done.output
+    said = " ".join(done.stdout.split())
+    assert "contradiction: P 55 -> 59, all else equal, yet crossover falls from 15.5 Hz [14.3, 16.6]" in said
+    assert "clearly" not in said, "one flight each"
+    (row,) = [line for line in done.stdout.splitlines() if line.startswith("roll") and "  1  " in line][1:]
+    assert " +-" in row
