@@ -189,10 +189,7 @@ SCENES: dict[str, Scene] = {
     ),
     "docs/structured.md": Scene({"": inputs.hover}),
     "docs/studio.md": Scene(
-        before={
-            "": inputs.watched,
-            "flysid watch vehicle later.bbl --fail --json": inputs.vehicle_and_flight,
-        },
+        before={"": inputs.watched},
         codes={
             "flysid studio data": INTERRUPTED,
         },
