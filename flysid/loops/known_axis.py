@@ -27,9 +27,9 @@ from flysid.loops.betaflight import NO_CONDITIONS, Conditions
 from flysid.loops.controller import Controller, refuse_misfit
 from flysid.loops.flown_axis import Turning
 from flysid.loops.judged import kind_of
-from flysid.loops.margins import NEIGHBOURS, least_off, smooth, trusted_band
+from flysid.loops.margins import FEW_POWERS, NEIGHBOURS, least_off, smooth, trusted_band
 from flysid.loops.new_settings import with_settings
-from flysid.loops.prediction import FEW_POWERS, fit_turning, weights
+from flysid.loops.prediction import fit_turning, weights
 from flysid.loops.stick_response import ComplexArray, Loop, StickRecord, closed_loop, plant
 
 FLIGHTS_FOR_THE_NEXT = 3
