@@ -25,6 +25,7 @@ from tests.format_trials import FORMATS, intact
 from tests.model_examples import EXAMPLES, fitted
 
 QUICK = (
+    "tests/flysid/design/test_flights_on_models.py::test_a_vehicle_that_leaves_its_models_range_is_lost_and_a_turned_sign_is_turned_back",
     "tests/flysid/design/test_trials.py::test_a_trial_is_repeatable_and_wind_costs",
     "tests/flysid/export/test_lpv.py",
     "tests/flysid/loops/test_flown_axis.py::test_a_setpoint_follows_its_limit_of_acceleration",
