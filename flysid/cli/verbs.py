@@ -271,7 +271,6 @@ VERBS: Mapping[str, Verb] = {
             (
                 "flysid fly design --on run -o trials.html",
                 "flysid fly design --vehicles 100 --wind 4 -o trials.html",
-                "flysid fly design --mass 1..1.4 --json",
             ),
             step="Judge",
         ),
