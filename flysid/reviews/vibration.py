@@ -14,7 +14,7 @@ from flysid.reviews.logged import LoggedFlight
 from flysid.reviews.notches import propose_notch
 from flysid.reviews.shaking import accelerometer_clips, accelerometer_level
 from flysid.reviews.spectrum_pictures import pictures_of
-from flysid.showing import first_of, significant
+from flysid.showing import first_of, list_words, significant
 from flysid.spectra.peaks import Peak
 
 MOTION_HZ = 20.0
@@ -190,7 +190,7 @@ def _tone_finding(shaking: Shaking, of: dict[str, Fact]) -> Iterator[Finding]:
         return
     axes = [name for name in shaking.peaks if name == axis or _shares(shaking, name, peak)]
     verb = "shakes" if len(axes) == 1 else "shake"
-    text = f"{_listed(axes).capitalize()} {verb} by {significant(peak.rms)} deg/s"
+    text = f"{list_words(axes).capitalize()} {verb} by {significant(peak.rms)} deg/s"
     rate, at = significant(2.0 * peak.nyquist_hz), significant(peak.hz)
     if peak.cause or not shaking.may_fold(peak):
         more = f"{peak.cause}; logged at {rate} Hz" if peak.cause else ""
@@ -234,11 +234,6 @@ def _motor_finding(shaking: Shaking) -> Iterator[Finding]:
             "vibration.worst_motor",
             "at its own frequency: a propeller, a shaft or a bearing",
         )
-
-
-def _listed(names: list[str]) -> str:
-    """ "roll, pitch and yaw"."""
-    return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
 
 
 def _shares(shaking: Shaking, axis: str, peak: Peak) -> bool:
