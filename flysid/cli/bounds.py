@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import math
 import re
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
+from flysid.cli.options import gather
 from flysid.cli.trust import Own
+
+if TYPE_CHECKING:
+    from flysid.ingest.lake.workers import Bounds
 
 
 class Number(click.FloatRange):
@@ -61,7 +65,13 @@ def _time(_ctx: click.Context, _param: click.Parameter, value: str) -> float | N
     return quantity(value, TIME)
 
 
-memory_option = click.option(
+def _bounds(max_memory: int | None, max_time: float | None) -> Bounds:
+    from flysid.ingest.lake.workers import Bounds
+
+    return Bounds(max_memory, max_time)
+
+
+_MEMORY = click.option(
     "--max-memory",
     cls=Own,
     default="4GB",
@@ -71,7 +81,7 @@ memory_option = click.option(
     callback=_memory,
     help="Memory limit per log, or none; also FLYSID_MAX_MEMORY.",
 )
-time_option = click.option(
+_TIME = click.option(
     "--max-time",
     cls=Own,
     default="10min",
@@ -81,3 +91,7 @@ time_option = click.option(
     callback=_time,
     help="Time limit per log, or none; also FLYSID_MAX_TIME.",
 )
+bounds_options = gather("bounds", _bounds, _MEMORY, _TIME)
+"""--max-memory and --max-time; the verb takes them as the `bounds` of a reader."""
+bounds_options = gather("bounds", _bounds, _MEMORY, _TIME)
+"""--max-memory and --max-time; the verb takes them as the `bounds` of a reader."""

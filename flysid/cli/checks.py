@@ -23,10 +23,10 @@ SHOWN = 8
 class Words:
     """What the command line says of the channels: a recipe, or from which fields to which."""
 
-    recipe: str
-    inputs: tuple[str, ...]
-    outputs: tuple[str, ...]
-    dt: float | None
+    recipe: str = ""
+    inputs: tuple[str, ...] = ()
+    outputs: tuple[str, ...] = ()
+    dt: float | None = None
     time_unit: str = ""
     date_order: str = ""
     format: str = ""

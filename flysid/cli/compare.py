@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING
 import click
 
 from flysid.cli.display import Display, progress_options
-from flysid.cli.output import check_target, chosen_form, comparison_forms, end_comparison
+from flysid.cli.options import comparison_forms, target_options
+from flysid.cli.output import end_comparison
 from flysid.cli.source import given, selection_options
-from flysid.cli.trust import Own, Setting
+from flysid.cli.trust import Setting
 from flysid.manifest import check_data_folder
 from flysid.progress import part
 
@@ -23,7 +24,9 @@ FOLDER = click.Path(path_type=Path)
 @click.command("compare")
 @click.argument("run_a", type=FOLDER)
 @click.argument("run_b", type=FOLDER)
-@click.option("--output", "-o", type=FOLDER, help="Folder of the report; none is written when not given.")
+@target_options(
+    "--output", "-o", replaced="report", help="Folder of the report; none is written when not given."
+)
 @click.option(
     "--model",
     "-m",
@@ -36,7 +39,6 @@ FOLDER = click.Path(path_type=Path)
 @click.option(
     "--fail-if", "condition", cls=Setting, help="Exit with 4 if this holds, e.g. 'free_run.change_pct > 5'."
 )
-@click.option("--force", cls=Own, is_flag=True, help="Replace the report if it exists.")
 @selection_options
 @comparison_forms
 @progress_options
@@ -48,11 +50,9 @@ def command(
     data_a: Path | None,
     data_b: Path | None,
     condition: str | None,
-    force: bool,
     selection: Selection,
-    quiet: bool,
+    form: str,
     display: Display,
-    **forms: bool,
 ) -> int:
     """Compare the models of two runs on flights that neither has trained on.
 
@@ -60,9 +60,6 @@ def command(
     RUN_B's models relative to RUN_A's; below 0 % RUN_B is better. Exit code 3: a channel of both runs could
     not be compared; 4: --fail-if holds.
     """
-    form = chosen_form(forms)
-    if output is not None:
-        check_target(output, force)
     from flysid.validate.compare.condition import check_condition
     from flysid.validate.runs.crossrun import RunSource, expected_of_runs, judge_runs
     from flysid.validate.runs.run import open_run
@@ -83,4 +80,4 @@ def command(
             finished = finish(judgement, page=output is not None)
             page = None if output is None else write_finished(finished, output)
     click.echo(finished.text(form))
-    return end_comparison(finished, condition, page, quiet)
+    return end_comparison(finished, condition, page, display.quiet)

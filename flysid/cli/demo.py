@@ -80,7 +80,7 @@ class Stages:
 @click.option("--seed", default=1, show_default=True)
 @click.option("--force", cls=Own, is_flag=True, help="Replace an earlier demo in that folder.")
 @progress_options
-def command(output: Path, plant: str, seed: int, force: bool, quiet: bool, display: Display) -> None:
+def command(output: Path, plant: str, seed: int, force: bool, display: Display) -> None:
     """Simulate flights, ingest, fit (--effort quick) and validate them; print the path of the report.
 
     The vehicle is a nonlinear AR.Drone. With --plant ardrone-linear it is the paper's transfer functions
@@ -91,31 +91,31 @@ def command(output: Path, plant: str, seed: int, force: bool, quiet: bool, displ
     stages = Stages(output)
     with display.shown():
         with part(0.0, 0.02):
-            say(f"  synthesise  {fly(stages, plant, seed)}", quiet)
+            say(f"  synthesise  {fly(stages, plant, seed)}", display.quiet)
         with part(0.02, 0.05):
-            say(f"  ingest      {take_in(stages)}", quiet)
+            say(f"  ingest      {take_in(stages)}", display.quiet)
         before = time.perf_counter()
         with part(0.05, 0.8):
             run = fit(stages, seed)
         if run.interrupted:
             raise KeyboardInterrupt
-        say(f"  fit         {describe_run(run, time.perf_counter() - before)}", quiet)
+        say(f"  fit         {describe_run(run, time.perf_counter() - before)}", display.quiet)
         with part(0.8, 1.0):
             judgement = judge(stages)
-    say(f"  validate    {describe_judgement(judgement)}", quiet)
+    say(f"  validate    {describe_judgement(judgement)}", display.quiet)
     from flysid.validate.show.terminal import summary
 
     for line in summary(judgement.comparisons).splitlines():
-        say(f"  {line}", quiet)
-    say(f"  {meaning(judgement)}", quiet)
+        say(f"  {line}", display.quiet)
+    say(f"  {meaning(judgement)}", display.quiet)
     for line in judgement.context.missing.sentences:
         say(f"  {line}")
-    say(f"  {time.perf_counter() - started:.0f} s in total", quiet)
+    say(f"  {time.perf_counter() - started:.0f} s in total", display.quiet)
     for line in LOOK_AT:
-        say(f"  {line}", quiet)
+        say(f"  {line}", display.quiet)
     page = stages.report / "report.html"
     click.echo(str(page))
-    if not quiet and has_display() and sys.stdout.isatty():
+    if not display.quiet and has_display() and sys.stdout.isatty():
         click.launch(str(page))
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,10 +13,11 @@ from flysid.cli.addresses import SOURCE
 from flysid.cli.bounds import POSITIVE, Number
 from flysid.cli.checks import Words
 from flysid.cli.display import Display, progress_options
-from flysid.cli.output import align_columns, check_target, printable, say
+from flysid.cli.options import target_options
+from flysid.cli.output import align_columns, print_json, printable, say
 from flysid.cli.ratedesign import AXES, design_rates
 from flysid.cli.source import flight_options, reading_options
-from flysid.cli.trust import Own, ProjectFile, Setting
+from flysid.cli.trust import ProjectFile, Setting
 from flysid.errors import UsageError
 
 if TYPE_CHECKING:
@@ -39,7 +39,7 @@ def a_range(_ctx: click.Context, _param: click.Parameter, value: str | None) -> 
         raise click.BadParameter(f"as 0.85..1.15, not {value!r}") from None
 
 
-OF_LOGS = ("axes", "only_flights", "exclude", "vehicle", "pool", "format_", "time_unit", "date_order")
+OF_LOGS = ("axes", "only_flights", "exclude", "vehicle", "pool", "format", "time_unit", "date_order")
 OF_RUNS = ("channels", "method", "firmware", "old", "peak", "limit", "gain", "delay", "feed_forward", "data")
 """Options of one kind of design alone."""
 OF_ONE_KIND = "leave it out; a run has channels, logs have axes"
@@ -107,10 +107,7 @@ LARGEST_MS = 1.6
 )
 @click.option("--feed-forward", is_flag=True, help="Also find the input per unit of reference speed.")
 @click.option("--data", type=click.Path(path_type=Path), help="The run's data, if they have moved.")
-@click.option(
-    "-o", "--out", type=click.Path(path_type=Path), help="Folder for design.json, old.param, new.param."
-)
-@click.option("--force", cls=Own, is_flag=True, help="Replace the folder if it exists.")
+@target_options("-o", "--out", replaced="folder", help="Folder for design.json, old.param, new.param.")
 @click.option("--json", "as_json", is_flag=True, help="Print the design as JSON.")
 @flight_options
 @reading_options
@@ -133,11 +130,9 @@ def command(
     feed_forward: bool,
     data: Path | None,
     out: Path | None,
-    force: bool,
     as_json: bool,
     selection: Selection,
     told: Words,
-    quiet: bool,
     display: Display,
 ) -> int:
     """Find robust gains, optimised for the worst of all good models; compare them with the present gains.
@@ -164,8 +159,7 @@ def command(
             refuse_given(context, OF_RUNS, "logs", "designs the rate loops that flew", OF_ONE_KIND)
         given = {name: value for name, value in (("ms", ms), ("noise", noise)) if value is not None}
         bounds = RateBounds(**given)
-        files = {"force": force, "as_json": as_json}
-        return design_rates(source, axes, bounds, selection, told, out, display=display, **files)
+        return design_rates(source, axes, bounds, selection, told, out, as_json=as_json, display=display)
     refuse_given(context, OF_LOGS, "a run", "designs the position loop of its channels", OF_ONE_KIND)
     of_rules = method == "pdc"
     if of_rules and (firmware != "pid" or old is not None or feed_forward):
@@ -173,8 +167,6 @@ def command(
             "--for, --old and --feed-forward are for the gains of a PID",
             hint="leave them out, or --method pid",
         )
-    if out is not None:
-        check_target(out, force)
     spread = Spread(gain or (1.0, 1.0), delay or (0.0, 0.0))
     wish = Wish(
         channels,
@@ -191,12 +183,12 @@ def command(
     with display.shown():
         design = find(open_run(source), wish, data)
     if as_json:
-        click.echo(json.dumps(design.to_dict(), indent=1, allow_nan=False))
+        print_json(design.to_dict())
     else:
         for axis in design.axes:
             click.echo("\n".join(printable(line) for line in axis.lines()))
             click.echo("\n".join(f"    {line}" for line in align_columns(axis.table())) + "\n")
-    _write(design, out, quiet)
+    _write(design, out, display.quiet)
     if not as_json:
         say(design.caution)
     return 3 if design.refused else 0

@@ -9,11 +9,11 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
-from functools import wraps
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING
 
 import click
 
+from flysid.cli.options import gather
 from flysid.cli.output import printable, say
 from flysid.progress import Step, listening
 from flysid.showing import duration
@@ -22,55 +22,29 @@ if TYPE_CHECKING:
     from rich.console import Group
     from rich.table import Table
 
-F = TypeVar("F", bound=Callable[..., Any])
 SILENCE_S = 10.0
 """Longest time without a line."""
 UNIT = "validation: free-run RMSE on data held back from training, in standard deviations of the output"
-
-
-def progress_options(function: F) -> F:
-    """Adds --progress, --verbose and --quiet; the verb takes them as `display`, and `quiet`."""
-
-    @wraps(function)
-    def verb(*args: Any, quiet: bool, verbose: bool, form: str, **options: Any) -> Any:
-        return function(*args, quiet=quiet, display=Display(form, quiet, verbose), **options)
-
-    decorated: Any = verb
-    for option in (
-        click.option("--quiet", "-q", is_flag=True, help="Print errors and warnings only."),
-        click.option("--verbose", "-v", is_flag=True, help="Print every step."),
-        click.option(
-            "--progress",
-            "form",
-            default="auto",
-            show_default=True,
-            type=click.Choice(["auto", "json"]),
-            help="Progress on stderr, for people or as one JSON object per line.",
-        ),
-    ):
-        decorated = option(decorated)
-    chosen: F = decorated
-    return chosen
 
 
 @dataclass(frozen=True)
 class Display:
     """What the command line asks for."""
 
-    form: str = "auto"
+    progress: str = "auto"
     quiet: bool = False
     verbose: bool = False
 
     @property
     def live(self) -> bool:
         """A table on a terminal, and no lines."""
-        return self.form == "auto" and not self.quiet and sys.stderr.isatty()
+        return self.progress == "auto" and not self.quiet and sys.stderr.isatty()
 
     @contextmanager
     def shown(self) -> Iterator[None]:
         """Show the progress of the work in the block (`flysid.progress`)."""
         state = State()
-        if self.form == "json":
+        if self.progress == "json":
             with _speaking(state, lambda step: state.as_json(step), every_step=True):
                 yield
         elif self.quiet:
@@ -81,6 +55,22 @@ class Display:
         else:
             with _speaking(state, lambda step: state.line(step), every_step=self.verbose):
                 yield
+
+
+progress_options = gather(
+    "display",
+    Display,
+    click.option(
+        "--progress",
+        default="auto",
+        show_default=True,
+        type=click.Choice(["auto", "json"]),
+        help="Progress on stderr, for people or as one JSON object per line.",
+    ),
+    click.option("--verbose", "-v", is_flag=True, help="Print every step."),
+    click.option("--quiet", "-q", is_flag=True, help="Print errors and warnings only."),
+)
+"""--progress, --verbose and --quiet; the verb takes them as `display`."""
 
 
 @dataclass

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from flysid.cli import complete
-from flysid.cli.bounds import memory_option, time_option
+from flysid.cli.bounds import bounds_options
+from flysid.cli.checks import Words
 from flysid.cli.display import Display, progress_options
 from flysid.cli.kinematics import Motion, check_one_log, motions, write_corrected
 from flysid.cli.losses import say_skipped
@@ -25,7 +26,7 @@ from flysid.cli.output import (
     say_passed_over,
     shorten,
 )
-from flysid.cli.source import date_order_option, format_option, time_unit_option
+from flysid.cli.source import reading_options
 from flysid.cli.telemetry import telemetry
 from flysid.cli.trust import Own
 from flysid.errors import UsageError
@@ -35,6 +36,7 @@ from flysid.showing import WIDTH, clock, counted, first_of, fold
 
 if TYPE_CHECKING:
     from flysid.ingest.lake.survey import Survey
+    from flysid.ingest.lake.workers import Bounds
 
 HEADINGS = ("VEHICLE", "FIRMWARE", "TIME", "ATT", "CMD", "VEL", "MOVED", "LOST", "VERDICT")
 ROLES_SHOWN = {"ATT": "attitude", "CMD": "command", "VEL": "velocity"}
@@ -45,11 +47,8 @@ SHORTEST_NAME = 12
 
 @click.command("doctor")
 @click.argument("logs", nargs=-1, required=True, metavar="LOG...")
-@memory_option
-@time_option
-@format_option
-@time_unit_option
-@date_order_option
+@bounds_options
+@reading_options
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 @click.option(
     "--kinematics",
@@ -73,16 +72,12 @@ SHORTEST_NAME = 12
 @progress_options
 def command(
     logs: tuple[str, ...],
-    max_memory: int | None,
-    max_time: float | None,
-    format_: str,
-    time_unit: str,
-    date_order: str,
+    bounds: Bounds,
+    told: Words,
     as_json: bool,
     kinematics: bool,
     correct: str,
     output: Path | None,
-    quiet: bool,
     display: Display,
 ) -> int:
     """Check every log: its contents, its losses, and what to log next time.
@@ -93,11 +88,10 @@ def command(
     """
     from flysid.cli.addresses import here
     from flysid.ingest.align.recipe import load_recipe
-    from flysid.ingest.formats.base import Limits
     from flysid.ingest.formats.opening import short_name
     from flysid.ingest.lake.finding import find_logs
     from flysid.ingest.lake.survey import survey_or_reason
-    from flysid.ingest.lake.workers import Bounds, Lost, read_bounded
+    from flysid.ingest.lake.workers import Lost, read_bounded
     from flysid.place import is_address
 
     if (correct or output) and not kinematics:
@@ -105,13 +99,12 @@ def command(
     if correct:
         load_recipe(correct)
         check_target(output or CORRECTED, force=True, makes_folders=False)
-    bounds = Bounds(max_memory, max_time)
     found = find_logs([here(log) if is_address(log) else log for log in logs], bounds)
     if correct:
         check_one_log(len(found.paths))
     skipped = [(unread.path, unread.reason) for unread in found.unread]
     surveys: dict[Path, Survey] = {}
-    limits = Limits(time_unit=time_unit, date_order=date_order, format=format_)
+    limits = told.limits
     look = partial(survey_or_reason, limits=limits)
     with display.shown():
         _begin(found.paths, 0)
@@ -137,14 +130,17 @@ def command(
     if moved and not as_json:
         click.echo("\n".join(line for path, motion in moved.items() for line in motion.lines(path)))
     if correct:
-        write_corrected(moved, correct, output or CORRECTED, limits, quiet)
+        write_corrected(moved, correct, output or CORRECTED, limits, display.quiet)
     for path, survey in surveys.items():
         if "clock_note" in survey.info:
-            say(f"note: {short_name(path)}: {survey.info['clock_note']}", quiet)
+            say(f"note: {short_name(path)}: {survey.info['clock_note']}", display.quiet)
         for stream, why in list(survey.damage.reasons.items())[:REASONS_SHOWN]:
             say(f"lost: {short_name(path)}: {stream}: {why}")
-    say_passed_over(found.passed_over, quiet)
-    say(f"{counted(len(surveys), 'log')} examined" + (f", {len(skipped)} skipped" if skipped else ""), quiet)
+    say_passed_over(found.passed_over, display.quiet)
+    say(
+        f"{counted(len(surveys), 'log')} examined" + (f", {len(skipped)} skipped" if skipped else ""),
+        display.quiet,
+    )
     if not surveys:
         return 1
     return 3 if skipped or any(s.damage.lossy for s in surveys.values()) else 0

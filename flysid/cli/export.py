@@ -10,9 +10,10 @@ from flysid.cli.addresses import SOURCE
 from flysid.cli.bounds import POSITIVE
 from flysid.cli.checks import Words
 from flysid.cli.display import Display
+from flysid.cli.options import force_option
 from flysid.cli.output import say
 from flysid.cli.source import opened_flights, reading_options
-from flysid.cli.trust import Own, Setting
+from flysid.cli.trust import Setting
 from flysid.cli.vehicleexport import FILES, is_vehicle, write_vehicle
 from flysid.errors import UsageError
 from flysid.facts.clock import log_clock
@@ -84,7 +85,7 @@ CALLED = {"casadi": "model_casadi.py", "jax": "model_jax.py", "onnx": "model.onn
     help="Model of the channel.  [default: the one that the verdict is of]",
 )
 @click.option("--data", type=SOURCE, help="The run's data, if they have moved since the fit.")
-@click.option("--force", cls=Own, is_flag=True, help="Replace the target if it exists.")
+@force_option("target")
 def command(
     source: Path,
     streams: tuple[str, ...],

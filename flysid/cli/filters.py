@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,7 +11,7 @@ from flysid.cli.addresses import SOURCE
 from flysid.cli.bounds import POSITIVE
 from flysid.cli.checks import Words
 from flysid.cli.display import Display
-from flysid.cli.output import align_columns, printable
+from flysid.cli.output import align_columns, print_json, printable
 from flysid.cli.reviewed_logs import reviewed_logs
 from flysid.cli.source import flight_options, reading_options
 from flysid.cli.trust import Setting
@@ -76,7 +75,7 @@ def command(
             found.append((flight.name, trial))
     if as_json:
         body = [{"log": name, **trial.to_dict()} for name, trial in found]
-        click.echo(json.dumps(body, indent=1, allow_nan=False))
+        print_json(body)
     for name, trial in found if not as_json else ():
         head = [name] if len(found) > 1 else []
         lines = [*head, *align_columns(trial.rows()), *(fold(note) for note in trial.notes())]

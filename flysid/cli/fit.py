@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
 
@@ -15,6 +16,7 @@ from flysid.cli.addresses import SOURCE
 from flysid.cli.bounds import COUNT
 from flysid.cli.checks import Asked, Words, check_source, is_ingested
 from flysid.cli.display import Display, progress_options
+from flysid.cli.options import force_option, gather
 from flysid.cli.output import check_target, cores, explain, say, say_left_out
 from flysid.cli.source import (
     READING_OF_A_FIT,
@@ -32,8 +34,7 @@ from flysid.progress import part
 
 if TYPE_CHECKING:
     from flysid.ingest.lake.chosen_flights import Selection
-    from flysid.split import By
-    from flysid.validate.runs.run import ChannelRun, Constants, Run
+    from flysid.validate.runs.run import ChannelRun, FitSettings, Run
 
 DATASET = ".parquet"
 SHARE = 0.3
@@ -74,94 +75,109 @@ def _names(*fitted: str) -> list[str]:
 _STREAMED = ", ".join(sorted(row.name for row in OWN.values() if row.streams and row.has_memory))
 
 
+def _settings(holdout: Held, models: str, memory: float, **chosen: Any) -> FitSettings:
+    from flysid.validate.runs.run import FitSettings
+
+    share, held = holdout
+    return FitSettings(share, models=labels_of(models), held=held, memory_mb=memory, **chosen)
+
+
+fit_options = gather(
+    "settings",
+    _settings,
+    click.option(
+        "--channel",
+        "-c",
+        "channels",
+        cls=Setting,
+        multiple=True,
+        shell_complete=complete.channels,
+        help="Only this channel; repeatable.",
+    ),
+    click.option(
+        "--models",
+        "-m",
+        cls=ProjectFile,
+        default="",
+        metavar="A,B",
+        shell_complete=complete.models,
+        help="Models besides the references, ARX, OE and the baseline: "
+        f"{', '.join(_names('on request', 'usually'))}, and those of installed packages "
+        f"(docs/models.md).  [default: {','.join(_names('usually'))}]",
+    ),
+    click.option(
+        "--rules",
+        cls=Setting,
+        default="auto",
+        callback=_rules,
+        show_default=True,
+        help="Number of rules of the TS model.",
+    ),
+    click.option(
+        "--antecedent",
+        "-a",
+        "antecedents",
+        cls=Setting,
+        multiple=True,
+        help="Variable that chooses between rules.",
+    ),
+    click.option(
+        "--effort",
+        default="normal",
+        show_default=True,
+        type=click.Choice(["quick", "normal", "thorough"]),
+        help="Effort of the search for rules.",
+    ),
+    click.option(
+        "--flight-offsets",
+        "flight_offsets",
+        default="auto",
+        show_default=True,
+        type=click.Choice(["auto", "yes", "no"]),
+        help="A constant of every flight beside the models: wind, trim, bias. auto: where flights differ.",
+    ),
+    click.option(
+        "--holdout",
+        cls=Setting,
+        multiple=True,
+        metavar="SHARE|FLIGHT[@FROM..TO]",
+        callback=_held,
+        help="Held out: a share by chance, or flights, or parts of them; repeatable.  [default: 0.3]",
+    ),
+    click.option(
+        "--by",
+        default="auto",
+        show_default=True,
+        type=click.Choice(["auto", "flight", "time"]),
+        help="Hold out whole flights, or stretches of time.",
+    ),
+    click.option("--seed", default=7, show_default=True, help="Of the split and of all random starts."),
+    click.option(
+        "--rotate/--no-rotate",
+        default=True,
+        show_default=True,
+        help="With five flights or more, hold out each of them once (five more fits) if --holdout leaves "
+        "fewer than five.",
+    ),
+    click.option(
+        "--memory",
+        cls=Own,
+        default=64.0,
+        show_default=True,
+        metavar="MB",
+        type=click.FloatRange(0.0),
+        help=f"Samples of a channel above this are fitted from disk, by {_STREAMED}.",
+    ),
+)
+"""How a run is fitted; the verb takes it as `FitSettings` without a selection."""
+
+
 @click.command("fit")
 @click.argument("data", type=SOURCE)
 @words_options
 @selection_options
 @click.option("--output", "-o", required=True, type=click.Path(path_type=Path), help="Folder of the run.")
-@click.option(
-    "--channel",
-    "-c",
-    "channels",
-    cls=Setting,
-    multiple=True,
-    shell_complete=complete.channels,
-    help="Only this channel; repeatable.",
-)
-@click.option(
-    "--models",
-    "-m",
-    cls=ProjectFile,
-    default="",
-    metavar="A,B",
-    shell_complete=complete.models,
-    help="Models besides the references, ARX, OE and the baseline: "
-    f"{', '.join(_names('on request', 'usually'))}, and those of installed packages "
-    f"(docs/models.md).  [default: {','.join(_names('usually'))}]",
-)
-@click.option(
-    "--rules",
-    cls=Setting,
-    default="auto",
-    callback=_rules,
-    show_default=True,
-    help="Number of rules of the TS model.",
-)
-@click.option(
-    "--antecedent",
-    "-a",
-    "antecedents",
-    cls=Setting,
-    multiple=True,
-    help="Variable that chooses between rules.",
-)
-@click.option(
-    "--effort",
-    default="normal",
-    show_default=True,
-    type=click.Choice(["quick", "normal", "thorough"]),
-    help="Effort of the search for rules.",
-)
-@click.option(
-    "--flight-offsets",
-    "flight_offsets",
-    default="auto",
-    show_default=True,
-    type=click.Choice(["auto", "yes", "no"]),
-    help="A constant of every flight beside the models: wind, trim, bias. auto: where flights differ.",
-)
-@click.option(
-    "--holdout",
-    cls=Setting,
-    multiple=True,
-    metavar="SHARE|FLIGHT[@FROM..TO]",
-    callback=_held,
-    help="Held out: a share by chance, or flights, or parts of them; repeatable.  [default: 0.3]",
-)
-@click.option(
-    "--by",
-    default="auto",
-    show_default=True,
-    type=click.Choice(["auto", "flight", "time"]),
-    help="Hold out whole flights, or stretches of time.",
-)
-@click.option("--seed", default=7, show_default=True, help="Of the split and of all random starts.")
-@click.option(
-    "--rotate/--no-rotate",
-    default=True,
-    show_default=True,
-    help="With five flights or more, hold out each of them once (five more fits) if --holdout leaves fewer "
-    "than five.",
-)
-@click.option(
-    "--memory",
-    cls=Own,
-    default=64.0,
-    show_default=True,
-    metavar="MB",
-    type=click.FloatRange(0.0),
-    help=f"Samples of a channel above this are fitted from disk, by {_STREAMED}.",
-)
+@fit_options
 @click.option(
     "--jobs",
     "-j",
@@ -171,7 +187,7 @@ _STREAMED = ", ".join(sorted(row.name for row in OWN.values() if row.streams and
     metavar="N",
     help="Channels in parallel.  [default: one per core]",
 )
-@click.option("--force", cls=Own, is_flag=True, help="Replace the run if it exists.")
+@force_option("run")
 @click.option("--json", "as_json", is_flag=True, help="Print the run as JSON.")
 @progress_options
 def command(
@@ -179,21 +195,10 @@ def command(
     selection: Selection,
     words: Words,
     output: Path,
-    channels: tuple[str, ...],
-    models: str,
-    rules: int | str,
-    antecedents: tuple[str, ...],
-    effort: str,
-    flight_offsets: Constants,
-    holdout: Held,
-    by: By,
-    seed: int,
-    rotate: bool,
-    memory: float,
+    settings: FitSettings,
     jobs: int,
     force: bool,
     as_json: bool,
-    quiet: bool,
     display: Display,
 ) -> int:
     """Fit linear and Takagi-Sugeno models to every channel of a recipe, or between given fields.
@@ -208,54 +213,38 @@ def command(
     if is_dataset:
         check_no_words(data, words)
     place = place_of_logs(output, force) if not is_dataset and not is_ingested(data) else None
-    asked = Asked(words, selection, channels, holdout.parts)
+    settings = replace(settings, selection=selection)
+    asked = Asked(words, selection, settings.channels, settings.held)
     if not is_dataset:
         check_source(data, asked)
     from flysid.validate.runs.fitting import fit_file, fit_run
-    from flysid.validate.runs.run import FitSettings
     from flysid.validate.runs.wanted_models import check_settings
 
-    labels = labels_of(models)
-    settings = FitSettings(
-        holdout.share,
-        by,
-        seed,
-        rules,
-        antecedents,
-        channels,
-        labels,
-        memory,
-        effort,
-        rotate,
-        selection,
-        holdout.parts,
-        flight_offsets=flight_offsets,
-    )
     check_settings(settings)
-    check_antecedents(antecedents, words, channels)
+    check_antecedents(settings.antecedents, words, settings.channels)
     lost = False
     if is_dataset:
         with display.shown():
             run = fit_file(data, output, settings)
     else:
-        with display.shown(), open_source(data, asked, place, quiet) as (lake, chosen):
+        with display.shown(), open_source(data, asked, place, display.quiet) as (lake, chosen):
             with part(0.0 if is_ingested(data) else READING_OF_A_FIT):
                 run = fit_run(lake, chosen, output, settings, jobs=jobs or cores())
             lost = lost_on_the_way(data, lake)
-            say_mixed_gains(lake, quiet)
+            say_mixed_gains(lake, display.quiet)
     if as_json:
         click.echo((output / "run.json").read_text("utf-8"), nl=False)
     else:
         click.echo(str(output))
-    _say_what_was_fitted(run, quiet)
+    _say_what_was_fitted(run, display.quiet)
     if run.interrupted:
         say(
             f"interrupted: {output} holds what was finished. 'flysid validate {output}' judges it; "
             "--force fits anew"
         )
         return 130
-    say(f"next: flysid validate {output}", quiet)
-    return 3 if lost or set(channels) & set(run.skipped) else 0
+    say(f"next: flysid validate {output}", display.quiet)
+    return 3 if lost or set(settings.channels) & set(run.skipped) else 0
 
 
 def _say_what_was_fitted(run: Run, quiet: bool) -> None:
@@ -292,7 +281,7 @@ def _is_dataset(data: Path) -> bool:
 
 def check_no_words(data: Path, asked: Words) -> None:
     """Raise UsageError where a dataset file comes with a recipe or with fields."""
-    if asked != Words("", (), (), None):
+    if asked != Words():
         raise UsageError(
             "a dataset file is one channel already",
             path=data,

@@ -12,8 +12,9 @@ import click
 
 from flysid.cli.display import Display, progress_options
 from flysid.cli.fleet_data import FleetData, fleet_data_options
+from flysid.cli.options import force_option
 from flysid.cli.output import ExitCode, check_target, say
-from flysid.cli.trust import Own, Setting
+from flysid.cli.trust import Setting
 from flysid.errors import UsageError
 from flysid.showing import counted
 
@@ -53,7 +54,7 @@ def _day(_ctx: click.Context, _param: click.Parameter, value: str) -> int | None
 @click.option(
     "--fail-if", type=click.Choice(["changed", "unlike"]), help="Exit with 4 if a vehicle is flagged."
 )
-@click.option("--force", cls=Own, is_flag=True, help="Replace the page if it exists.")
+@force_option("page")
 @click.option("--json", "as_json", is_flag=True, help="Print the findings as JSON.")
 @progress_options
 def command(
@@ -66,7 +67,6 @@ def command(
     fail_if: str | None,
     force: bool,
     as_json: bool,
-    quiet: bool,
     display: Display,
 ) -> int:
     """Find the vehicles of a fleet that have changed, and those that differ from the others.
@@ -91,8 +91,8 @@ def command(
 
     opened = open_lake(data.folder)
     asked = load_recipe(data.recipe)
-    with data.engine(opened, quiet) as cluster, display.shown():
-        gathered = data.gather(opened, asked, cluster, quiet)
+    with data.engine(opened, display.quiet) as cluster, display.shown():
+        gathered = data.gather(opened, asked, cluster, display.quiet)
         compared = compare(gathered, asked, opened.facts, rate, before_ns)
     document = json.dumps(compared.document(), indent=1, allow_nan=False) + "\n"
     reports = _reports(runs, list(compared.names)) if runs else {}
@@ -110,15 +110,15 @@ def command(
     for judged in compared.channels:
         hides = asked.channel(judged.channel).hides
         if hides:
-            say(f"{judged.channel} cannot show {hides}", quiet)
+            say(f"{judged.channel} cannot show {hides}", display.quiet)
         if judged.too_few:
             few = [compared.names[v] for v in judged.too_few]
             say(
                 f"{judged.channel}: {counted(len(few), 'vehicle')} with too few flights: {', '.join(few[:8])}"
             )
     title, lead = headline(compared)
-    say(f"{title}. {lead}".strip(), quiet)
-    say(f"page: {page}", quiet)
+    say(f"{title}. {lead}".strip(), display.quiet)
+    say(f"page: {page}", display.quiet)
     return ExitCode.CHECK_FAILED if any(found.question == fail_if for found in compared.findings) else 0
 
 

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 )
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 @progress_options
-def command(lake: str, repair: bool, older: float, as_json: bool, quiet: bool, display: Display) -> int:
+def command(lake: str, repair: bool, older: float, as_json: bool, display: Display) -> int:
     """Check a lake's tables and catalogue against its manifests.
 
     Exit code 4: something is wrong and was not repaired.
@@ -52,7 +52,7 @@ def command(lake: str, repair: bool, older: float, as_json: bool, quiet: bool, d
         removed = put_right(place, state, timedelta(seconds=older)) if repair else 0
         if repair and not state.is_whole:
             for line in faults(state):
-                say(f"was: {line}", quiet)
+                say(f"was: {line}", display.quiet)
             state = check(place)
     if as_json:
         click.echo(json.dumps(as_document(lake, state, removed), indent=1))
@@ -61,9 +61,12 @@ def command(lake: str, repair: bool, older: float, as_json: bool, quiet: bool, d
         for line in faults(state):
             click.echo(printable(line))
     if removed:
-        say(f"{counted(removed, 'object')} removed", quiet)
+        say(f"{counted(removed, 'object')} removed", display.quiet)
     if state.unlisted or state.stale or state.orphans:
-        say("flysid fleet check --repair rebuilds the catalogue and removes old orphans", quiet or repair)
+        say(
+            "flysid fleet check --repair rebuilds the catalogue and removes old orphans",
+            display.quiet or repair,
+        )
     return 0 if state.is_whole else ExitCode.CHECK_FAILED
 
 

@@ -12,7 +12,7 @@ from flysid.showing import counted
 @click.command("compact")
 @click.argument("lake", metavar="LAKE")
 @progress_options
-def command(lake: str, quiet: bool, display: Display) -> None:
+def command(lake: str, display: Display) -> None:
     """Merge the tables of all flights into parts of about 128 MB, by message and month.
 
     The flights are not changed. A month whose flights have not changed is skipped. 'flysid fleet files'
@@ -24,4 +24,4 @@ def command(lake: str, quiet: bool, display: Display) -> None:
     with display.shown():
         done = compact(open_lake(lake))
     written = f"tables of a month: {done.written:,} written, {done.unchanged:,} as before"
-    say(f"{written}; {counted(done.rows, 'row')}, {counted(done.parts, 'part')}", quiet)
+    say(f"{written}; {counted(done.rows, 'row')}, {counted(done.parts, 'part')}", display.quiet)

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from flysid.cli import complete
 from flysid.cli.addresses import SOURCE
 from flysid.cli.bounds import COUNT, POSITIVE
-from flysid.cli.lakeoptions import check_one_cluster, cluster_options, dask_cluster
+from flysid.cli.lakeoptions import CLUSTER, check_one_cluster, dask_cluster
+from flysid.cli.options import gather
 from flysid.cli.output import cores, say
 from flysid.cli.trust import Own, ProjectFile, Setting
 from flysid.errors import UsageError
@@ -25,8 +25,6 @@ if TYPE_CHECKING:
     from flysid.fleet.models.gather import Gathered
     from flysid.ingest.align.recipe import Recipe
     from flysid.ingest.lake.lake import Lake
-
-F = TypeVar("F", bound=Callable[..., Any])
 
 
 @dataclass(frozen=True)
@@ -87,59 +85,39 @@ class FleetData:
         return found
 
 
-def fleet_data_options(function: F) -> F:
-    """Adds LAKE and the options of `FleetData`; the verb takes them as `data`."""
+def _fleet_data(lake: Path, recipe: str, channels: tuple[str, ...], jobs: int, **more: Any) -> FleetData:
+    from flysid.ingest.align.recipe import load_recipe
 
-    @wraps(function)
-    def verb(
-        *args: Any,
-        lake: Path,
-        recipe: str,
-        channels: tuple[str, ...],
-        rate_hz: float | None,
-        jobs: int,
-        cluster: str,
-        workers: int,
-        **options: Any,
-    ) -> Any:
-        from flysid.ingest.align.recipe import load_recipe
+    check_one_cluster(more["cluster"], more["workers"])
+    load_recipe(recipe).chosen(channels)
+    return FleetData(lake, recipe, channels, jobs=jobs or cores(), **more)
 
-        check_one_cluster(cluster, workers)
-        load_recipe(recipe).chosen(channels)
-        data = FleetData(lake, recipe, channels, rate_hz, jobs or cores(), cluster, workers)
-        return function(*args, data=data, **options)
 
-    decorated: Any = cluster_options(verb)
-    for option in (
-        click.option(
-            "--jobs",
-            "-j",
-            cls=Own,
-            default=0,
-            type=COUNT,
-            metavar="N",
-            help="Processes; one per core when not given.",
-        ),
-        click.option(
-            "--grid",
-            "rate_hz",
-            type=POSITIVE,
-            metavar="HZ",
-            help="Rate of the grid.",
-        ),
-        click.option(
-            "--channel", "-c", "channels", cls=Setting, multiple=True, help="Only this channel; repeatable."
-        ),
-        click.option(
-            "--recipe",
-            "-r",
-            cls=ProjectFile,
-            required=True,
-            shell_complete=complete.recipes,
-            help="Name or .toml file.",
-        ),
-        click.argument("lake", type=SOURCE),
-    ):
-        decorated = option(decorated)
-    chosen: F = decorated
-    return chosen
+fleet_data_options = gather(
+    "data",
+    _fleet_data,
+    click.argument("lake", type=SOURCE),
+    click.option(
+        "--recipe",
+        "-r",
+        cls=ProjectFile,
+        required=True,
+        shell_complete=complete.recipes,
+        help="Name or .toml file.",
+    ),
+    click.option(
+        "--channel", "-c", "channels", cls=Setting, multiple=True, help="Only this channel; repeatable."
+    ),
+    click.option("--grid", "rate_hz", type=POSITIVE, metavar="HZ", help="Rate of the grid."),
+    click.option(
+        "--jobs",
+        "-j",
+        cls=Own,
+        default=0,
+        type=COUNT,
+        metavar="N",
+        help="Processes; one per core when not given.",
+    ),
+    *CLUSTER,
+)
+"""LAKE and the options of `FleetData`; the verb takes them as `data`."""

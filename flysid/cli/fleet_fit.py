@@ -59,7 +59,6 @@ def command(
     effort: str,
     force: bool,
     as_json: bool,
-    quiet: bool,
     display: Display,
 ) -> int:
     """Fit a linear model to every group of a fleet's flights, and Takagi-Sugeno models to every vehicle.
@@ -88,9 +87,9 @@ def command(
     check_keys(keys)
     settings = settings_of(data, models, effort)
     check_settings(settings)
-    with data.engine(opened, quiet) as cluster:
+    with data.engine(opened, display.quiet) as cluster:
         with display.shown(), missing.gathering():
-            gathered = data.gather(opened, asked, cluster, quiet)
+            gathered = data.gather(opened, asked, cluster, display.quiet)
             fitted = fit_groups(gathered, keys)
         document = fitted.document(asked.name) | missing.to_dict()
         text = json.dumps(document, indent=1, allow_nan=False) + "\n"
@@ -108,7 +107,7 @@ def command(
             say(f"{name_of(group.key)}, {group.channel}: {group.reason}")
         failed = 0
         if ts and output is not None:
-            failed = run_vehicles(opened, data, output, settings, cluster, display, quiet)
+            failed = run_vehicles(opened, data, output, settings, cluster, display, display.quiet)
     return 3 if unfit or failed else 0
 
 

@@ -18,7 +18,7 @@ SHOWN = 3
 @click.option("--vehicle", cls=Own, required=True, metavar="NAME", help="Full name of the vehicle.")
 @click.option("--yes", cls=Own, is_flag=True, help="Do not ask.")
 @progress_options
-def command(lake: str, vehicle: str, yes: bool, quiet: bool, display: Display) -> None:
+def command(lake: str, vehicle: str, yes: bool, display: Display) -> None:
     """Remove a vehicle's flights: objects, rows, its part of compacted tables, and the catalogue's history.
 
     It lists what it cannot remove. Do not ingest or compact at the same time.
@@ -40,12 +40,12 @@ def command(lake: str, vehicle: str, yes: bool, quiet: bool, display: Display) -
         )
     with display.shown():
         done = forget(place, flights)
-    say(f"{counted(done.flights, 'flight')} and {counted(done.objects, 'object')} removed", quiet)
+    say(f"{counted(done.flights, 'flight')} and {counted(done.objects, 'object')} removed", display.quiet)
     if done.sources:
         some = ", ".join(done.sources[:SHOWN]) + (", ..." if len(done.sources) > SHOWN else "")
         say(f"the logs are still there, and the next ingest would bring them back: {printable(some)}")
     say(
         "not removed: former versions that the bucket keeps, its backups and access logs, caches in "
         "~/.cache/flysid of everyone who read them, and models that were fitted to them",
-        quiet,
+        display.quiet,
     )

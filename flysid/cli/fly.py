@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,8 +10,9 @@ import click
 from flysid.cli.bounds import AT_LEAST_ONE, NOT_NEGATIVE, POSITIVE
 from flysid.cli.design import a_range, refuse_given
 from flysid.cli.display import Display, progress_options
-from flysid.cli.output import ExitCode, align_columns, check_target, printable, say
-from flysid.cli.trust import Own, Setting
+from flysid.cli.options import target_options
+from flysid.cli.output import ExitCode, align_columns, print_json, printable, say
+from flysid.cli.trust import Setting
 from flysid.errors import UsageError
 from flysid.showing import counted
 
@@ -63,8 +63,7 @@ NO_WIND = (
 @click.option(
     "--data", type=click.Path(path_type=Path), help="With --on: the run's data, if they have moved."
 )
-@click.option("-o", "--out", type=click.Path(path_type=Path), help="The page, an HTML file.")
-@click.option("--force", cls=Own, is_flag=True, help="Replace the page if it exists.")
+@target_options("-o", "--out", replaced="page", help="The page, an HTML file.")
 @click.option("--json", "as_json", is_flag=True, help="Print the results as JSON.")
 @progress_options
 @click.pass_context
@@ -81,9 +80,7 @@ def command(
     limit: float | None,
     data: Path | None,
     out: Path | None,
-    force: bool,
     as_json: bool,
-    quiet: bool,
     display: Display,
 ) -> int:
     """Fly a design on vehicles that differ from the identified one.
@@ -102,8 +99,6 @@ def command(
     from flysid.design.trialpage import trial_page
     from flysid.files import write_atomically, writing_to
 
-    if out is not None:
-        check_target(out, force)
     with display.shown():
         if run is None:
             refuse_given(context, OF_MODELS, "simulated vehicles", "flies the demo's", "name a run: --on RUN")
@@ -112,7 +107,7 @@ def command(
             refuse_given(context, OF_SIMULATED, "a run", "flies its models", NO_WIND)
             campaign = _fly_on(run, design, vehicles, seed, delay, limit, data)
     if as_json:
-        click.echo(json.dumps(campaign.to_dict(), indent=1, allow_nan=False))
+        print_json(campaign.to_dict())
     else:
         for axis in campaign.rows:
             click.echo(printable(f"{axis}, {counted(campaign.vehicles, 'vehicle')}"))
@@ -121,15 +116,15 @@ def command(
         if held:
             say(
                 f"full tilt of the nominal vehicle holds {held}; beyond that, no gains can hold the position",
-                quiet,
+                display.quiet,
             )
         for note in campaign.notes:
-            say(printable(note), quiet)
-        say(SAFETY, quiet)
+            say(printable(note), display.quiet)
+        say(SAFETY, display.quiet)
     if out is not None:
         with writing_to(out):
             write_atomically(out, trial_page(campaign, f"Trial flights of {design.name}").encode())
-        say(f"page: {out}", quiet)
+        say(f"page: {out}", display.quiet)
     mine = [row for rows in campaign.rows.values() for row in rows if not row.law.startswith("present")]
     return ExitCode.CHECK_FAILED if any(row.lost or not row.stable for row in mine) else 0
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -15,9 +14,9 @@ import click
 from flysid.cli.addresses import SOURCE, here
 from flysid.cli.checks import Words
 from flysid.cli.display import Display
-from flysid.cli.output import align_columns, check_target, explain, printable, say, say_drawn
-from flysid.cli.source import READING_OF_A_LOOK, flight_options, opened_flights, reading_options
-from flysid.cli.trust import Own
+from flysid.cli.options import picture_options
+from flysid.cli.output import align_columns, explain, print_json, printable, say, say_drawn
+from flysid.cli.source import flight_options, flights_of_one_vehicle, reading_options
 from flysid.extras import Extra, extra
 from flysid.showing import fold
 
@@ -36,10 +35,7 @@ if TYPE_CHECKING:
     help="[default: roll, pitch]",
 )
 @flight_options
-@click.option(
-    "--plot", type=click.Path(dir_okay=False, path_type=Path), help="Write a Nyquist plot to this file."
-)
-@click.option("--force", cls=Own, is_flag=True, help="Replace the plot if it exists.")
+@picture_options("a Nyquist plot")
 @click.option("--json", "as_json", is_flag=True, help="Print everything as JSON.")
 @reading_options
 def command(
@@ -47,7 +43,6 @@ def command(
     axes: tuple[str, ...],
     selection: Selection,
     plot: Path | None,
-    force: bool,
     as_json: bool,
     told: Words,
 ) -> int:
@@ -59,26 +54,13 @@ def command(
     known of any axis). It proposes no gains. Given the folder of a run, it reads the flights of that run,
     and refuses one whose verdict is "not enough data".
     """
-    from flysid.ingest.lake.chosen_flights import require_one_vehicle, select
     from flysid.loops.judged import CAUTION, judge
-    from flysid.progress import part
     from flysid.validate.runs.run import RUN_FILE
-    from flysid.validate.show.pictures import check_picture
 
-    if plot is not None:
-        check_picture(plot)
-        check_target(plot, force, makes_folders=False)
     if (source / RUN_FILE).is_file():
         source, own = _of_run(source)
         selection = replace(selection, flights=selection.flights or own)
-    with (
-        Display().shown(),
-        opened_flights(source, told, selection=selection) as lake,
-        part(READING_OF_A_LOOK),
-    ):
-        chosen = select(lake, selection)
-        if not selection.pool:
-            require_one_vehicle(chosen)
+    with Display().shown(), flights_of_one_vehicle(source, told, selection) as chosen:
         logs = chosen.logs
         found = judge(logs, axes or ("roll", "pitch"))
     known = [j for j in found if j.margins is not None]
@@ -86,7 +68,7 @@ def command(
         from flysid.loops.contradictions import contradiction_of
 
         told_of = [j.to_dict() | {"contradiction": contradiction_of(j, found) or None} for j in found]
-        click.echo(json.dumps(told_of, indent=1, allow_nan=False))
+        print_json(told_of)
     else:
         click.echo("\n\n".join("\n".join(fold(printable(line)) for line in j.lines()) for j in found))
         by_name = {log.name: log for log in logs}

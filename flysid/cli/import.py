@@ -6,7 +6,8 @@ from pathlib import Path
 
 import click
 
-from flysid.cli.trust import Own, Setting
+from flysid.cli.options import target_options
+from flysid.cli.trust import Setting
 from flysid.errors import UsageError
 
 
@@ -19,21 +20,18 @@ from flysid.errors import UsageError
     help="Run whose signals, units and sample time the model is converted to.",
 )
 @click.option("--channel", "-c", cls=Setting, default="", help="Of the run.")
-@click.option("--out", "-o", required=True, type=click.Path(path_type=Path), help="Model file to write.")
-@click.option("--force", cls=Own, is_flag=True, help="Replace the file if it exists.")
-def command(source: Path, run: Path, channel: str, out: Path, force: bool) -> None:
+@target_options("--out", "-o", replaced="file", required=True, help="Model file to write.")
+def command(source: Path, run: Path, channel: str, out: Path) -> None:
     """Import a linear model from MATLAB or python-control (.mat, .m, .npz, .json).
 
     The result is a model file like any other: export it, plot it, or pass it to 'flysid validate --with'.
     Functions and FMUs are not imported; pass them to 'flysid validate --with' directly.
     """
-    from flysid.cli.output import check_target
     from flysid.outside.bring import bring
     from flysid.outside.like import Like
     from flysid.outside.simulator import Simulated
     from flysid.validate.runs.run import models_of, open_run
 
-    check_target(out, force)
     opened = open_run(run)
     channels = {c.name: c for c in opened.channels}
     if channel not in channels and (channel or len(channels) > 1):

@@ -7,17 +7,19 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from flysid.cli.bounds import COUNT, memory_option, time_option
+from flysid.cli.bounds import COUNT, bounds_options
+from flysid.cli.checks import Words
 from flysid.cli.display import Display, progress_options
 from flysid.cli.lakeoptions import LakeOptions, check_pattern, lake_options
 from flysid.cli.losses import report
 from flysid.cli.output import ExitCode, printable, say, say_passed_over
-from flysid.cli.source import date_order_option, format_option, time_unit_option
+from flysid.cli.source import reading_options
 from flysid.cli.trust import Own
 from flysid.showing import counted
 
 if TYPE_CHECKING:
     from flysid.ingest.lake.batch import Result
+    from flysid.ingest.lake.workers import Bounds
 
 
 @click.command("ingest")
@@ -34,11 +36,8 @@ if TYPE_CHECKING:
     metavar="N",
     help="Worker processes; one per core when not given.",
 )
-@memory_option
-@time_option
-@format_option
-@time_unit_option
-@date_order_option
+@bounds_options
+@reading_options
 @click.option(
     "--vehicle-in",
     cls=Own,
@@ -54,16 +53,12 @@ def command(
     logs: tuple[str, ...],
     data: str,
     jobs: int,
-    max_memory: int | None,
-    max_time: float | None,
-    format_: str,
-    time_unit: str,
-    date_order: str,
+    bounds: Bounds,
+    told: Words,
     vehicle_in: str,
     lake: LakeOptions,
     force: bool,
     as_json: bool,
-    quiet: bool,
     display: Display,
 ) -> int:
     """Read flight logs (files, folders, patterns) into typed parquet tables, one per message.
@@ -81,29 +76,24 @@ def command(
     command again.
     """
     check_pattern(vehicle_in)
-    from flysid.ingest.formats.base import Limits
     from flysid.ingest.lake.batch import ingest_logs
     from flysid.ingest.lake.finding import find_logs
-    from flysid.ingest.lake.workers import Bounds
 
-    bounds = Bounds(max_memory, max_time)
-    limits = Limits(time_unit=time_unit, date_order=date_order, format=format_)
+    limits = told.limits
     if lake.concerns(logs, data):
         from flysid.cli.lakeingest import ingest_to_lake
 
-        return ingest_to_lake(
-            logs, data, lake, limits, bounds, vehicle_in, jobs, force, as_json, quiet, display
-        )
+        return ingest_to_lake(logs, data, lake, limits, bounds, vehicle_in, jobs, force, as_json, display)
     found = find_logs(logs, bounds)
     results = []
     with display.shown():
-        again = force or bool(time_unit or date_order or format_)
+        again = force or told != Words()
         for result in ingest_logs(
             found, data, jobs=jobs, force=again, limits=limits, bounds=bounds, vehicle_in=vehicle_in
         ):
             results.append(result)
             said_below = result.unchanged or result.skipped
-            say(describe(result), quiet or said_below or display.live)
+            say(describe(result), display.quiet or said_below or display.live)
     results.sort(key=lambda r: str(r.path))
     if as_json:
         passed = [{"path": str(item.path), "kind": item.kind} for item in found.passed_over]
@@ -113,8 +103,8 @@ def command(
         for result in results:
             if result.flight and not result.unchanged:
                 click.echo(printable(result.flight.id))
-    say_passed_over(found.passed_over, quiet)
-    report(results, quiet)
+    say_passed_over(found.passed_over, display.quiet)
+    report(results, display.quiet)
     return exit_code(results)
 
 

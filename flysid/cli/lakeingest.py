@@ -36,7 +36,6 @@ def ingest_to_lake(
     jobs: int,
     force: bool,
     as_json: bool,
-    quiet: bool,
     display: Display,
 ) -> int:
     """Ingest once, or again and again; the exit code."""
@@ -54,17 +53,17 @@ def ingest_to_lake(
 
     def once(engine: Engine) -> int:
         found = found_logs(logs, settings, options, again)
-        outcomes = done(found, settings, engine, options, quiet, display)
+        outcomes = done(found, settings, engine, options, display)
         if as_json:
             click.echo(json.dumps(as_document(data, found, outcomes), indent=1))
         else:
             for outcome in outcomes:
                 if outcome.status == "ingested" and outcome.facts:
                     click.echo(printable(outcome.facts.id))
-        summarise(found, outcomes, quiet)
+        summarise(found, outcomes, display.quiet)
         return exit_code(outcomes, found)
 
-    with engine_for(options, jobs, quiet) as engine:
+    with engine_for(options, jobs, display.quiet) as engine:
         if options.watch_s is None:
             return once(engine)
         while True:
@@ -72,7 +71,7 @@ def ingest_to_lake(
                 once(engine)
             except PlaceError as error:
                 say(f"{error.message}; trying again in {duration(options.watch_s)}")
-            say(f"next look in {duration(options.watch_s)}", quiet)
+            say(f"next look in {duration(options.watch_s)}", display.quiet)
             time.sleep(options.watch_s)
 
 
@@ -90,7 +89,6 @@ def done(
     settings: Any,
     engine: Engine,
     options: LakeOptions,
-    quiet: bool,
     display: Display,
 ) -> list[LogOutcome]:
     """What became of every log that was read, by address."""
@@ -100,7 +98,7 @@ def done(
     with display.shown():
         for outcome in ingest(found, settings, engine, options.batch):
             outcomes.append(outcome)
-            say(describe(outcome), quiet or display.live or outcome.status == "unchanged")
+            say(describe(outcome), display.quiet or display.live or outcome.status == "unchanged")
     return sorted(outcomes, key=lambda outcome: outcome.log.url)
 
 

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from functools import wraps
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING
 
 import click
 
 from flysid.cli.bounds import COUNT
+from flysid.cli.options import gather
 from flysid.cli.output import say
 from flysid.cli.trust import Own, Setting
 from flysid.errors import UsageError
@@ -21,7 +21,6 @@ from flysid.showing import counted
 if TYPE_CHECKING:
     from flysid.fleet.cluster import Cluster
 
-F = TypeVar("F", bound=Callable[..., Any])
 LOOPBACK = re.compile(r"tcp://(127\.|localhost|\[::1\])")
 _UNITS = {"s": 1.0, "m": 60.0, "h": 3600.0, "d": 86400.0}
 
@@ -36,6 +35,9 @@ class LakeOptions:
     since: datetime | None = None
     watch_s: float | None = None
     retry: bool = False
+
+    def __post_init__(self) -> None:
+        check_one_cluster(self.cluster, self.workers)
 
     def concerns(self, logs: Sequence[str], data: str) -> bool:
         """Whether an object store is part of it; raises UsageError where these options want one."""
@@ -98,74 +100,53 @@ def _moment(_ctx: click.Context, _param: click.Parameter, text: str | None) -> d
     return when if when.tzinfo else when.replace(tzinfo=UTC)
 
 
-def cluster_options(function: F) -> F:
-    """Adds --cluster and --workers."""
-    for option in (
-        click.option(
-            "--workers",
-            cls=Own,
-            default=0,
-            type=COUNT,
-            metavar="N",
-            help="A Dask cluster of N processes on this machine.",
-        ),
-        click.option(
-            "--cluster",
-            cls=Own,
-            default="",
-            metavar="ADDRESS",
-            help="A Dask scheduler, e.g. tcp://10.0.0.1:8786; it runs code for anyone who can connect.",
-        ),
-    ):
-        function = option(function)
-    return function
+CLUSTER = (
+    click.option(
+        "--cluster",
+        cls=Own,
+        default="",
+        metavar="ADDRESS",
+        help="A Dask scheduler, e.g. tcp://10.0.0.1:8786; it runs code for anyone who can connect.",
+    ),
+    click.option(
+        "--workers",
+        cls=Own,
+        default=0,
+        type=COUNT,
+        metavar="N",
+        help="A Dask cluster of N processes on this machine.",
+    ),
+)
 
 
-def lake_options(function: F) -> F:
-    """Adds --cluster, --workers, --batch, --since, --watch and --retry; the verb takes them as one `lake`."""
-
-    @wraps(function)
-    def verb(
-        *args: Any,
-        cluster: str,
-        workers: int,
-        batch: int,
-        since: datetime | None,
-        watch_s: float | None,
-        retry: bool,
-        **options: Any,
-    ) -> Any:
-        check_one_cluster(cluster, workers)
-        return function(*args, lake=LakeOptions(cluster, workers, batch, since, watch_s, retry), **options)
-
-    decorated: Any = verb
-    for option in (
-        click.option("--retry", cls=Own, is_flag=True, help="From an address: logs in quarantine, too."),
-        click.option(
-            "--watch",
-            "watch_s",
-            cls=Own,
-            default=None,
-            metavar="TIME",
-            callback=seconds,
-            help="From an address: look again at this interval, e.g. 5m, until interrupted.",
-        ),
-        click.option(
-            "--since",
-            cls=Setting,
-            default=None,
-            metavar="DATE",
-            callback=_moment,
-            help="From an address: only logs that arrived then or later (UTC).",
-        ),
-        click.option(
-            "--batch",
-            default=32,
-            show_default=True,
-            type=click.IntRange(1, 1024),
-            help="Largest number of logs per task.",
-        ),
-    ):
-        decorated = option(decorated)
-    chosen: F = cluster_options(decorated)
-    return chosen
+lake_options = gather(
+    "lake",
+    LakeOptions,
+    *CLUSTER,
+    click.option(
+        "--batch",
+        default=32,
+        show_default=True,
+        type=click.IntRange(1, 1024),
+        help="Largest number of logs per task.",
+    ),
+    click.option(
+        "--since",
+        cls=Setting,
+        default=None,
+        metavar="DATE",
+        callback=_moment,
+        help="From an address: only logs that arrived then or later (UTC).",
+    ),
+    click.option(
+        "--watch",
+        "watch_s",
+        cls=Own,
+        default=None,
+        metavar="TIME",
+        callback=seconds,
+        help="From an address: look again at this interval, e.g. 5m, until interrupted.",
+    ),
+    click.option("--retry", cls=Own, is_flag=True, help="From an address: logs in quarantine, too."),
+)
+"""--cluster, --workers, --batch, --since, --watch and --retry; the verb takes them as one `lake`."""

@@ -37,7 +37,6 @@ def command(
     suggest: bool,
     every: bool,
     selection: Selection,
-    quiet: bool,  # noqa: ARG001
     display: Display,
 ) -> None:
     """List flights, or what they can identify.

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from enum import IntEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING
 
 import click
 
@@ -18,10 +19,9 @@ if TYPE_CHECKING:
     from flysid.ingest.lake.finding import PassedOver
     from flysid.validate.show.finish import Finished
 
-F = TypeVar("F", bound=Callable[..., Any])
 REASONS_SHOWN = 5
 NAMES_SHOWN = 3
-FORMS = ("json", "markdown", "csv")
+FORMS = {"json": "JSON", "markdown": "Markdown", "csv": "CSV"}
 
 
 class ExitCode(IntEnum):
@@ -53,6 +53,16 @@ def say(text: str, quiet: bool = False) -> None:
     """A line for people, on stderr."""
     if not quiet:
         click.echo(printable(text), err=True)
+
+
+def print_lines(lines: Iterable[str]) -> None:
+    """Lines for people, on stdout, each within the width."""
+    click.echo("\n".join(fold(printable(line)) for line in lines))
+
+
+def print_json(body: object) -> None:
+    """A document for programs, on stdout."""
+    click.echo(json.dumps(body, indent=1, allow_nan=False))
 
 
 def explain(text: str, quiet: bool = False) -> None:
@@ -115,15 +125,7 @@ def check_target(path: Path, force: bool, *, makes_folders: bool = True) -> None
     check_place(path, makes_folders=makes_folders)
 
 
-def comparison_forms(function: F) -> F:
-    """Adds --json, --markdown and --csv, as flags of these names; see `chosen_form`."""
-    for name, what in (("csv", "CSV"), ("markdown", "Markdown"), ("json", "JSON")):
-        text = f"Print the comparison as {what}."
-        function = click.option(f"--{name}", name, is_flag=True, help=text)(function)
-    return function
-
-
-def chosen_form(flags: Mapping[str, bool]) -> str:
+def chosen_form(**flags: bool) -> str:
     """The form asked for, "table" where none; raises UsageError where there is more than one."""
     asked = [name for name in FORMS if flags[name]]
     if len(asked) > 1:

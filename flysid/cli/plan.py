@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,15 +11,16 @@ import click
 from flysid.cli.bounds import POSITIVE
 from flysid.cli.checks import Asked, Words
 from flysid.cli.display import Display
-from flysid.cli.output import check_target, printable
+from flysid.cli.options import gather, target_options
+from flysid.cli.output import print_json, printable
 from flysid.cli.source import open_source, selection_options, words_options
-from flysid.cli.trust import Own, Setting
+from flysid.cli.trust import Setting
 from flysid.errors import UsageError
 from flysid.manifest import RUN_FILE
 
 if TYPE_CHECKING:
     from flysid.ingest.lake.chosen_flights import Selection
-    from flysid.plan.flightplan import CommandedAxis, FlightPlan
+    from flysid.plan.flightplan import CommandedAxis, FlightPlan, Kind
     from flysid.plan.precision import Known
 
 
@@ -33,6 +33,74 @@ class Beginning:
     recipe: str = ""
     known: tuple[Known, ...] = ()
     unknown: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Signals:
+    """What the command line says of the signals to fly.
+
+    Attributes
+    ----------
+    band : Hz; of a run's models where there is none.
+    place : where a sweep of ArduPilot enters; None: no parameters for ArduPilot.
+    """
+
+    band: tuple[float, float] | None
+    seconds: float
+    rate: float
+    kind: Kind
+    place: str | None
+    px4_plane: bool
+
+    def check(self) -> None:
+        """Raise UsageError where no signal can be as it is asked for, whatever the flights tell."""
+        from flysid.plan.autopilots import require_chirp
+        from flysid.plan.flightplan import check_flight
+
+        if self.band is not None:
+            check_flight(self.band, self.seconds, self.rate)
+        if self.place is not None:
+            require_chirp(self.kind, "ArduPilot")
+        if self.px4_plane:
+            require_chirp(self.kind, "PX4")
+
+
+signal_options = gather(
+    "signals",
+    Signals,
+    click.option(
+        "--band",
+        nargs=2,
+        type=POSITIVE,
+        metavar="LOW HIGH",
+        help="Hz.  [default: around the poles of a run's models]",
+    ),
+    click.option("--seconds", default=60.0, type=POSITIVE, show_default=True, help="Duration of the flight."),
+    click.option(
+        "--rate",
+        default=50.0,
+        type=POSITIVE,
+        show_default=True,
+        metavar="HZ",
+        help="Sample rate of plan.csv.",
+    ),
+    click.option(
+        "--kind",
+        default="multisine",
+        show_default=True,
+        type=click.Choice(["multisine", "chirp", "doublets"]),
+        help="Multisines on all axes at once, or one axis after the other.",
+    ),
+    click.option(
+        "--ardupilot",
+        "place",
+        type=click.Choice(["mixer", "rate", "angle", "recover"]),
+        help="With --kind chirp: also SID_* parameters; where the sweep enters.",
+    ),
+    click.option(
+        "--px4-plane", is_flag=True, help="With --kind chirp: also FW_AT_* parameters (PX4 v1.16 on)."
+    ),
+)
 
 
 @click.command("plan")
@@ -48,31 +116,7 @@ class Beginning:
 @click.option(
     "--limit", "limits", cls=Setting, multiple=True, metavar="NAME=PEAK", help="Largest amplitude of an axis."
 )
-@click.option(
-    "--band",
-    nargs=2,
-    type=POSITIVE,
-    metavar="LOW HIGH",
-    help="Hz.  [default: around the poles of a run's models]",
-)
-@click.option("--seconds", default=60.0, type=POSITIVE, show_default=True, help="Duration of the flight.")
-@click.option(
-    "--rate", default=50.0, type=POSITIVE, show_default=True, metavar="HZ", help="Sample rate of plan.csv."
-)
-@click.option(
-    "--kind",
-    default="multisine",
-    show_default=True,
-    type=click.Choice(["multisine", "chirp", "doublets"]),
-    help="Multisines on all axes at once, or one axis after the other.",
-)
-@click.option(
-    "--ardupilot",
-    "place",
-    type=click.Choice(["mixer", "rate", "angle", "recover"]),
-    help="With --kind chirp: also SID_* parameters; where the sweep enters.",
-)
-@click.option("--px4-plane", is_flag=True, help="With --kind chirp: also FW_AT_* parameters (PX4 v1.16 on).")
+@signal_options
 @click.option(
     "--more",
     default=3.0,
@@ -98,8 +142,7 @@ class Beginning:
 @click.option(
     "--data", type=click.Path(path_type=Path), help="The run's data, if they have moved since the fit."
 )
-@click.option("-o", "--out", type=click.Path(path_type=Path), help="Folder for the plan's files.")
-@click.option("--force", cls=Own, is_flag=True, help="Replace the folder if it exists.")
+@target_options("-o", "--out", replaced="folder", help="Folder for the plan's files.")
 @click.option("--json", "as_json", is_flag=True, help="Print everything as JSON.")
 @click.option("--quiet", "-q", is_flag=True, help="Print errors and warnings only.")
 @words_options
@@ -110,18 +153,12 @@ def command(
     words: Words,
     axes: tuple[str, ...],
     limits: tuple[str, ...],
-    band: tuple[float, float] | None,
-    seconds: float,
-    rate: float,
-    kind: Any,
-    place: str | None,
-    px4_plane: bool,
+    signals: Signals,
     more: float,
     aim: float | None,
     channels: tuple[str, ...],
     data: Path | None,
     out: Path | None,
-    force: bool,
     as_json: bool,
     quiet: bool,
 ) -> int:
@@ -134,26 +171,25 @@ def command(
     """
     from flysid.plan.flightplan import axis_of, check_limits, lowest_hz, make_plan, within
 
-    if out is not None:
-        check_target(out, force)
     if source is not None and not source.exists():
         raise UsageError("no such run, folder or log", path=source, hint="without one: --axis and --band")
-    own, bounds = (tuple(map(axis_of, words)) for words in (axes, limits))
+    own, bounds = (tuple(map(axis_of, texts)) for texts in (axes, limits))
     names = [axis.name for axis in own] or _commanded(source, words, channels)
     if names:
         check_limits(names, bounds)
-    _check_signals(band, seconds, rate, kind, ardupilot=place is not None, px4=px4_plane)
-    if band is None and not is_run(source):
+    signals.check()
+    if signals.band is None and not is_run(source):
         raise no_band()
-    begun = _begun(source, words, selection, channels, data, quiet)
+    begun = _begun(source, Asked(words, selection, channels), data, quiet)
     chosen = within(own or begun.axes, bounds)
     plan = None
-    if band or begun.band_hz or not begun.known:
-        lowest = lowest_hz(kind, len(chosen), seconds)
-        plan = make_plan(kind, chosen, _band(band, begun, rate, lowest), seconds, rate)
-    files = _files(plan, begun, words.outputs, place, px4_plane) if plan is not None else {}
+    if signals.band or begun.band_hz or not begun.known:
+        lowest = lowest_hz(signals.kind, len(chosen), signals.seconds)
+        band = signals.band or _band_of_models(begun, signals.rate, lowest)
+        plan = make_plan(signals.kind, chosen, band, signals.seconds, signals.rate)
+    files = _files(plan, begun, words.outputs, signals) if plan is not None else {}
     if as_json:
-        click.echo(json.dumps(_document(plan, begun, more, files), indent=1, allow_nan=False))
+        print_json(_document(plan, begun, more, files))
     else:
         _print(plan, begun, more, aim, files)
     if out is not None and plan is not None:
@@ -177,46 +213,23 @@ def _commanded(source: Path | None, words: Words, channels: tuple[str, ...]) -> 
     return list(dict.fromkeys(i for c in recipe.chosen(channels) for i in recipe.channel(c).inputs))
 
 
-def _check_signals(
-    band: tuple[float, float] | None, seconds: float, rate: float, kind: str, *, ardupilot: bool, px4: bool
-) -> None:
-    """Raise UsageError where no signal can be as it is asked for, whatever the flights tell."""
-    from flysid.plan.autopilots import require_chirp
-    from flysid.plan.flightplan import check_flight
-
-    if band is not None:
-        check_flight(band, seconds, rate)
-    if ardupilot:
-        require_chirp(kind, "ArduPilot")
-    if px4:
-        require_chirp(kind, "PX4")
-
-
 def is_run(source: Path | None) -> bool:
     """Whether a plan begins from a run."""
     return source is not None and (source / RUN_FILE).is_file()
 
 
-def _begun(
-    source: Path | None,
-    words: Words,
-    selection: Selection,
-    channels: tuple[str, ...],
-    data: Path | None,
-    quiet: bool,
-) -> Beginning:
+def _begun(source: Path | None, asked: Asked, data: Path | None, quiet: bool) -> Beginning:
     """What the source tells."""
     if source is None:
         return Beginning()
     if is_run(source):
-        return _of_run(source, channels, data)
+        return _of_run(source, asked.channels, data)
     from flysid.ingest.align.recipe import load_recipe, recipe_text
     from flysid.plan.briefing import axes_of_last_flight
 
-    asked = Asked(words, selection, channels)
     with Display(quiet=quiet).shown(), open_source(source, asked, None, quiet) as (lake, name):
         recipe = load_recipe(name)
-        wanted = channels or lake.channels(recipe)
+        wanted = asked.channels or lake.channels(recipe)
         found = [axes_of_last_flight(lake.dataset(recipe, channel)) for channel in wanted]
         return Beginning(_once(found), None, recipe_text(name)[0])
 
@@ -257,13 +270,8 @@ def _once(found: list[tuple[CommandedAxis, ...]]) -> tuple[CommandedAxis, ...]:
     return tuple({axis.name: axis for axes in found for axis in axes}.values())
 
 
-def _band(
-    band: tuple[float, float] | None, begun: Beginning, rate: float, lowest: float
-) -> tuple[float, float]:
-    """As asked for, or that of the models as far as this flight can show it: a pole that a run takes for
-    nearly an integrator would ask for days."""
-    if band:
-        return band
+def _band_of_models(begun: Beginning, rate: float, lowest: float) -> tuple[float, float]:
+    """As far as this flight can show it: a pole near an integrator would ask for days."""
     if begun.band_hz is None:
         raise no_band()
     low, high = begun.band_hz
@@ -279,7 +287,7 @@ def no_band() -> UsageError:
 
 
 def _files(
-    plan: FlightPlan, begun: Beginning, outputs: tuple[str, ...], place: str | None, px4_plane: bool
+    plan: FlightPlan, begun: Beginning, outputs: tuple[str, ...], signals: Signals
 ) -> dict[str, tuple[str, str]]:
     """Name -> text, and what to do with it."""
     from flysid.plan import autopilots
@@ -289,8 +297,8 @@ def _files(
     if begun.recipe or outputs:
         text = begun.recipe or recipe_for(plan, outputs)
         files["recipe.toml"] = (text, "afterwards: flysid fit LOG -r recipe.toml -o run")
-    own = autopilots.ardupilot(plan, place) if place else []
-    own += [autopilots.px4_plane(plan)] if px4_plane else []
+    own = autopilots.ardupilot(plan, signals.place) if signals.place else []
+    own += [autopilots.px4_plane(plan)] if signals.px4_plane else []
     return files | {f.name: (f.text, f.words) for f in own}
 
 

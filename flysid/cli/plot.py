@@ -12,6 +12,7 @@ import click
 
 from flysid.cli.addresses import SOURCE
 from flysid.cli.display import Display
+from flysid.cli.options import force_option
 from flysid.cli.source import opened_flights, plot_options, reading_options
 from flysid.cli.trust import Own, ProjectFile
 from flysid.showing import first_of
@@ -39,7 +40,7 @@ PAIRS = ("attitude", "rate", "velocity")
 @click.option("--term", is_flag=True, help="Draw in the terminal.")
 @click.option("--open/--no-open", "show", cls=Own, default=False, help="Open the page in the browser.")
 @reading_options
-@click.option("--force", cls=Own, is_flag=True, help="Replace the file if it exists.")
+@force_option("file")
 def command(
     source: Path,
     fields: tuple[str, ...],

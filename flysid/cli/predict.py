@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
@@ -13,9 +12,10 @@ import click
 from flysid.cli.addresses import SOURCE
 from flysid.cli.checks import Words
 from flysid.cli.display import Display
-from flysid.cli.output import check_target, explain, printable, say, say_drawn
-from flysid.cli.source import READING_OF_A_LOOK, flight_options, opened_flights, reading_options
-from flysid.cli.trust import Own, Setting
+from flysid.cli.options import picture_options
+from flysid.cli.output import explain, print_json, printable, say, say_drawn
+from flysid.cli.source import flight_options, flights_of_one_vehicle, reading_options
+from flysid.cli.trust import Setting
 from flysid.showing import fold
 
 if TYPE_CHECKING:
@@ -44,10 +44,7 @@ AXES = ("roll", "pitch", "yaw")
 )
 @click.option("--axis", "axes", multiple=True, type=click.Choice(AXES), help="[default: those that change]")
 @flight_options
-@click.option(
-    "--plot", type=click.Path(dir_okay=False, path_type=Path), help="Write the responses to this file."
-)
-@click.option("--force", cls=Own, is_flag=True, help="Replace the plot if it exists.")
+@picture_options("the responses")
 @click.option("--json", "as_json", is_flag=True, help="Print everything as JSON.")
 @reading_options
 def command(
@@ -57,7 +54,6 @@ def command(
     axes: tuple[str, ...],
     selection: Selection,
     plot: Path | None,
-    force: bool,
     as_json: bool,
     told: Words,
 ) -> int:
@@ -69,28 +65,15 @@ def command(
     flight; with fewer, for these. Exit code 3: nothing is known of any axis.
     """
     from flysid.errors import DataError, UsageError
-    from flysid.ingest.lake.chosen_flights import require_one_vehicle, select
     from flysid.loops.forecast import forecast
     from flysid.loops.new_settings import read_settings, settings_in
-    from flysid.progress import part
-    from flysid.validate.show.pictures import check_picture
 
     changes = (read_settings(file) if file is not None else {}) | settings_in(words)
     if not changes:
         raise UsageError("no other settings are given", hint="--set 'p_roll=58,d_roll=38' or --file NEW")
-    if plot is not None:
-        check_picture(plot)
-        check_target(plot, force, makes_folders=False)
     found: list[Forecast] = []
     refused: dict[str, DataError] = {}
-    with (
-        Display().shown(),
-        opened_flights(source, told, selection=selection) as lake,
-        part(READING_OF_A_LOOK),
-    ):
-        chosen = select(lake, selection)
-        if not selection.pool:
-            require_one_vehicle(chosen)
+    with Display().shown(), flights_of_one_vehicle(source, told, selection) as chosen:
         for axis in axes or _named(changes):
             try:
                 found.append(forecast(chosen.logs, axis, changes))
@@ -99,7 +82,7 @@ def command(
     if as_json:
         left_out = {axis: why.message for axis, why in refused.items()}
         body = {"settings": changes, "axes": [one.to_dict() for one in found], "refused": left_out}
-        click.echo(json.dumps(body, indent=1, allow_nan=False))
+        print_json(body)
     else:
         click.echo(
             "\n\n".join("\n".join(fold(printable(line)) for line in describe_forecast(one)) for one in found)

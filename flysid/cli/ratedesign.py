@@ -11,9 +11,9 @@ import click
 
 from flysid.cli.checks import Words
 from flysid.cli.display import Display
-from flysid.cli.output import check_target, printable, say
+from flysid.cli.output import print_json, printable, say
 from flysid.cli.predict import describe_forecast
-from flysid.cli.source import READING_OF_A_LOOK, opened_flights
+from flysid.cli.source import flights_of_one_vehicle
 from flysid.showing import fold
 
 if TYPE_CHECKING:
@@ -33,7 +33,6 @@ def design_rates(
     told: Words,
     out: Path | None,
     *,
-    force: bool,
     as_json: bool,
     display: Display,
 ) -> int:
@@ -44,19 +43,12 @@ def design_rates(
     UsageError : no such log, several vehicles, or a folder that is there.
     """
     from flysid.design.firmware import SAFETY
-    from flysid.ingest.lake.chosen_flights import require_one_vehicle, select
     from flysid.loops.proposal import propose
-    from flysid.progress import part
 
-    if out is not None:
-        check_target(out, force)
-    with display.shown(), opened_flights(source, told, selection=selection) as lake, part(READING_OF_A_LOOK):
-        chosen = select(lake, selection)
-        if not selection.pool:
-            require_one_vehicle(chosen)
+    with display.shown(), flights_of_one_vehicle(source, told, selection) as chosen:
         found = propose(chosen.logs, axes or AXES, bounds)
     if as_json:
-        click.echo(json.dumps(found.to_dict(), indent=1, allow_nan=False))
+        print_json(found.to_dict())
     else:
         for one in found.axes:
             click.echo("\n".join(fold(printable(line)) for line in describe_forecast(one)) + "\n")

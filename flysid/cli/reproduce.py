@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 import textwrap
 from functools import partial
@@ -13,6 +12,7 @@ from typing import TYPE_CHECKING
 import click
 
 from flysid.cli.display import Display, progress_options
+from flysid.cli.output import print_json
 from flysid.extras import Extra, extra
 
 if TYPE_CHECKING:
@@ -48,7 +48,7 @@ VERDICTS = {
     help="Also draw the paper's figures 4 to 6 as PDF (needs matplotlib: flysid[plot]).",
 )
 @progress_options
-def command(paper: str, as_json: bool, figures: Path | None, quiet: bool, display: Display) -> None:  # noqa: ARG001
+def command(paper: str, as_json: bool, figures: Path | None, display: Display) -> None:  # noqa: ARG001
     """Reproduce a paper's figures and rule tables, and state what cannot be reproduced.
 
     ardrone-ts: Takagi-Sugeno identification of the AR.Drone's longitudinal, lateral and vertical loops.
@@ -64,7 +64,7 @@ def command(paper: str, as_json: bool, figures: Path | None, quiet: bool, displa
     if figures is not None:
         extra(Extra.FIGURES, partial(draw_figures, results, figures), ())
     if as_json:
-        click.echo(json.dumps(to_document(results), indent=1, allow_nan=False))
+        print_json(to_document(results))
         return
     click.echo("\n\n".join(loop_text(r) for r in results))
     click.echo("\nWhat cannot be reproduced, and why")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shlex
 from collections.abc import Sequence
 from contextlib import ExitStack
@@ -16,9 +15,10 @@ import click
 from flysid.cli.addresses import SOURCE
 from flysid.cli.checks import Words
 from flysid.cli.display import Display
-from flysid.cli.output import ExitCode, check_target, explain, printable, say
+from flysid.cli.options import target_options
+from flysid.cli.output import ExitCode, explain, print_json, printable, say
 from flysid.cli.source import flight_options, opened_flights, reading_options
-from flysid.cli.trust import Own, Setting
+from flysid.cli.trust import Setting
 from flysid.extras import Extra, Missing, extra
 from flysid.showing import fold
 
@@ -31,13 +31,13 @@ if TYPE_CHECKING:
 @click.command("review")
 @click.argument("sources", type=SOURCE, nargs=-1, required=True, metavar="LOG...")
 @flight_options
-@click.option(
+@target_options(
     "-o",
     "--output",
+    replaced="page",
     type=click.Path(dir_okay=False, path_type=Path),
     help="Write the page to this file, and proposed parameters beside it.",
 )
-@click.option("--force", cls=Own, is_flag=True, help="Replace the page if it exists.")
 @click.option("--json", "as_json", is_flag=True, help="Print everything as JSON.")
 @click.option("--markdown", "as_markdown", is_flag=True, help="Print Markdown, for a pull request.")
 @click.option(
@@ -51,7 +51,6 @@ def command(
     sources: tuple[Path, ...],
     selection: Selection,
     output: Path | None,
-    force: bool,
     as_json: bool,
     as_markdown: bool,
     condition: str | None,
@@ -76,11 +75,9 @@ def command(
         raise UsageError("--json and --markdown each say what to print", hint="give one of them")
     if condition:
         check_grammar(condition)
-    if output is not None:
-        check_target(output, force, makes_folders=True)
     found, series = _reviewed(sources, told, selection, with_evidence=output is not None)
     if as_json:
-        click.echo(json.dumps(_document(found, series), indent=1, allow_nan=False))
+        print_json(_document(found, series))
     elif as_markdown:
         from flysid.reviews.lines import markdown
 

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from flysid.cli.output import align_columns, say
+from flysid.cli.output import align_columns, print_json, say
 
 if TYPE_CHECKING:
     from flysid.validate.runs.history import RunChannel
@@ -32,7 +31,7 @@ def command(folders: tuple[Path, ...], as_json: bool) -> int:
     channels, damaged = list_runs(folders or (Path(),))
     order = ranked(channels)
     if as_json:
-        click.echo(json.dumps({"runs": [c.to_dict() for c in order]}, indent=1, allow_nan=False))
+        print_json({"runs": [c.to_dict() for c in order]})
     elif order:
         click.echo("\n".join(align_columns([HEADINGS, *(row(c) for c in order)])))
     for reason in damaged:

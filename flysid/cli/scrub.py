@@ -11,10 +11,11 @@ from typing import TYPE_CHECKING
 import click
 
 from flysid.cli.addresses import SOURCE
+from flysid.cli.checks import Words
 from flysid.cli.display import Display
+from flysid.cli.options import force_option, gather
 from flysid.cli.output import ExitCode, explain, printable, say
 from flysid.cli.source import format_option
-from flysid.cli.trust import Own
 from flysid.errors import FormatError
 from flysid.progress import tell
 
@@ -33,22 +34,21 @@ if TYPE_CHECKING:
     show_default=True,
     help="Move all positions to a neutral place, keeping the motion; or empty them.",
 )
-@format_option
-@click.option("--force", cls=Own, is_flag=True, help="Replace the copy if it exists.")
+@gather("told", Words, format_option)
+@force_option("copy")
 @click.option("--json", "as_json", is_flag=True, help="Print what was removed as JSON.")
 @click.option("--quiet", "-q", is_flag=True)
-def command(log: Path, output: Path, gps: Gps, format_: str, force: bool, as_json: bool, quiet: bool) -> int:
+def command(log: Path, output: Path, gps: Gps, told: Words, force: bool, as_json: bool, quiet: bool) -> int:
     """Write a copy of a log without private data, in the same format.
 
     Positions are moved or removed. Serial numbers, names, passwords, paths, texts with identifiers and
     embedded files are removed. Unreadable bytes are left out. Prints what was removed, and where. Exit code
     3: something could not be read.
     """
-    from flysid.ingest.formats.base import Limits
     from flysid.ingest.formats.common.scrub_rules import UNREADABLE
     from flysid.ingest.formats.scrubbing import KEPT, scrub_log
 
-    work = partial(scrub_log, out=output, gps=gps, force=force, limits=Limits(format=format_))
+    work = partial(scrub_log, out=output, gps=gps, force=force, limits=told.limits)
     with Display(quiet=quiet).shown():
         tell("scrubbing", log=log.name)
         done = apart(work, log)

@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
-from functools import partial, wraps
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING
 
 import click
 
 from flysid.cli import complete
 from flysid.cli.bounds import POSITIVE
 from flysid.cli.checks import Asked, Words, check_flights, check_source, is_ingested, refuse_reading_again
+from flysid.cli.options import gather
 from flysid.cli.output import NAMES_SHOWN, say
 from flysid.cli.trust import ProjectFile, Setting
 from flysid.errors import FlysidError, FormatError, RecipeError, UsageError, WriteError
@@ -26,7 +27,6 @@ if TYPE_CHECKING:
     from flysid.ingest.lake.finding import FoundLogs
     from flysid.ingest.lake.lake import Lake
 
-F = TypeVar("F", bound=Callable[..., Any])
 READING_OF_A_FIT = 0.05
 READING_OF_A_LOOK = 0.5
 """Shares of the work that reading the logs is, before a fit and before a look."""
@@ -52,156 +52,63 @@ def _known_order(_ctx: click.Context, _param: click.Parameter, order: str) -> st
 
 format_option = click.option(
     "--format",
-    "format_",
     cls=Setting,
     default="",
     metavar="NAME",
     callback=_known_format,
     help="Format of the log, where it is not detected: tlog, csv, ...",
 )
-time_unit_option = click.option(
-    "--time-unit",
-    cls=Setting,
-    default="",
-    metavar="UNIT",
-    callback=_known_unit,
-    help="Unit of a table's times, where it names none: s, ms, us, ns, min, h or d.",
-)
-date_order_option = click.option(
-    "--date-order",
-    cls=Setting,
-    default="",
-    metavar="ORDER",
-    callback=_known_order,
-    help="Order of a table's dates, where 04/05/2025 may be meant two ways: dmy, mdy or ymd.",
-)
-
-
-def words_options(function: F) -> F:
-    """Adds --recipe, --from, --to, --dt, --time-unit, --date-order and --format, as one `words`."""
-
-    @wraps(function)
-    def verb(
-        *args: Any,
-        recipe: str,
-        inputs: tuple[str, ...],
-        outputs: tuple[str, ...],
-        dt: float | None,
-        time_unit: str,
-        date_order: str,
-        format_: str,
-        **options: Any,
-    ) -> Any:
-        words = Words(recipe, inputs, outputs, dt, time_unit, date_order, format_)
-        return function(*args, words=words, **options)
-
-    decorated: Any = verb
-    for option in (
-        format_option,
-        date_order_option,
-        time_unit_option,
-        click.option(
-            "--dt", type=POSITIVE, metavar="SECONDS", help="Sample time of a table without a time column."
-        ),
-        click.option(
-            "--to",
-            "outputs",
-            cls=Setting,
-            multiple=True,
-            metavar="[STREAM.]FIELD",
-            help="Output; repeatable.",
-        ),
-        click.option(
-            "--from",
-            "inputs",
-            cls=Setting,
-            multiple=True,
-            metavar="[STREAM.]FIELD",
-            help="Input, instead of a recipe; repeatable.",
-        ),
-        click.option(
-            "--recipe",
-            "-r",
-            cls=ProjectFile,
-            default="",
-            shell_complete=complete.recipes,
-            help="A shipped recipe, or a .toml file.",
-        ),
-    ):
-        decorated = option(decorated)
-    chosen: F = decorated
-    return chosen
-
-
-def reading_options(function: F) -> F:
-    """Adds --format, --time-unit and --date-order; the verb takes them as one `told`."""
-
-    @wraps(function)
-    def verb(*args: Any, format_: str, time_unit: str, date_order: str, **options: Any) -> Any:
-        told = Words("", (), (), None, time_unit, date_order, format_)
-        return function(*args, told=told, **options)
-
-    decorated: Any = date_order_option(time_unit_option(format_option(verb)))
-    chosen: F = decorated
-    return chosen
-
-
-def plot_options(function: F) -> F:
-    """Adds --flight, --exclude, --vehicle, --pool, --between and --mode; the verb takes one `selection`."""
-    return _selecting(function, _STRETCHES)
-
-
-def flight_options(function: F) -> F:
-    """Which flights, and of which vehicle: --flight, --exclude, --vehicle, --pool."""
-    return _selecting(function)
-
-
-def selection_options(function: F) -> F:
-    """As `plot_options`, and --keep-mishaps."""
-    return _selecting(function, (_MISHAPS, *_STRETCHES))
-
-
-def _selecting(function: F, more: Sequence[Callable[[Any], Any]] = ()) -> F:
-    @wraps(function)
-    def verb(
-        *args: Any,
-        only_flights: tuple[str, ...],
-        exclude: tuple[str, ...],
-        vehicle: str,
-        pool: bool,
-        between: str = "",
-        modes: tuple[str, ...] = (),
-        mishaps: bool = False,
-        **options: Any,
-    ) -> Any:
-        from flysid.ingest.lake.chosen_flights import Selection
-        from flysid.ingest.lake.stretches import Stretches
-
-        without = tuple(text for text in exclude if "@" in text or "#" in text)
-        whole = tuple(text for text in exclude if text not in without)
-        parts = Stretches(between, modes, mishaps, without)
-        return function(*args, selection=Selection(only_flights, whole, vehicle, pool, parts), **options)
-
-    decorated: Any = verb
-    for option in (*more, *_FLIGHTS):
-        decorated = option(decorated)
-    chosen: F = decorated
-    return chosen
-
-
-def given(selection: Selection) -> Selection | None:
-    """The selection, if one was made."""
-    return selection if selection.options else None
-
-
-_FLIGHTS = (
-    click.option("--pool", is_flag=True, help="Allow flights of several vehicles."),
+_READING = (
     click.option(
-        "--vehicle",
+        "--time-unit",
         cls=Setting,
         default="",
-        metavar="NAME",
-        help="Only this vehicle; part of its name is enough.",
+        metavar="UNIT",
+        callback=_known_unit,
+        help="Unit of a table's times, where it names none: s, ms, us, ns, min, h or d.",
+    ),
+    click.option(
+        "--date-order",
+        cls=Setting,
+        default="",
+        metavar="ORDER",
+        callback=_known_order,
+        help="Order of a table's dates, where 04/05/2025 may be meant two ways: dmy, mdy or ymd.",
+    ),
+    format_option,
+)
+_FIELD = "[STREAM.]FIELD"
+_CHANNELS = (
+    click.option(
+        "--recipe",
+        "-r",
+        cls=ProjectFile,
+        default="",
+        shell_complete=complete.recipes,
+        help="A shipped recipe, or a .toml file.",
+    ),
+    click.option(
+        "--from",
+        "inputs",
+        cls=Setting,
+        multiple=True,
+        metavar=_FIELD,
+        help="Input, instead of a recipe; repeatable.",
+    ),
+    click.option("--to", "outputs", cls=Setting, multiple=True, metavar=_FIELD, help="Output; repeatable."),
+    click.option(
+        "--dt", type=POSITIVE, metavar="SECONDS", help="Sample time of a table without a time column."
+    ),
+)
+_FLIGHTS = (
+    click.option(
+        "--flight",
+        "only_flights",
+        cls=Setting,
+        multiple=True,
+        metavar="FLIGHT",
+        shell_complete=complete.flights,
+        help="Only this flight, by the beginning of its id; repeatable.",
     ),
     click.option(
         "--exclude",
@@ -212,22 +119,22 @@ _FLIGHTS = (
         help="Leave out a flight, or a part: 0042@12:30..14:00; repeatable.",
     ),
     click.option(
-        "--flight",
-        "only_flights",
+        "--vehicle",
         cls=Setting,
-        multiple=True,
-        metavar="FLIGHT",
-        shell_complete=complete.flights,
-        help="Only this flight, by the beginning of its id; repeatable.",
+        default="",
+        metavar="NAME",
+        help="Only this vehicle; part of its name is enough.",
     ),
-)
-_MISHAPS = click.option(
-    "--keep-mishaps",
-    "mishaps",
-    is_flag=True,
-    help="Keep crashes, failsafes and losses of control.",
+    click.option("--pool", is_flag=True, help="Allow flights of several vehicles."),
 )
 _STRETCHES = (
+    click.option(
+        "--between",
+        cls=Setting,
+        default="",
+        metavar="FROM..TO",
+        help="Only this part of every flight: 12:30..14:00 (min:s).",
+    ),
     click.option(
         "--mode",
         "modes",
@@ -236,14 +143,47 @@ _STRETCHES = (
         metavar="MODE",
         help="Only this flight mode; repeatable.",
     ),
-    click.option(
-        "--between",
-        cls=Setting,
-        default="",
-        metavar="FROM..TO",
-        help="Only this part of every flight: 12:30..14:00 (min:s).",
-    ),
 )
+_MISHAPS = click.option(
+    "--keep-mishaps",
+    "mishaps",
+    is_flag=True,
+    help="Keep crashes, failsafes and losses of control.",
+)
+
+
+def _selection(
+    only_flights: tuple[str, ...],
+    exclude: tuple[str, ...],
+    vehicle: str,
+    pool: bool,
+    between: str = "",
+    modes: tuple[str, ...] = (),
+    mishaps: bool = False,
+) -> Selection:
+    from flysid.ingest.lake.chosen_flights import Selection
+    from flysid.ingest.lake.stretches import Stretches
+
+    without = tuple(text for text in exclude if "@" in text or "#" in text)
+    whole = tuple(text for text in exclude if text not in without)
+    return Selection(only_flights, whole, vehicle, pool, Stretches(between, modes, mishaps, without))
+
+
+words_options = gather("words", Words, *_CHANNELS, *_READING)
+"""--recipe, --from, --to, --dt and those of `reading_options`."""
+reading_options = gather("told", Words, *_READING)
+"""--time-unit, --date-order and --format."""
+flight_options = gather("selection", _selection, *_FLIGHTS)
+"""Which flights, and of which vehicle: --flight, --exclude, --vehicle, --pool."""
+plot_options = gather("selection", _selection, *_FLIGHTS, *_STRETCHES)
+"""As `flight_options`, and --between and --mode."""
+selection_options = gather("selection", _selection, *_FLIGHTS, *_STRETCHES, _MISHAPS)
+"""As `plot_options`, and --keep-mishaps."""
+
+
+def given(selection: Selection) -> Selection | None:
+    """The selection, if one was made."""
+    return selection if selection.options else None
 
 
 @contextmanager
@@ -361,7 +301,7 @@ def opened_flights(
     from flysid.ingest.lake.lake import open as open_lake
     from flysid.ingest.lake.workers import Bounds
 
-    words = told or Words("", (), (), None)
+    words = told or Words()
     if is_ingested(source):
         refuse_reading_again(source, words)
         whole = open_lake(source)
@@ -375,6 +315,24 @@ def opened_flights(
         place = Path(folder) / "data"
         with _naming(source, place):
             yield open_lake(_taken_in(logs, source, place, words, True, share))
+
+
+@contextmanager
+def flights_of_one_vehicle(source: Path, told: Words, selection: Selection) -> Iterator[Lake]:
+    """The flights that are chosen of a source, read for this block only, as the first part of a look.
+
+    Raises
+    ------
+    UsageError : several vehicles that are not to be pooled; as `opened_flights`. FormatError : as there.
+    """
+    from flysid.ingest.lake.chosen_flights import require_one_vehicle, select
+    from flysid.progress import part
+
+    with opened_flights(source, told, selection=selection) as lake, part(READING_OF_A_LOOK):
+        chosen = select(lake, selection)
+        if not selection.pool:
+            require_one_vehicle(chosen)
+        yield chosen
 
 
 @contextmanager

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
@@ -14,11 +13,10 @@ from flysid.cli.addresses import SOURCE
 from flysid.cli.bounds import POSITIVE
 from flysid.cli.checks import Words
 from flysid.cli.display import Display
-from flysid.cli.output import check_target, printable, say_drawn
+from flysid.cli.options import picture_options
+from flysid.cli.output import print_json, print_lines, say_drawn
 from flysid.cli.reviewed_logs import reviewed_logs
 from flysid.cli.source import flight_options, reading_options
-from flysid.cli.trust import Own
-from flysid.showing import fold
 
 if TYPE_CHECKING:
     from flysid.ingest.lake.chosen_flights import Selection
@@ -44,8 +42,7 @@ OVER = ("time", "throttle", "rpm")
     type=click.Choice(OVER),
     help="Of the plot's map.  [default: throttle where it moves, else time]",
 )
-@click.option("--plot", type=click.Path(dir_okay=False, path_type=Path), help="Write a plot to this file.")
-@click.option("--force", cls=Own, is_flag=True, help="Replace the plot if it exists.")
+@picture_options("a plot")
 @click.option("--json", "as_json", is_flag=True, help="Print everything as JSON.")
 @reading_options
 def command(
@@ -57,7 +54,6 @@ def command(
     ground: bool,
     over: str | None,
     plot: Path | None,
-    force: bool,
     as_json: bool,
     told: Words,
 ) -> None:
@@ -70,11 +66,6 @@ def command(
     """
     from flysid.reviews.field_spectra import field_spectra, quantity_over
 
-    if plot is not None:
-        from flysid.validate.show.pictures import check_picture
-
-        check_picture(plot)
-        check_target(plot, force, makes_folders=False)
     with Display().shown(), reviewed_logs(source, told, selection) as flights:
         found = [
             (flight, field_spectra(flight, fields, window_s=window, lowest_hz=lowest, on_ground=ground))
@@ -92,9 +83,9 @@ def command(
 def _print(found: Sequence[tuple[LoggedFlight, Sequence[FieldSpectrum]]], as_json: bool) -> None:
     if as_json:
         body = [{"log": flight.name, "spectra": [s.to_dict() for s in spectra]} for flight, spectra in found]
-        click.echo(json.dumps(body, indent=1, allow_nan=False))
+        print_json(body)
         return
     for flight, spectra in found:
         head = [flight.name] if len(found) > 1 else []
         lines = [*head, *(line for spectrum in spectra for line in spectrum.lines())]
-        click.echo("\n".join(fold(printable(line)) for line in lines))
+        print_lines(lines)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
@@ -15,7 +14,8 @@ from flysid.cli.addresses import SOURCE
 from flysid.cli.bounds import POSITIVE
 from flysid.cli.checks import Asked, Words, check_source
 from flysid.cli.display import Display
-from flysid.cli.output import check_target, printable, say_drawn, say_left_out
+from flysid.cli.options import picture_options
+from flysid.cli.output import print_json, printable, say_drawn, say_left_out
 from flysid.cli.source import (
     lost_on_the_way,
     open_source,
@@ -57,8 +57,7 @@ if TYPE_CHECKING:
     help="Also where the input reacts to the output, with a caution beside the figures.",
 )
 @click.option("--against", type=SOURCE, help="A second log or folder, drawn over the first.")
-@click.option("--plot", type=click.Path(dir_okay=False, path_type=Path), help="Write a plot to this file.")
-@click.option("--force", cls=Own, is_flag=True, help="Replace the plot if it exists.")
+@picture_options("a plot")
 @click.option("--json", "as_json", is_flag=True, help="Print everything as JSON.")
 @click.option("--quiet", "-q", is_flag=True, help="Print errors and warnings only.")
 def command(
@@ -71,7 +70,6 @@ def command(
     anyway: bool,
     against: Path | None,
     plot: Path | None,
-    force: bool,
     as_json: bool,
     quiet: bool,
 ) -> int:
@@ -83,11 +81,6 @@ def command(
     (--anyway estimates it, with a caution).
     Exit code 3: --channel named such a channel, or a log was read with losses.
     """
-    if plot is not None:
-        from flysid.validate.show.pictures import check_picture
-
-        check_picture(plot)
-        check_target(plot, force, makes_folders=False)
     asked = Asked(words, selection, channels, chooses=True)
     places = [data] if against is None else [data, against]
     for place in places:
@@ -116,7 +109,7 @@ def command(
         skipped |= {f"{name} of {of}" if of else name: reason for name, reason in why.items()}
     if as_json:
         body = {"recipe": name, "steps": [s.to_dict() for s in found], "skipped": skipped}
-        click.echo(json.dumps(body, indent=1, allow_nan=False))
+        print_json(body)
     else:
         for step in sorted(found, key=lambda s: s.name):
             click.echo("\n".join(printable(line) for line in step.line().split("\n")))

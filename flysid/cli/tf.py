@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from dataclasses import replace
 from functools import partial
@@ -16,7 +15,8 @@ from flysid.cli.addresses import SOURCE
 from flysid.cli.bounds import POSITIVE
 from flysid.cli.checks import Asked, Words, check_source
 from flysid.cli.display import Display, progress_options
-from flysid.cli.output import ExitCode, align_columns, check_target, explain, say, say_drawn, say_left_out
+from flysid.cli.options import gather, picture_options
+from flysid.cli.output import ExitCode, align_columns, explain, print_json, say, say_drawn, say_left_out
 from flysid.cli.source import (
     lost_on_the_way,
     open_source,
@@ -24,12 +24,13 @@ from flysid.cli.source import (
     selection_options,
     words_options,
 )
-from flysid.cli.trust import Own, Setting
+from flysid.cli.trust import Setting
 from flysid.extras import Missing
 from flysid.showing import fold
 
 if TYPE_CHECKING:
     from flysid.ingest.lake.chosen_flights import Selection
+    from flysid.model.transfer_function import TF
     from flysid.validate.transfers.identify import ChannelTransfers
 
 
@@ -46,6 +47,78 @@ def _auto_or(kind: type, words: str) -> Any:
         return number
 
     return parsed
+
+
+def _estimator(unstable: bool, no_refine: bool, dead_time: Any, **settings: Any) -> TF:
+    from flysid.model.transfer_function import TF
+
+    refine = not (unstable or no_refine)
+    return TF(dead_time_s=dead_time, stable=not unstable, refine=refine, **settings)
+
+
+estimator_options = gather(
+    "estimator",
+    _estimator,
+    click.option(
+        "--poles",
+        cls=Setting,
+        default="auto",
+        callback=_auto_or(int, "a whole number"),
+        show_default=True,
+        help="Number of poles, per output.",
+    ),
+    click.option(
+        "--zeros",
+        cls=Setting,
+        default="auto",
+        callback=_auto_or(int, "a whole number"),
+        show_default=True,
+        help="Number of zeros, per input.",
+    ),
+    click.option(
+        "--dead-time",
+        cls=Setting,
+        default="auto",
+        callback=_auto_or(float, "a number"),
+        show_default=True,
+        metavar="S",
+    ),
+    click.option(
+        "--hold",
+        default="zero",
+        show_default=True,
+        type=click.Choice(["zero", "first"]),
+        help="Inputs between samples: constant (commands) or linear (measured signals).",
+    ),
+    click.option(
+        "--trend",
+        default="none",
+        show_default=True,
+        type=click.Choice(["none", "remove", "estimate"]),
+        help="A line per segment: removed before the fit, or estimated with it.",
+    ),
+    click.option(
+        "--band",
+        nargs=2,
+        type=POSITIVE,
+        metavar="LOW HIGH",
+        help="Fit the response in this band only, rad/s.",
+    ),
+    click.option(
+        "--no-refine",
+        is_flag=True,
+        help="Keep the fit to the frequency response: no refinement of the free run.",
+    ),
+    click.option("--unstable", is_flag=True, help="Allow unstable poles; fits the frequency response only."),
+    click.option(
+        "--method",
+        default="local",
+        show_default=True,
+        type=click.Choice(["local", "welch", "multitaper"]),
+        help="How the frequency response is measured.",
+    ),
+)
+"""How a transfer function is identified; the verb takes it as an estimator."""
 
 
 @click.command("tf")
@@ -78,63 +151,9 @@ def _auto_or(kind: type, words: str) -> Any:
 @click.option(
     "--fail-if", "condition", cls=Setting, help="Exit with 4 if this holds: 'loop.phase_margin_deg.low < 45'."
 )
-@click.option(
-    "--poles",
-    cls=Setting,
-    default="auto",
-    callback=_auto_or(int, "a whole number"),
-    show_default=True,
-    help="Number of poles, per output.",
-)
-@click.option(
-    "--zeros",
-    cls=Setting,
-    default="auto",
-    callback=_auto_or(int, "a whole number"),
-    show_default=True,
-    help="Number of zeros, per input.",
-)
-@click.option(
-    "--dead-time",
-    cls=Setting,
-    default="auto",
-    callback=_auto_or(float, "a number"),
-    show_default=True,
-    metavar="S",
-)
-@click.option(
-    "--hold",
-    default="zero",
-    show_default=True,
-    type=click.Choice(["zero", "first"]),
-    help="Inputs between samples: constant (commands) or linear (measured signals).",
-)
-@click.option(
-    "--trend",
-    default="none",
-    show_default=True,
-    type=click.Choice(["none", "remove", "estimate"]),
-    help="A line per segment: removed before the fit, or estimated with it.",
-)
-@click.option(
-    "--band", nargs=2, type=POSITIVE, metavar="LOW HIGH", help="Fit the response in this band only, rad/s."
-)
-@click.option(
-    "--no-refine", is_flag=True, help="Keep the fit to the frequency response: no refinement of the free run."
-)
-@click.option("--unstable", is_flag=True, help="Allow unstable poles; fits the frequency response only.")
-@click.option(
-    "--method",
-    default="local",
-    show_default=True,
-    type=click.Choice(["local", "welch", "multitaper"]),
-    help="How the frequency response is measured.",
-)
+@estimator_options
 @click.option("--table", is_flag=True, help="Print the measured frequency response, too.")
-@click.option(
-    "--plot", type=click.Path(dir_okay=False, path_type=Path), help="Write a Bode plot to this file."
-)
-@click.option("--force", cls=Own, is_flag=True, help="Replace the plot if it exists.")
+@picture_options("a Bode plot")
 @click.option("--json", "as_json", is_flag=True, help="Print everything as JSON.")
 @progress_options
 def command(
@@ -147,11 +166,9 @@ def command(
     condition: str | None,
     table: bool,
     plot: Path | None,
-    force: bool,
     as_json: bool,
-    quiet: bool,
+    estimator: TF,
     display: Display,
-    **settings: Any,
 ) -> int:
     """Identify transfer functions in s, with intervals, from the frequency response and the free run.
 
@@ -161,36 +178,19 @@ def command(
     held-out flights. Channels that the data do not support are named. Exit code 3: --channel named one of
     them, or a log was read with losses; 4: --fail-if holds.
     """
-    if plot is not None:
-        from flysid.validate.show.pictures import check_picture
-
-        check_picture(plot)
-        check_target(plot, force, makes_folders=False)
     asked = Asked(words, selection, channels, chooses=True)
     check_source(data, asked)
     from flysid.ingest.align.recipe import load_recipe
     from flysid.ingest.lake.recipe_choice import commands_of
-    from flysid.model.transfer_function import TF
     from flysid.validate.transfers.expected_figures import Figures
     from flysid.validate.transfers.identify import identify
 
-    estimator = TF(
-        poles=settings["poles"],
-        zeros=settings["zeros"],
-        dead_time_s=settings["dead_time"],
-        hold=settings["hold"],
-        trend=settings["trend"],
-        stable=not settings["unstable"],
-        refine=not (settings["unstable"] or settings["no_refine"]),
-        band=settings["band"] or None,
-        method=settings["method"],
-    )
     estimator.check()
     figures = Figures(tuple(channels), tuple(reference), reference_at, condition)
     if words.recipe:
         figures.check(words.recipe)
     missing = Missing()
-    with display.shown(), open_source(data, asked, None, quiet) as (lake, chosen):
+    with display.shown(), open_source(data, asked, None, display.quiet) as (lake, chosen):
         recipe = load_recipe(chosen)
         wanted = channels or (commands_of(recipe) if asked.is_open else ())
         replace(figures, channels=wanted).check(chosen)
@@ -199,7 +199,7 @@ def command(
                 lake, chosen, estimator, channels=wanted, reference=reference, reference_at=reference_at
             )
         lost = lost_on_the_way(data, lake)
-        say_mixed_gains(lake, quiet)
+        say_mixed_gains(lake, display.quiet)
     if as_json:
         body = {
             "recipe": words.recipe or recipe.name,
@@ -207,13 +207,13 @@ def command(
             "skipped": dict(skipped),
             **missing.to_dict(),
         }
-        click.echo(json.dumps(body, indent=1, allow_nan=False))
+        print_json(body)
     else:
         click.echo("\n\n".join(text_of(c, table) for c in found))
     if plot is not None:
         from flysid.validate.transfers.bodeplot import draw_bode
 
-        say_drawn("Bode plot", plot, partial(draw_bode, found, plot), quiet)
+        say_drawn("Bode plot", plot, partial(draw_bode, found, plot), display.quiet)
     for sentence in missing.sentences:
         explain(sentence)
     for name, why in skipped.items():

@@ -9,7 +9,8 @@ import click
 
 from flysid.cli.addresses import SOURCE
 from flysid.cli.display import Display, progress_options
-from flysid.cli.output import check_target, chosen_form, comparison_forms, end_comparison
+from flysid.cli.options import comparison_forms, force_option
+from flysid.cli.output import check_target, end_comparison
 from flysid.cli.source import given, selection_options
 from flysid.cli.trust import Own, Setting
 from flysid.progress import part
@@ -49,7 +50,7 @@ if TYPE_CHECKING:
     metavar="LABEL=VARIABLE",
     help="A variable of an FMU that a run starts from; repeatable.",
 )
-@click.option("--force", cls=Own, is_flag=True, help="Replace the report if it exists.")
+@force_option("report")
 @selection_options
 @comparison_forms
 @progress_options
@@ -63,16 +64,14 @@ def command(
     starts: tuple[str, ...],
     force: bool,
     selection: Selection,
-    quiet: bool,
+    form: str,
     display: Display,
-    **forms: bool,
 ) -> int:
     """Compare the models of a run on its held-out segments; write report.html and report.json.
 
     Models are judged in free run: they see the inputs and a window at the start, nothing else. Exit code 3:
     a fitted channel could not be judged; 4: --fail-if holds.
     """
-    form = chosen_form(forms)
     from flysid.validate.compare.condition import check_condition
     from flysid.validate.runs.expected import expected_of_run
     from flysid.validate.runs.judge import judge_run
@@ -101,7 +100,7 @@ def command(
     if target != run / REPORT and not beside and given(selection) is None:
         remember(finished, opened)
     click.echo(finished.text(form))
-    return end_comparison(finished, condition, page, quiet)
+    return end_comparison(finished, condition, page, display.quiet)
 
 
 def is_own_report(target: Path, run: Path) -> bool:

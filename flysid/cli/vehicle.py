@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shlex
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
@@ -16,10 +15,10 @@ from flysid.cli import complete
 from flysid.cli.addresses import SOURCE
 from flysid.cli.checks import Words
 from flysid.cli.display import Display, progress_options
-from flysid.cli.output import check_target, printable, say
+from flysid.cli.options import target_options
+from flysid.cli.output import print_json, print_lines, say
 from flysid.cli.source import READING_OF_A_FIT, flight_options, opened_flights, reading_options
-from flysid.cli.trust import Own, ProjectFile, Setting
-from flysid.showing import fold
+from flysid.cli.trust import ProjectFile, Setting
 
 if TYPE_CHECKING:
     from flysid.ingest.align.signals import Log
@@ -48,14 +47,13 @@ RECIPE = "sixdof"
 )
 @click.option("--zero", cls=Setting, type=float, help="The motor command that stops.  [default: found]")
 @click.option("--calm", is_flag=True, help="Indoors: hold the wind at zero.")
-@click.option(
+@target_options(
     "--output",
     "-o",
-    cls=Own,
+    replaced="folder",
     type=click.Path(path_type=Path, file_okay=False),
     help="Write the vehicle here.",
 )
-@click.option("--force", cls=Own, is_flag=True, help="Replace the folder if it exists.")
 @click.option("--judge/--no-judge", default=True, help="Fit some flights anew, and judge on the others.")
 @click.option("--json", "as_json", is_flag=True, help="Print everything as JSON.")
 @reading_options
@@ -68,11 +66,9 @@ def command(
     zero: float | None,
     calm: bool,
     output: Path | None,
-    force: bool,
     judge: bool,
     as_json: bool,
     told: Words,
-    quiet: bool,
     display: Display,
 ) -> int:
     """Fit one model of the whole vehicle, with six degrees of freedom, to ordinary flights.
@@ -81,8 +77,6 @@ def command(
     attitude, velocity and position each tell more. A number that the flights do not determine is named, with
     the flight that would tell. 'flysid export' writes the vehicle for simulators and controllers.
     """
-    if output is not None:
-        check_target(output, force)
     from flysid.ingest.align.recipe import load_recipe
     from flysid.ingest.align.vehicle_channel import vehicle_data
     from flysid.sixdof.fitted import FILE
@@ -97,12 +91,12 @@ def command(
         found = judge_vehicle(estimator, data.dataset, vehicle) if judge else None
     if as_json:
         document = vehicle.to_dict() | ({"judged": found.to_dict()} if found is not None else {})
-        click.echo(json.dumps(document, indent=1, allow_nan=False))
+        print_json(document)
     else:
         lines = [*vehicle.lines(), *(found.lines() if found is not None else [])]
-        click.echo("\n".join(fold(printable(line)) for line in lines))
+        print_lines(lines)
     if data.lacking:
-        say(f"not logged: {', '.join(data.lacking)}", quiet)
+        say(f"not logged: {', '.join(data.lacking)}", display.quiet)
     if output is not None:
         from flysid.extras import Extra, extra
         from flysid.files import replacing_folder
@@ -112,9 +106,9 @@ def command(
             vehicle.save(folder / FILE)
             draw = partial(write_vehicle_page, folder / PAGE, vehicle, found, _typed(logs, recipe, output))
             page = extra(Extra.PAGE, draw, None, of="the vehicle")
-        say(f"written: {output / FILE}", quiet)
+        say(f"written: {output / FILE}", display.quiet)
         if page is not None:
-            say(f"its page, with pictures: {output / PAGE}", quiet)
+            say(f"its page, with pictures: {output / PAGE}", display.quiet)
     return 0
 
 

@@ -7,9 +7,8 @@ from pathlib import Path
 
 import click
 
-from flysid.cli.output import ExitCode, printable
+from flysid.cli.output import ExitCode, print_lines
 from flysid.errors import UsageError
-from flysid.showing import fold
 
 
 def watch_vehicle(folder: Path, log: Path, recipe: str, *, fail: bool, as_json: bool) -> int:
@@ -34,5 +33,5 @@ def watch_vehicle(folder: Path, log: Path, recipe: str, *, fail: bool, as_json: 
     if as_json:
         click.echo(json.dumps(found.to_dict()))
     else:
-        click.echo("\n".join(fold(printable(line)) for line in found.lines()))
+        print_lines(found.lines())
     return ExitCode.ALARM if fail and found.found else 0

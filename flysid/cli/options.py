@@ -1,0 +1,97 @@
+"""Groups of options: each is declared once, and a verb takes it as one value."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import wraps
+from pathlib import Path
+from typing import Any, TypeVar
+
+import click
+
+from flysid.cli.output import FORMS, check_target, chosen_form
+from flysid.cli.trust import Own
+
+F = TypeVar("F", bound=Callable[..., Any])
+Decorator = Callable[[Any], Any]
+
+
+def gather(name: str, make: Callable[..., Any], *options: Decorator) -> Callable[[F], F]:
+    """A decorator that adds options to a verb, which takes them as one value.
+
+    Parameters
+    ----------
+    name : of the verb's parameter.
+    make : makes the value of what was given, by the options' names: a dataclass, or a function.
+    options : `click.option` or `click.argument`, in the order of the help.
+    """
+
+    def decorate(function: F) -> F:
+        @wraps(function)
+        def verb(*args: Any, **given: Any) -> Any:
+            own = {option: given.pop(option) for option in names}
+            return function(*args, **{name: make(**own)}, **given)
+
+        decorated: Any = verb
+        before = len(getattr(verb, "__click_params__", ()))
+        for option in reversed(options):
+            decorated = option(decorated)
+        names = [parameter.name for parameter in decorated.__click_params__[before:]]
+        chosen: F = decorated
+        return chosen
+
+    return decorate
+
+
+def force_option(replaced: str) -> Decorator:
+    """--force: `replaced` is what the help calls that which is replaced."""
+    return click.option("--force", cls=Own, is_flag=True, help=f"Replace the {replaced} if it exists.")
+
+
+def target_options(
+    *flags: str, replaced: str, makes_folders: bool = True, **settings: Any
+) -> Callable[[F], F]:
+    """The option of a file or folder to write, and --force; the verb takes the path once it may be written.
+
+    Parameters
+    ----------
+    flags : of the option, as `click.option` takes them.
+    replaced : see `force_option`.
+    makes_folders : see `flysid.cli.output.check_target`.
+    """
+    option = click.option(*flags, **{"type": click.Path(path_type=Path), **settings})
+    name = max(flags, key=len).lstrip("-")
+
+    def checked(force: bool, **target: Path | None) -> Path | None:
+        if (path := target[name]) is not None:
+            check_target(path, force, makes_folders=makes_folders)
+        return path
+
+    return gather(name, checked, option, force_option(replaced))
+
+
+def picture_options(what: str) -> Callable[[F], F]:
+    """--plot and --force; the verb takes the path as `plot`, once a picture may be drawn there."""
+
+    def checked(plot: Path | None, force: bool) -> Path | None:
+        if plot is not None:
+            from flysid.validate.show.pictures import check_picture
+
+            check_picture(plot)
+            check_target(plot, force, makes_folders=False)
+        return plot
+
+    file = click.Path(dir_okay=False, path_type=Path)
+    option = click.option("--plot", type=file, help=f"Write {what} to this file.")
+    return gather("plot", checked, option, force_option("plot"))
+
+
+comparison_forms = gather(
+    "form",
+    chosen_form,
+    *(
+        click.option(f"--{name}", is_flag=True, help=f"Print the comparison as {what}.")
+        for name, what in FORMS.items()
+    ),
+)
+"""--json, --markdown and --csv; the verb takes the name of one of them, or "table"."""
