@@ -9,11 +9,12 @@ import importlib
 import json
 import sys
 import threading
-from collections.abc import AsyncIterator, Awaitable, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
 from functools import cached_property
 from importlib import resources
+from mimetypes import guess_type
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 from starlette.applications import Starlette
@@ -24,10 +25,9 @@ from starlette.responses import FileResponse, Response, StreamingResponse
 from starlette.routing import Route
 
 import flysid
-from flysid.errors import FlysidError, UsageError, WriteError
-from flysid.foreign import inner_path
+from flysid.errors import FlysidError, WriteError
 from flysid.studio import commands, forms
-from flysid.studio.folders import NotThere, Workspace, is_name
+from flysid.studio.folders import NotThere, Workspace
 from flysid.studio.guard import Quiet, RequestBounds, RequestGuard
 from flysid.studio.jobs import Job, Jobs
 from flysid.studio.live_stream import Live, seen_by, stream
@@ -47,7 +47,9 @@ UPLOT = ("uPlot.iife.min.js", "uPlot.min.css")  # of the report, which the studi
 QUIET_S = 1.0  # an address that was printed is asked for within this; a page is drawn when it has asked all
 SILENCE_S = 10.0  # an event stream says something at least this often
 Handler = Callable[[Request], Awaitable[Response]]
-Form = TypeVar("Form")
+Where = Mapping[str, str]
+Look = Callable[[Where, Any], object]
+"""What is found by the names in an address, and by the query as a form."""
 
 
 class Studio:
@@ -111,94 +113,26 @@ class Studio:
 
         return Recipes(self.workspace.recipes)
 
-    async def about(self, request: Request) -> Response:
-        query_of(request, forms.Nothing)
-        data = str(self.workspace.data)
-        folder = str(self.workspace.folder)
-        return answer(
-            {"version": flysid.__version__, "data": data, "folder": folder, "live": self._live is not None}
-        )
-
-    async def list_flights(self, request: Request) -> Response:
-        asked = query_of(request, forms.Listing)
-        return answer(await run_in_threadpool(self.flights.listing, asked.q, asked.most))
-
-    async def describe_flight(self, request: Request) -> Response:
-        query_of(request, forms.Nothing)
-        return answer(await run_in_threadpool(self.flights.describe, request.path_params["flight"]))
-
-    async def track(self, request: Request) -> Response:
-        query_of(request, forms.Nothing)
-        return answer(await run_in_threadpool(self.flights.track, request.path_params["flight"]))
-
-    async def review(self, request: Request) -> Response:
-        query_of(request, forms.Nothing)
-        return answer(await run_in_threadpool(self.reviews.document, request.path_params["flight"]))
-
-    async def review_page(self, request: Request) -> Response:
-        query_of(request, forms.Nothing)
-        page = await run_in_threadpool(self.reviews.page, request.path_params["flight"])
-        return Response(page, media_type="text/html", headers={"Content-Security-Policy": FRAME_POLICY})
-
-    async def spectrum(self, request: Request) -> Response:
-        query_of(request, forms.Nothing)
-        return answer(await run_in_threadpool(self.spectra.spectrum, request.path_params["flight"]))
-
-    async def spectrum_picture(self, request: Request) -> Response:
-        query_of(request, forms.Nothing)
-        drawn = await run_in_threadpool(self.spectra.picture, request.path_params["flight"])
-        return Response(drawn, media_type="image/svg+xml", headers={"Content-Security-Policy": FRAME_POLICY})
-
-    async def filters(self, request: Request) -> Response:
-        asked = query_of(request, forms.Filters)
-        flight = request.path_params["flight"]
-        return answer(await run_in_threadpool(self.spectra.filters, flight, asked.more, asked.without))
-
     async def series(self, request: Request) -> Response:
-        body = await run_in_threadpool(self.flights.series, query_of(request, forms.Window))
+        body = await run_in_threadpool(self.flights.series, forms.query_of(request, forms.Window))
         return Response(body, media_type="application/octet-stream")
 
-    async def suggest(self, request: Request) -> Response:
-        """The suggestions for a flight where they are known, else the job that finds them."""
-        query_of(request, forms.Nothing)
-        flight = request.path_params["flight"]
-        await run_in_threadpool(self.flights.manifest, flight)
-        return answer(await run_in_threadpool(commands.suggestions, self.jobs, self.workspace, flight))
-
-    async def align(self, request: Request) -> Response:
-        from flysid.studio.channels import align_channel
-
-        asked = query_of(request, forms.Aligned)
-        return answer(await run_in_threadpool(align_channel, self.workspace, self.recipes, asked))
-
-    async def list_recipes(self, request: Request) -> Response:
-        query_of(request, forms.Nothing)
-        return answer({"recipes": await run_in_threadpool(self.recipes.listing)})
-
-    async def list_models(self, request: Request) -> Response:
-        query_of(request, forms.Nothing)
-        from flysid.studio.channels import listed_models
-
-        return answer({"models": listed_models()})
-
-    async def recipe(self, request: Request) -> Response:
-        query_of(request, forms.Nothing)
-        name = request.path_params["name"]
-        if request.method == "PUT":
-            return answer(self.recipes.write(name, await body_of(request, forms.Draft)))
-        return answer(self.recipes.read(name))
+    async def write_recipe(self, request: Request) -> Response:
+        forms.query_of(request, forms.Nothing)
+        draft = await forms.body_of(request, forms.Draft)
+        return answer(self.recipes.write(request.path_params["name"], draft))
 
     async def judge_recipe(self, request: Request) -> Response:
         """A recipe as TOML and as a form, whichever of them was given; nothing is kept."""
         from flysid.studio.channels import judged
 
-        return answer(judged(await body_of(request, forms.Draft)))
+        return answer(judged(await forms.body_of(request, forms.Draft)))
 
     async def upload(self, request: Request) -> Response:
         """Keep a log; the job that takes it in."""
         from flysid.studio.uploads import keep_upload
 
-        asked = query_of(request, forms.Upload)
+        asked = forms.query_of(request, forms.Upload)
         length = int(request.headers["content-length"])
         path = await keep_upload(self.workspace.uploads, asked.name, request.stream(), length)
         job = self.jobs.add(*commands.ingest(self.workspace, path, asked))
@@ -206,53 +140,18 @@ class Studio:
 
     async def sample(self, request: Request) -> Response:
         """A simulated flight, for somebody who has no log at hand; the job that makes it."""
-        query_of(request, forms.Nothing)
+        forms.query_of(request, forms.Nothing)
         words, about, then = commands.sample(self.workspace)
         return answer({"job": told(self.jobs.add(words, "read", about, then))}, 202)
 
-    async def quick_look(self, request: Request) -> Response:
+    def _look_at_upload(self, where: Where, _asked: object) -> object:
         from flysid.studio.quick_look import quick_look
+        from flysid.studio.uploads import find_upload
 
-        query_of(request, forms.Nothing)
-        name = request.path_params["upload"]
-        found = list((self.workspace.uploads / name).glob("*")) if is_name(name) else []
-        found = [path for path in found if not path.name.startswith(".")]
-        if not found:
-            raise NotThere(f"no upload {name!r}")
-        log = inner_path(self.workspace.uploads, f"{name}/{found[0].name}", self.workspace.uploads)
-        return answer(await run_in_threadpool(quick_look, log))
-
-    async def fit(self, request: Request) -> Response:
-        asked = await body_of(request, forms.Fit)
-        words, run, then = commands.fit(self.workspace, self.recipes, asked)
-        if asked.preview:
-            return answer({"command": commands.shown(words), "then": commands.shown(then)})
-        return answer(told(self.jobs.add(words, "fit", {"run": str(run)}, then)), 202)
-
-    async def validate(self, request: Request) -> Response:
-        asked = await body_of(request, forms.Validate)
-        words, run = commands.validate(self.workspace, asked)
-        if asked.preview:
-            return answer({"command": commands.shown(words)})
-        return answer(told(self.jobs.add(words, "fit", {"run": str(run)})), 202)
-
-    async def compare(self, request: Request) -> Response:
-        asked = await body_of(request, forms.Compare)
-        words, out = commands.compare(self.workspace, asked)
-        if asked.preview:
-            return answer({"command": commands.shown(words)})
-        return answer(told(self.jobs.add(words, "fit", {"comparison": out.name})), 202)
-
-    async def comparison_page(self, request: Request) -> Response:
-        query_of(request, forms.Nothing)
-        return _page(commands.comparison_page(self.workspace, request.path_params["name"]))
-
-    async def list_jobs(self, request: Request) -> Response:
-        query_of(request, forms.Nothing)
-        return answer({"jobs": [told(job) for job in self.jobs.listing()]})
+        return quick_look(find_upload(self.workspace.uploads, where["upload"]))
 
     async def job(self, request: Request) -> Response:
-        query_of(request, forms.Nothing)
+        forms.query_of(request, forms.Nothing)
         job_id = request.path_params["job"]
         if request.method == "DELETE":
             await run_in_threadpool(self.jobs.cancel, job_id)
@@ -261,7 +160,7 @@ class Studio:
 
     async def job_events(self, request: Request) -> Response:
         """The job's log and states as server-sent events; `Last-Event-ID` resumes."""
-        query_of(request, forms.Nothing)
+        forms.query_of(request, forms.Nothing)
         job_id = request.path_params["job"]
         self.jobs.get(job_id)
         seen = request.headers.get("last-event-id", "0")
@@ -295,118 +194,169 @@ class Studio:
             raise NotThere("no link is open", hint="flysid studio --live udp:0.0.0.0:14550")
         return self._live
 
-    async def describe_live(self, request: Request) -> Response:
-        query_of(request, forms.Nothing)
-        return answer(self.live.describe())
-
     async def live_events(self, request: Request) -> Response:
         """What the link brings, as server-sent events; `Last-Event-ID` resumes."""
-        query_of(request, forms.Nothing)
+        forms.query_of(request, forms.Nothing)
         seen = seen_by(request.headers.get("last-event-id", ""))
         return StreamingResponse(stream(self.live, seen, self._leaving), media_type="text/event-stream")
 
-    async def list_runs(self, request: Request) -> Response:
+    def _about(self, _where: Where, _asked: object) -> object:
+        data = str(self.workspace.data)
+        folder = str(self.workspace.folder)
+        return {"version": flysid.__version__, "data": data, "folder": folder, "live": self._live is not None}
+
+    def _filters(self, where: Where, asked: forms.Filters) -> object:
+        return self.spectra.filters(where["flight"], asked.more, asked.without)
+
+    def _list_runs(self, _where: Where, _asked: object) -> object:
         from flysid.studio.run_views import list_runs
 
-        query_of(request, forms.Nothing)
-        return answer(await run_in_threadpool(list_runs, self.workspace))
+        return list_runs(self.workspace)
 
-    async def describe_run(self, request: Request) -> Response:
+    def _describe_run(self, where: Where, _asked: object) -> object:
         from flysid.studio.run_views import describe_run
 
-        query_of(request, forms.Nothing)
-        return answer(await run_in_threadpool(describe_run, self.workspace, request.path_params["run"]))
+        return describe_run(self.workspace, where["run"])
 
-    async def explanation(self, request: Request) -> Response:
+    def _explain(self, where: Where, asked: forms.Explained) -> object:
         from flysid.studio.explain import explain
 
-        asked = query_of(request, forms.Explained)
-        run = request.path_params["run"]
-        return answer(await run_in_threadpool(explain, self.workspace, run, asked))
+        return explain(self.workspace, where["run"], asked)
 
-    async def run_page(self, request: Request) -> Response:
-        from flysid.studio.run_views import page_of
-
-        query_of(request, forms.Nothing)
-        return _page(page_of(self.workspace, request.path_params["run"]))
-
-    async def worst(self, request: Request) -> Response:
+    def _find_worst(self, where: Where, _asked: object) -> object:
         from flysid.studio.explain import worst_seconds
 
-        query_of(request, forms.Nothing)
-        return answer(await run_in_threadpool(worst_seconds, self.workspace, request.path_params["run"]))
+        return worst_seconds(self.workspace, where["run"])
+
+    def _align(self, _where: Where, asked: forms.Aligned) -> object:
+        from flysid.studio.channels import align_channel
+
+        return align_channel(self.workspace, self.recipes, asked)
+
+    def _list_models(self, _where: Where, _asked: object) -> object:
+        from flysid.studio.channels import listed_models
+
+        return {"models": listed_models()}
+
+    def _suggest(self, where: Where, _asked: object) -> object:
+        """The suggestions for a flight where they are known, else the job that finds them."""
+        self.flights.manifest(where["flight"])
+        return commands.suggestions(self.jobs, self.workspace, where["flight"])
+
+    def _run_page(self, where: Where) -> Path:
+        from flysid.studio.run_views import page_of
+
+        return page_of(self.workspace, where["run"])
 
     async def report_file(self, request: Request) -> Response:
         from flysid.studio.run_views import file_of
 
-        query_of(request, forms.Nothing)
+        forms.query_of(request, forms.Nothing)
         path = file_of(self.workspace, request.path_params["run"], request.path_params["name"])
         return FileResponse(path, filename=path.name)
 
-    async def model(self, request: Request) -> Response:
+    def _model(self, where: Where) -> bytes:
         from flysid.studio.run_views import model_of
 
-        query_of(request, forms.Nothing)
-        where = request.path_params
-        body = model_of(self.workspace, where["run"], where["channel"], where["label"])
-        return Response(body, media_type="application/json")
+        return model_of(self.workspace, where["run"], where["channel"], where["label"])
 
-    def _after_loading(self, room: str, handler: Handler) -> Handler:
-        """The handler, when the room that it needs has been imported."""
-        loaded = self._loaded[room]
+    def _route(self, method: str, path: str, room: str, handler: Handler) -> Route:
+        """A route whose handler answers once the room that it needs has been imported; "": none."""
 
         async def waiting(request: Request) -> Response:
-            if not loaded.is_set():
-                await run_in_threadpool(loaded.wait)
+            if room and not self._loaded[room].is_set():
+                await run_in_threadpool(self._loaded[room].wait)
             return await handler(request)
 
-        return waiting
+        return Route(f"/api/1/{path}", waiting, methods=[method])
+
+    def _get(self, path: str, room: str, find: Look, form: type[Any] = forms.Nothing) -> Route:
+        """What is found by the names in the address and by the query: in a thread, where it needs a room."""
+
+        async def handler(request: Request) -> Response:
+            asked = forms.query_of(request, form)
+            where = request.path_params
+            return answer(await run_in_threadpool(find, where, asked) if room else find(where, asked))
+
+        return self._route("GET", path, room, handler)
+
+    def _get_page(self, path: str, room: str, find: Callable[[Where], Path | bytes | str]) -> Route:
+        """A page, picture or file of its own origin: its scripts run, and reach nothing of the studio."""
+
+        async def handler(request: Request) -> Response:
+            forms.query_of(request, forms.Nothing)
+            found = await run_in_threadpool(find, request.path_params)
+            headers = {"Content-Security-Policy": FRAME_POLICY}
+            if isinstance(found, Path):
+                return FileResponse(found, headers=headers)
+            return Response(found, headers=headers, media_type=guess_type(path)[0] or "application/json")
+
+        return self._route("GET", path, room, handler)
+
+    def _post_job(
+        self, path: str, room: str, form: type[Any], plan: Callable[[Any], commands.Planned]
+    ) -> Route:
+        """The job that `plan` makes of a body, or its commands alone for a preview."""
+
+        async def handler(request: Request) -> Response:
+            asked = await forms.body_of(request, form)
+            words, about, then = plan(asked)
+            if asked.preview:
+                after = {"then": commands.shown(then)} if then else {}
+                return answer({"command": commands.shown(words), **after})
+            return answer(told(self.jobs.add(words, "fit", about, then)), 202)
+
+        return self._route("POST", path, room, handler)
 
     def routes(self) -> list[Route]:
         """All routes; reads are GET, what makes or changes something is POST, PUT or DELETE."""
-        table = [
-            ("GET", "flights", "flights", self.list_flights),
-            ("GET", "flights/{flight}", "flights", self.describe_flight),
-            ("GET", "flights/{flight}/track", "flights", self.track),
-            ("GET", "flights/{flight}/suggestions", "flights", self.suggest),
-            ("GET", "flights/{flight}/review", "reviews", self.review),
-            ("GET", "flights/{flight}/review.html", "reviews", self.review_page),
-            ("GET", "flights/{flight}/spectrum", "spectra", self.spectrum),
-            ("GET", "flights/{flight}/spectrum.svg", "spectra", self.spectrum_picture),
-            ("GET", "flights/{flight}/filters", "spectra", self.filters),
-            ("GET", "series", "flights", self.series),
-            ("GET", "align", "channels", self.align),
-            ("GET", "models", "channels", self.list_models),
-            ("GET", "recipes", "channels", self.list_recipes),
-            ("POST", "recipes", "channels", self.judge_recipe),
-            ("GET", "recipes/{name}", "channels", self.recipe),
-            ("PUT", "recipes/{name}", "channels", self.recipe),
-            ("POST", "uploads", "uploads", self.upload),
-            ("POST", "samples", "uploads", self.sample),
-            ("GET", "uploads/{upload}", "quick_look", self.quick_look),
-            ("POST", "fits", "channels", self.fit),
-            ("POST", "validates", "run_views", self.validate),
-            ("POST", "compares", "run_views", self.compare),
-            ("GET", "comparisons/{name}/report.html", "run_views", self.comparison_page),
-            ("GET", "runs", "run_views", self.list_runs),
-            ("GET", "runs/{run}", "run_views", self.describe_run),
-            ("GET", "runs/{run}/explanation", "explain", self.explanation),
-            ("GET", "runs/{run}/worst", "explain", self.worst),
-            ("GET", "runs/{run}/files/{name}", "run_views", self.report_file),
-            ("GET", "runs/{run}/report.html", "run_views", self.run_page),
-            ("GET", "runs/{run}/models/{channel:path}/{label}", "run_views", self.model),
-        ]
+        get = self._get
+        page = self._get_page
+        post = self._post_job
+        route = self._route
+        home = self.workspace
         return [
-            *(
-                Route(f"/api/1/{path}", self._after_loading(room, handler), methods=[method])
-                for method, path, room, handler in table
+            get("flights", "flights", lambda _, q: self.flights.listing(q.q, q.most), forms.Listing),
+            get("flights/{flight}", "flights", lambda at, _: self.flights.describe(at["flight"])),
+            get("flights/{flight}/track", "flights", lambda at, _: self.flights.track(at["flight"])),
+            get("flights/{flight}/suggestions", "flights", self._suggest),
+            get("flights/{flight}/review", "reviews", lambda at, _: self.reviews.document(at["flight"])),
+            page("flights/{flight}/review.html", "reviews", lambda at: self.reviews.page(at["flight"])),
+            get("flights/{flight}/spectrum", "spectra", lambda at, _: self.spectra.spectrum(at["flight"])),
+            page("flights/{flight}/spectrum.svg", "spectra", lambda at: self.spectra.picture(at["flight"])),
+            get("flights/{flight}/filters", "spectra", self._filters, forms.Filters),
+            route("GET", "series", "flights", self.series),
+            get("align", "channels", self._align, forms.Aligned),
+            get("models", "channels", self._list_models),
+            get("recipes", "channels", lambda *_: {"recipes": self.recipes.listing()}),
+            route("POST", "recipes", "channels", self.judge_recipe),
+            get("recipes/{name}", "channels", lambda at, _: self.recipes.read(at["name"])),
+            route("PUT", "recipes/{name}", "channels", self.write_recipe),
+            route("POST", "uploads", "uploads", self.upload),
+            route("POST", "samples", "uploads", self.sample),
+            get("uploads/{upload}", "quick_look", self._look_at_upload),
+            post("fits", "channels", forms.Fit, lambda q: commands.fit(home, self.recipes, q)),
+            post("validates", "run_views", forms.Validate, lambda q: commands.validate(home, q)),
+            post("compares", "run_views", forms.Compare, lambda q: commands.compare(home, q)),
+            page(
+                "comparisons/{name}/report.html",
+                "run_views",
+                lambda at: commands.comparison_page(home, at["name"]),
             ),
-            Route("/api/1/about", self.about, methods=["GET"]),
-            Route("/api/1/jobs", self.list_jobs, methods=["GET"]),
-            Route("/api/1/jobs/{job}", self.job, methods=["GET", "DELETE"]),
-            Route("/api/1/jobs/{job}/events", self.job_events, methods=["GET"]),
-            Route("/api/1/live", self.describe_live, methods=["GET"]),
-            Route("/api/1/live/events", self.live_events, methods=["GET"]),
+            get("runs", "run_views", self._list_runs),
+            get("runs/{run}", "run_views", self._describe_run),
+            get("runs/{run}/explanation", "explain", self._explain, forms.Explained),
+            get("runs/{run}/worst", "explain", self._find_worst),
+            route("GET", "runs/{run}/files/{name}", "run_views", self.report_file),
+            page("runs/{run}/report.html", "run_views", self._run_page),
+            page("runs/{run}/models/{channel:path}/{label}", "run_views", self._model),
+            get("about", "", self._about),
+            get("jobs", "", lambda *_: {"jobs": [told(job) for job in self.jobs.listing()]}),
+            route("GET", "jobs/{job}", "", self.job),
+            route("DELETE", "jobs/{job}", "", self.job),
+            route("GET", "jobs/{job}/events", "", self.job_events),
+            get("live", "", lambda *_: self.live.describe()),
+            route("GET", "live/events", "", self.live_events),
             *asset_routes(),
         ]
 
@@ -450,32 +400,6 @@ def make_app(
     return RequestGuard(app, key, bounds or RequestBounds(), quiet)
 
 
-def query_of(request: Request, form: type[Form]) -> Form:
-    """The query as a form; raises UsageError that names what is wrong. Repeated names become tuples."""
-    known = {f.name: f for f in msgspec.structs.fields(form)}  # type: ignore[arg-type]
-    values: dict[str, Any] = {}
-    for name in request.query_params:
-        given = request.query_params.getlist(name)
-        is_many = name in known and isinstance(known[name].default, tuple)
-        if len(given) > 1 and not is_many:
-            raise UsageError(f"{name} is given {len(given)} times")
-        values[name] = tuple(given) if is_many else given[0]
-    return _convert(lambda: msgspec.convert(values, form, strict=False))
-
-
-async def body_of(request: Request, form: type[Form]) -> Form:
-    """The body, JSON, as a form; raises UsageError that names what is wrong."""
-    body = await request.body()
-    return _convert(lambda: msgspec.json.decode(body, type=form))
-
-
-def _convert(convert: Callable[[], Form]) -> Form:
-    try:
-        return convert()
-    except (msgspec.ValidationError, msgspec.DecodeError, RecursionError) as error:
-        raise UsageError(f"not understood: {error}") from error
-
-
 def answer(content: object, status: int = 200) -> Response:
     """JSON; numbers that are not finite become null."""
     return Response(msgspec.json.encode(content), status, media_type="application/json")
@@ -507,11 +431,6 @@ def asset_routes() -> list[Route]:
         return FileResponse(path, headers={"Cache-Control": "private, max-age=31536000, immutable"})
 
     return [Route("/", index, methods=["GET"]), Route(f"/{digest}/{{name}}", asset, methods=["GET"])]
-
-
-def _page(path: Path) -> Response:
-    """A report in a frame of its own origin: its scripts run, and reach nothing of the studio."""
-    return FileResponse(path, headers={"Content-Security-Policy": FRAME_POLICY})
 
 
 async def _refuse(_: Request, error: Exception) -> Response:

@@ -18,18 +18,10 @@ from flysid.studio.jobs import Jobs, Lane
 if TYPE_CHECKING:
     from flysid.studio.channels import Recipes
 
+Planned = tuple[list[str], dict[str, str], list[str]]
+"""The words of a command, what its job is about, and the words of the job that follows, if one does."""
 SAMPLE = "sample-flight"
-SAMPLE_FLIGHT = (
-    "--plant",
-    "ardrone",
-    "--plan",
-    "pilot",
-    "--format",
-    "ulog",
-    "--duration",
-    "60",
-    "--no-truth",
-)
+SAMPLE_FLIGHT = shlex.split("--plant ardrone --plan pilot --format ulog --duration 60 --no-truth")
 
 
 def ingest(workspace: Workspace, log: Path, asked: Upload) -> tuple[list[str], Lane, dict[str, str]]:
@@ -41,8 +33,8 @@ def ingest(workspace: Workspace, log: Path, asked: Upload) -> tuple[list[str], L
     return words, "read", {"upload": log.parent.name, "name": log.name}
 
 
-def sample(workspace: Workspace) -> tuple[list[str], dict[str, str], list[str]]:
-    """Simulate a flight, its folder, and the words that take it in."""
+def sample(workspace: Workspace) -> Planned:
+    """A simulated flight, and what takes it in."""
     workspace.uploads.mkdir(parents=True, exist_ok=True)
     folder = workspace.uploads / _free_name(workspace.uploads, SAMPLE)
     words = ["synth", "-o", str(folder), *SAMPLE_FLIGHT]
@@ -69,8 +61,8 @@ def suggestions(jobs: Jobs, workspace: Workspace, flight: str) -> dict[str, Any]
     return {"state": "done", "suggestions": found}
 
 
-def fit(workspace: Workspace, recipes: Recipes, asked: Fit) -> tuple[list[str], Path, list[str]]:
-    """The words of a fit, its run, and the words that judge it.
+def fit(workspace: Workspace, recipes: Recipes, asked: Fit) -> Planned:
+    """A fit, and what judges its run.
 
     Raises
     ------
@@ -103,22 +95,22 @@ def fit(workspace: Workspace, recipes: Recipes, asked: Fit) -> tuple[list[str], 
         words += [option, str(given)] if given not in ("", None) else []
     words += ["--keep-mishaps"] if asked.keep_mishaps else []
     run = workspace.runs / _free_name(workspace.runs, asked.name or asked.recipe or asked.outputs[0])
-    return [*words, "-o", str(run)], run, ["validate", str(run)]
+    return [*words, "-o", str(run)], {"run": str(run)}, ["validate", str(run)]
 
 
-def validate(workspace: Workspace, asked: Validate) -> tuple[list[str], Path]:
-    """The words that judge a run."""
+def validate(workspace: Workspace, asked: Validate) -> Planned:
+    """The verdict on a run."""
     run = workspace.run(asked.run)
     more = ["--figures", asked.figures, "--force"] if asked.figures else []
-    return ["validate", str(run), *more], run
+    return ["validate", str(run), *more], {"run": str(run)}, []
 
 
-def compare(workspace: Workspace, asked: Compare) -> tuple[list[str], Path]:
-    """The words that compare two runs, and the folder of the page."""
+def compare(workspace: Workspace, asked: Compare) -> Planned:
+    """The comparison of two runs."""
     a = workspace.run(asked.a)
     b = workspace.run(asked.b)
     out = workspace.folder / "comparisons" / f"{asked.a}-{asked.b}"
-    return ["compare", str(a), str(b), "-o", str(out), "--force"], out
+    return ["compare", str(a), str(b), "-o", str(out), "--force"], {"comparison": out.name}, []
 
 
 def comparison_page(workspace: Workspace, name: str) -> Path:

@@ -2,9 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from collections.abc import Callable
+from typing import Any, Literal, TypeVar
 
 import msgspec
+from starlette.requests import Request
+
+from flysid.errors import UsageError
+
+Form = TypeVar("Form")
 
 
 class Listing(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -116,3 +122,29 @@ class Compare(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     a: str
     b: str
     preview: bool = False
+
+
+def query_of(request: Request, form: type[Form]) -> Form:
+    """The query as a form; raises UsageError that names what is wrong. Repeated names become tuples."""
+    known = {f.name: f for f in msgspec.structs.fields(form)}  # type: ignore[arg-type]
+    values: dict[str, Any] = {}
+    for name in request.query_params:
+        given = request.query_params.getlist(name)
+        is_many = name in known and isinstance(known[name].default, tuple)
+        if len(given) > 1 and not is_many:
+            raise UsageError(f"{name} is given {len(given)} times")
+        values[name] = tuple(given) if is_many else given[0]
+    return _convert(lambda: msgspec.convert(values, form, strict=False))
+
+
+async def body_of(request: Request, form: type[Form]) -> Form:
+    """The body, JSON, as a form; raises UsageError that names what is wrong."""
+    body = await request.body()
+    return _convert(lambda: msgspec.json.decode(body, type=form))
+
+
+def _convert(convert: Callable[[], Form]) -> Form:
+    try:
+        return convert()
+    except (msgspec.ValidationError, msgspec.DecodeError, RecursionError) as error:
+        raise UsageError(f"not understood: {error}") from error

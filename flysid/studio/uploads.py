@@ -9,6 +9,8 @@ from pathlib import Path
 
 from flysid.errors import UsageError
 from flysid.files import slug, writing_to
+from flysid.foreign import inner_path
+from flysid.studio.folders import NotThere, is_name
 
 
 async def keep_upload(folder: Path, name: str, parts: AsyncIterator[bytes], length: int) -> Path:
@@ -41,3 +43,12 @@ async def keep_upload(folder: Path, name: str, parts: AsyncIterator[bytes], leng
         shutil.rmtree(place, ignore_errors=True)
         raise
     return path
+
+
+def find_upload(folder: Path, name: str) -> Path:
+    """The log of an upload; raises NotThere, and StoreError where it leads out of the folder."""
+    found = list((folder / name).glob("*")) if is_name(name) else []
+    found = [path for path in found if not path.name.startswith(".")]
+    if not found:
+        raise NotThere(f"no upload {name!r}")
+    return inner_path(folder, f"{name}/{found[0].name}", folder)

@@ -27,7 +27,6 @@ from flysid.validate.runs.judgedparts import chosen_lake, restrict
 from flysid.validate.runs.provenance import FIT_TIME, fit_command, provenance_of
 from flysid.validate.runs.run import (
     Beside,
-    HeldOut,
     Run,
     asked_for,
     held_out,
@@ -123,29 +122,19 @@ def judge_run(
     corrected = across_channels(comparisons)
     skipped = {**run.skipped, **{name: error.advice for name, error in failed.items()}}
     with missing.gathering():
-        context = _context(run, corrected, held, remark, data)
+        context = ReportContext(
+            comparisons=corrected,
+            train={h.channel.name: h.train for h in held},
+            command=f"{fit_command(run)} -o RUN && flysid validate RUN",
+            provenance=provenance_of(run, held),
+            remark=remark,
+            fit_seconds={h.channel.name: dict(h.channel.fit_seconds) for h in held},
+            flights=extra(Extra.FLIGHTS, partial(_flights, run, data), ()),
+            doubts={h.channel.name: h.channel.doubts for h in held if h.channel.name in corrected},
+        )
         loops = extra(Extra.GAINS, partial(_loops, run, data), ())
     context = replace(context, skipped=skipped, loops=loops, missing=missing)
     return Judgement(run, corrected, skipped, context, tuple(failed))
-
-
-def _context(
-    run: Run,
-    comparisons: Mapping[str, Comparison],
-    held: list[HeldOut],
-    remark: str,
-    data: str | Path | None,
-) -> ReportContext:
-    return ReportContext(
-        comparisons=comparisons,
-        train={h.channel.name: h.train for h in held},
-        command=f"{fit_command(run)} -o RUN && flysid validate RUN",
-        provenance=provenance_of(run, held),
-        remark=remark,
-        fit_seconds={h.channel.name: dict(h.channel.fit_seconds) for h in held},
-        flights=extra(Extra.FLIGHTS, partial(_flights, run, data), ()),
-        doubts={h.channel.name: h.channel.doubts for h in held if h.channel.name in comparisons},
-    )
 
 
 def _flights(run: Run, data: str | Path | None) -> tuple[FlightFacts, ...]:

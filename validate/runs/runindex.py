@@ -47,10 +47,12 @@ def list_runs(folders: Sequence[str | Path]) -> tuple[list[RunChannel], list[Sto
 
 
 def _list_runs(root: Path) -> tuple[list[RunChannel], list[StoreError]]:
+    from flysid.validate.runs.history import walk
+
     known = _read(root)
     now = Indexed()
     damaged = []
-    for folder in _runs_below(root):
+    for folder in sorted(walk(root)):
         name = os.path.relpath(folder, root)
         stamp = _stamp(folder)
         if name in known and known[name][0] == stamp:
@@ -64,12 +66,6 @@ def _list_runs(root: Path) -> tuple[list[RunChannel], list[StoreError]]:
         extra(Extra.INDEX, partial(_write, root, now), None, str(root))
     listed = [replace(c, folder=str(root / name)) for name, (_, own) in now.items() for c in own]
     return listed, damaged
-
-
-def _runs_below(root: Path) -> list[Path]:
-    from flysid.validate.runs.history import walk
-
-    return sorted(walk(root))
 
 
 def _stamp(folder: Path) -> Stamp:
