@@ -27,14 +27,14 @@ from flysid.cli.output import (
     shorten,
 )
 from flysid.cli.source import reading_options
-from flysid.cli.telemetry import telemetry
 from flysid.cli.trust import Own
-from flysid.errors import UsageError
+from flysid.errors import FlysidError, UsageError
 from flysid.facts.losses import lost_words, repeat_lines
 from flysid.progress import tell
 from flysid.showing import WIDTH, clock, counted, first_of, fold
 
 if TYPE_CHECKING:
+    from flysid.ingest.formats.base import Limits
     from flysid.ingest.lake.survey import Survey
     from flysid.ingest.lake.workers import Bounds
 
@@ -43,6 +43,8 @@ ROLES_SHOWN = {"ATT": "attitude", "CMD": "command", "VEL": "velocity"}
 CORRECTED = Path("corrected.toml")
 NOTHING = {"-", "?"}
 SHORTEST_NAME = 12
+VEHICLE_RECIPE = "sixdof"
+MOTOR = "motor"
 
 
 @click.command("doctor")
@@ -240,3 +242,38 @@ def as_document(path: Path, found: Survey) -> dict[str, Any]:
         "verdict": words,
         "advice": advice,
     }
+
+
+def telemetry_lines(path: Path, limits: Limits) -> tuple[str, ...]:
+    """Of one log, as `flysid vehicle` finds and leaves them out: a task for a worker process."""
+    from flysid.ingest.align.recipe import load_recipe
+    from flysid.ingest.align.signals import FlightLog
+    from flysid.ingest.align.vehicle_channel import vehicle_data
+    from flysid.ingest.formats.registry import read
+    from flysid.sixdof.records import flights_of
+
+    try:
+        data = vehicle_data([FlightLog(read(path, limits=limits))], load_recipe(VEHICLE_RECIPE)).dataset
+        return tuple(line for damage in flights_of(data).damage for line in damage.lines)
+    except FlysidError:
+        return ()  # no motors, no gyro, or nothing flies: then there is nothing to tell
+    except MemoryError:
+        return ()
+
+
+def telemetry(
+    surveys: Mapping[Path, Survey], limits: Limits, bounds: Bounds
+) -> Mapping[Path, tuple[str, ...]]:
+    """The lines of every log that holds commands of motors."""
+    from flysid.ingest.align.recipe import load_recipe
+    from flysid.ingest.lake.workers import read_bounded
+
+    signals = load_recipe(VEHICLE_RECIPE).signals
+    streams = tuple(
+        {s.stream for name, own in signals.items() if name.startswith(MOTOR) for s in own.sources}
+    )
+    chosen = [
+        path for path, found in surveys.items() if any(key.startswith(streams) for key in found.streams)
+    ]
+    look = partial(telemetry_lines, limits=limits)
+    return {path: lines for path, lines in read_bounded(look, chosen, 1, bounds) if isinstance(lines, tuple)}

@@ -12,8 +12,7 @@ from flysid.cli.bounds import POSITIVE
 from flysid.cli.checks import Words
 from flysid.cli.display import Display
 from flysid.cli.output import align_columns, print_json, printable
-from flysid.cli.reviewed_logs import reviewed_logs
-from flysid.cli.source import flight_options, reading_options
+from flysid.cli.source import flight_options, reading_options, reviewed_logs
 from flysid.cli.trust import Setting
 from flysid.showing import fold
 

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from flysid.ingest.lake.chosen_flights import Selection
     from flysid.ingest.lake.finding import FoundLogs
     from flysid.ingest.lake.lake import Lake
+    from flysid.reviews.logged import LoggedFlight
 
 READING_OF_A_FIT = 0.05
 READING_OF_A_LOOK = 0.5
@@ -333,6 +334,25 @@ def flights_of_one_vehicle(source: Path, told: Words, selection: Selection) -> I
         if not selection.pool:
             require_one_vehicle(chosen)
         yield chosen
+
+
+@contextmanager
+def reviewed_logs(source: Path, told: Words, selection: Selection) -> Iterator[list[LoggedFlight]]:
+    """The chosen flights as a review reads them, for this block only.
+
+    Raises
+    ------
+    UsageError, FormatError : as `opened_flights`.
+    """
+    from flysid.ingest.lake.chosen_flights import select
+    from flysid.progress import part
+    from flysid.reviews.logged import LoggedFlight
+
+    with opened_flights(source, told, selection=selection) as lake, part(READING_OF_A_LOOK):
+        yield [
+            LoggedFlight(log, log.manifest.damage, log.manifest.source.name)
+            for log in select(lake, selection).logs
+        ]
 
 
 @contextmanager

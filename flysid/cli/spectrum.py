@@ -15,8 +15,7 @@ from flysid.cli.checks import Words
 from flysid.cli.display import Display
 from flysid.cli.options import picture_options
 from flysid.cli.output import print_json, print_lines, say_drawn
-from flysid.cli.reviewed_logs import reviewed_logs
-from flysid.cli.source import flight_options, reading_options
+from flysid.cli.source import flight_options, reading_options, reviewed_logs
 
 if TYPE_CHECKING:
     from flysid.ingest.lake.chosen_flights import Selection

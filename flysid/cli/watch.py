@@ -18,10 +18,9 @@ import click
 from flysid.cli import complete
 from flysid.cli.addresses import SOURCE
 from flysid.cli.bounds import ALARM_RATE, POSITIVE
-from flysid.cli.output import ExitCode, check_target, printable, say
+from flysid.cli.output import ExitCode, check_target, print_lines, printable, say
 from flysid.cli.trust import Own, ProjectFile, Setting
 from flysid.cli.vehicleexport import is_vehicle
-from flysid.cli.vehiclewatch import watch_vehicle
 from flysid.errors import DataError, UsageError
 from flysid.showing import counted, one_of
 from flysid.surroundings import environment_of_the_user
@@ -271,3 +270,29 @@ def call(hook: str, event: Event) -> None:
             pipe.write(json.dumps(event.to_dict()).encode() + b"\n")
     except (OSError, ValueError) as error:
         say(f"--exec {hook!r} could not be run: {error}")
+
+
+def watch_vehicle(folder: Path, log: Path, recipe: str, *, fail: bool, as_json: bool) -> int:
+    """Print what has changed; the verb's exit code.
+
+    Raises
+    ------
+    UsageError : no such log; another number of motors. DataError, FormatError : no vehicle, or nothing flies.
+    """
+    from flysid.ingest.align.recipe import load_recipe
+    from flysid.ingest.align.signals import FlightLog
+    from flysid.ingest.align.vehicle_channel import vehicle_data
+    from flysid.ingest.formats.registry import read
+    from flysid.sixdof.changes import changes_since
+    from flysid.sixdof.fitted import load_vehicle
+
+    if not log.is_file():
+        raise UsageError("no such log", path=log, hint="a vehicle is watched in a log, not on a link")
+    vehicle = load_vehicle(folder)
+    data = vehicle_data([FlightLog(read(log))], load_recipe(recipe)).dataset
+    found = changes_since(vehicle, data)
+    if as_json:
+        click.echo(json.dumps(found.to_dict()))
+    else:
+        print_lines(found.lines())
+    return ExitCode.ALARM if fail and found.found else 0

@@ -96,7 +96,7 @@ def finish(judgement: Judgement, *, page: bool = False, figures: str | None = No
     Parameters
     ----------
     page : whether the page is described and its pictures are drawn.
-    figures : "pdf", "svg" or "png": figures for a paper, one per channel and output.
+    figures : "pdf", "svg" or "png": figures for a paper, one per channel and output of the page.
 
     Raises
     ------
@@ -110,11 +110,11 @@ def finish(judgement: Judgement, *, page: bool = False, figures: str | None = No
     if figures is not None:
         require_matplotlib()
     with context.missing.gathering():
-        if figures is not None:
-            files = extra(Extra.FIGURES, partial(figure_files, context, figures), {})
         if page:
             tell("drawing the page", share=0.9)
             described = extra(Extra.PAGE, partial(describe, context), None)
+        if figures is not None and described is not None:
+            files = extra(Extra.FIGURES, partial(figure_files, described, figures), {})
         paragraphs = _paragraphs(judgement)
     forms = {
         "markdown": to_markdown(

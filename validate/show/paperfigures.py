@@ -1,37 +1,38 @@
 """Figures for a paper, drawn by matplotlib as PDF, SVG or PNG; no window, no pyplot, no global state.
 
-One file per channel and output: measured and simulated output, error, input; static map; frequency response;
-memberships where the model has them. Sizes fit a double column (170 mm); fonts are embedded as text.
+One file per channel and output, of the page's own pictures: measured and simulated output, error, input;
+static map; memberships where the model has rules, else the frequency response. Sizes fit a double column
+(170 mm); fonts are embedded as text.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from markupsafe import Markup
 
 from flysid.errors import UsageError, WriteError
 from flysid.escaping import picture_text
 from flysid.files import write_atomically
-from flysid.model.capabilities import HasMemberships
 from flysid.validate.compare.comparison import Comparison
-from flysid.validate.compare.trials import FREE_RUN, StructureTrial, run_trials
-from flysid.validate.diagnose.context import ReportContext
-from flysid.validate.diagnose.responses import responses, steady_outputs
-from flysid.validate.show.page.overlay import drawn
-from flysid.validate.show.page.rulefigures import antecedent_range
-from flysid.validate.show.page.svg import BASELINE, CONTENDER
+from flysid.validate.compare.trials import FREE_RUN, run_trials
+from flysid.validate.show.page.describe import Page
+from flysid.validate.show.page.figures import key
+from flysid.validate.show.page.modelpanels import Panel
+from flysid.validate.show.page.overlay import WIDE, drawn
+from flysid.validate.show.page.sections import Section
+from flysid.validate.show.page.svg import BASELINE, CONTENDER, HALF
+from flysid.validate.show.sheets import Sheet, height_of, stroke_of
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 KINDS = ("pdf", "svg", "png")
 WIDTH_IN = 6.7
-HEIGHT_IN = 7.2
 SETTINGS: dict[Any, Any] = {
     "pdf.fonttype": 42,
     "svg.fonttype": "none",
@@ -39,29 +40,22 @@ SETTINGS: dict[Any, Any] = {
     "font.size": 8.0,
     "axes.linewidth": 0.6,
 }
-STYLES: dict[str, dict[str, Any]] = {
-    BASELINE: {"color": "#c2570c", "linestyle": "--", "linewidth": 1.0},
-    CONTENDER: {"color": "#1d5fd6", "linewidth": 1.0},
-}
-
-RULES = ("#5e2b97", "#0e8f85", "#6aa31b", "#dd9a10", "#c2334f", "#2d6cdf", "#8b5a2b", "#6b7280")
-"""As on the page, where it is light; sets carry their names, because colour alone says nothing in print."""
-BESIDE: dict[str, Any] = {"textcoords": "offset points", "ha": "center", "va": "bottom"}
 
 
-def figure_files(context: ReportContext, kind: str = "pdf") -> dict[str, bytes]:
-    """Name -> content of one figure per channel and output; equal input gives equal bytes.
+def figure_files(page: Page, kind: str = "pdf") -> dict[str, bytes]:
+    """Name -> content of one figure per channel and output of a page; equal pages give equal bytes.
 
     Raises
     ------
     UsageError : an unknown kind, or matplotlib is not installed.
     """
     _refuse_unknown(kind)
-    return {
-        f"channel-{number + 1}-{j + 1}.{kind}": _render(partial(draw, context, name, j), kind)
-        for number, (name, c) in enumerate(context.comparisons.items())
-        for j in range(len(c.test.outputs))
-    }
+    return {f"{_name(s)}.{kind}": _render(partial(draw_section, s), kind) for s in page.sections}
+
+
+def _name(section: Section) -> str:
+    """ "channel-1-2" of the second output of the first channel."""
+    return "-".join(["channel", *(str(int(number) + 1) for number in section.anchor[1:].split("-"))])
 
 
 def write_figure(path: Path, drawing: Callable[[], Figure]) -> Path:
@@ -96,19 +90,28 @@ def require_matplotlib() -> None:
         raise UsageError("matplotlib is not installed", hint="pip install 'flysid[plot]'") from error
 
 
-def draw(context: ReportContext, channel: str, output: int = 0) -> Figure:
-    """The figure of one channel and output, for a notebook; needs matplotlib."""
-    from matplotlib.figure import Figure
+def draw_section(section: Section) -> Figure:
+    """The free run with error and input; below it the static map, and fuzzy sets or a frequency response."""
+    drawn = zip((BASELINE, CONTENDER), section.models, strict=False)
+    names = key(
+        [("measured", "measured"), *((css, f"{model}, free run") for css, model in drawn)], section.name
+    )
+    sets = _find(section.sets, "Membership functions") if section.key else Markup("")
+    beside = sets or _find(section.dynamics, "Frequency response")
+    static = _find(section.dynamics, "Static map")
+    top = height_of(names)
+    below = top + height_of(section.still)
+    sheet = Sheet(WIDE, below + max(height_of(static), height_of(beside)) + top, WIDTH_IN)
+    sheet.lay(names, 44.0, 0.0)
+    sheet.lay(section.still, 0.0, top)
+    sheet.lay(static, 0.0, below)
+    sheet.lay(beside, WIDE - HALF, below)
+    return sheet.figure
 
-    figure = Figure(figsize=(WIDTH_IN, HEIGHT_IN), layout="constrained")
-    grid = figure.add_gridspec(4, 2, height_ratios=(3.0, 1.2, 1.0, 3.0))
-    top = figure.add_subplot(grid[0, :])
-    middle = figure.add_subplot(grid[1, :], sharex=top)
-    low = figure.add_subplot(grid[2, :], sharex=top)
-    _time_panels((top, middle, low), context, channel, output)
-    _static_panel(figure.add_subplot(grid[3, 0]), context, channel, output)
-    _last_panel(figure.add_subplot(grid[3, 1]), context, channel, output)
-    return figure
+
+def _find(panels: Sequence[Panel], title: str) -> Markup:
+    """The picture of the first panel whose title begins so; nothing where there is none."""
+    return next((panel.picture for panel in panels if panel.title.startswith(title)), Markup(""))
 
 
 def _render(drawing: Callable[[], Figure], kind: str) -> bytes:
@@ -134,10 +137,6 @@ def axis_label(name: str, unit: str = "") -> str:
     return picture_text(f"{name}, {unit}" if unit else name)
 
 
-def _longest(trials: tuple[StructureTrial, ...]) -> StructureTrial:
-    return max(trials, key=lambda t: len(t.y))
-
-
 def plot_free_run(comparison: Comparison, output: str | None, ax: Any) -> Any:
     """The longest held-out segment, measured and in free run of the models of the headline; the axes.
 
@@ -153,90 +152,19 @@ def plot_free_run(comparison: Comparison, output: str | None, ax: Any) -> Any:
         raise UsageError(f"no output {output!r}", hint=f"one of {', '.join(names)}")
     j = 0 if output is None else names.index(output)
     axes = ax if ax is not None else plt.subplots()[1]
-    _draw_free_run(
-        axes, comparison, _longest(tuple(run_trials(comparison.fitted, comparison.test, FREE_RUN))), j
-    )
-    axes.set_xlabel("time, s")
-    axes.legend()
-    return axes
-
-
-def _draw_free_run(axes: Axes, c: Comparison, trial: StructureTrial, j: int) -> None:
+    c = comparison
+    trial = max(run_trials(c.fitted, c.test, FREE_RUN), key=lambda t: len(t.y))
     t = c.dt_s * np.arange(trial.first, trial.first + len(trial.y))
     y = trial.y[:, j]
     reach = float(np.ptp(y)) or 1.0
     for name, css in drawn(c):
-        axes.plot(t, trial.yh[name][:, j], label=f"{picture_text(name).upper()}, free run", **STYLES[css])
-    axes.plot(t, y, color="black", linewidth=0.8, label="measured")
+        axes.plot(t, trial.yh[name][:, j], label=f"{picture_text(name).upper()}, free run", **stroke_of(css))
+    axes.plot(t, y, label="measured", **stroke_of("measured"))
     axes.set_ylim(float(y.min()) - 0.3 * reach, float(y.max()) + 0.3 * reach)
+    axes.set_xlabel("time, s")
     axes.set_ylabel(axis_label(c.test.outputs[j].name, c.test.outputs[j].unit))
     axes.set_title(
         f"{picture_text(c.channel or c.test.outputs[j].name)}: {picture_text(c.segments[trial.segment])}"
     )
-
-
-def _time_panels(panels: tuple[Axes, Axes, Axes], context: ReportContext, channel: str, j: int) -> None:
-    c = context.comparisons[channel]
-    trial = _longest(context.diagnoses[channel].free_runs)
-    top, middle, low = panels
-    t = c.dt_s * np.arange(trial.first, trial.first + len(trial.y))
-    y = trial.y[:, j]
-    _draw_free_run(top, c, trial, j)
-    for name, css in drawn(c):
-        middle.plot(t, y - trial.yh[name][:, j], **STYLES[css])
-    segment = c.test.segments[trial.segment]
-    signal = context.diagnoses[channel].outputs[j].main_input
-    low.plot(t, segment.u[trial.first :, signal], color="0.35", linewidth=0.8)
-    middle.set_ylabel(axis_label("error", c.test.outputs[j].unit))
-    low.set_ylabel(axis_label(c.test.inputs[signal].name, c.test.inputs[signal].unit))
-    low.set_xlabel("time, s")
-    top.tick_params(labelbottom=False)
-    middle.tick_params(labelbottom=False)
-    top.legend(loc="upper right", ncols=3, frameon=False)
-
-
-def _static_panel(panel: Axes, context: ReportContext, channel: str, j: int) -> None:
-    c = context.comparisons[channel]
-    data = context.train.get(channel, c.test)
-    signal = context.diagnoses[channel].outputs[j].main_input
-    u = np.concatenate([s.u for s in data.segments])
-    y = np.concatenate([s.y[:, j] for s in data.segments])
-    step = max(1, len(u) // 800)
-    panel.plot(u[::step, signal], y[::step], ".", color="0.75", markersize=2)
-    levels = np.linspace(float(u[:, signal].min()), float(u[:, signal].max()), 25)
-    for name, css in drawn(c):
-        panel.plot(levels, steady_outputs(c.fitted[name], levels, u.mean(axis=0), j, signal), **STYLES[css])
-    panel.set_xlabel(axis_label(c.test.inputs[signal].name, c.test.inputs[signal].unit))
-    panel.set_ylabel(axis_label(f"settled {c.test.outputs[j].name}", c.test.outputs[j].unit))
-    panel.set_ylim(float(y.min()) - 0.3 * float(np.ptp(y)), float(y.max()) + 0.3 * float(np.ptp(y)) + 1e-12)
-
-
-def _last_panel(panel: Axes, context: ReportContext, channel: str, j: int) -> None:
-    """Memberships over the first antecedent where there are several rules; else the frequency response."""
-    c = context.comparisons[channel]
-    model = c.fitted[c.contender] if c.contender else None
-    data = context.train.get(channel, c.test)
-    if isinstance(model, HasMemberships) and c.contender and c.models[c.contender].n_rules > 1:
-        name = model.antecedents[0]
-        limits = antecedent_range(name, data)
-        if limits is not None:
-            x = np.linspace(*limits, 200)
-            for r, grade in enumerate(model.memberships(0, x).T):
-                colour = RULES[r % len(RULES)]
-                panel.plot(x, grade, linewidth=1.0, color=colour)
-                peak = int(np.argmax(grade))
-                panel.annotate(f"A{r + 1}", (x[peak], grade[peak]), (0, 2), color=colour, **BESIDE)
-            panel.margins(y=0.12)
-            units = {s.name: s.unit for s in (*c.test.inputs, *c.test.outputs)}
-            panel.set_xlabel(axis_label(name, units.get(name.split("(")[0], "")))
-            panel.set_ylabel("membership")
-            return
-    signal = context.diagnoses[channel].outputs[j].main_input
-    seconds = max(len(s) for s in c.test.segments) * c.dt_s
-    hz = np.geomspace(2.0 / seconds, 0.5 / c.dt_s, 200)
-    for name, css in drawn(c):
-        for response in responses(c.fitted[name], hz, j, signal):
-            panel.loglog(hz, np.abs(response), **STYLES[css])
-    panel.set_xlabel("frequency, Hz")
-    units = (c.test.outputs[j].unit or "1", c.test.inputs[signal].unit or "1")
-    panel.set_ylabel(axis_label("gain", " per ".join(units)))
+    axes.legend()
+    return axes

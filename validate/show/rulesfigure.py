@@ -19,7 +19,8 @@ from flysid.model.base import Fitted
 from flysid.model.start import as_modelled, run_from_window, start_window
 from flysid.validate.diagnose.responses import steady_outputs
 from flysid.validate.show.page.rulefigures import SHOWN_FROM
-from flysid.validate.show.paperfigures import RULES, axis_label, require_matplotlib, write_figure
+from flysid.validate.show.paperfigures import axis_label, require_matplotlib, write_figure
+from flysid.validate.show.sheets import stroke_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -91,10 +92,14 @@ def _sets(panel: Axes, model: OfRules) -> None:
     low, high = model.trained_range[:, 0]
     x = np.linspace(low, high, 300)
     for r, grade in enumerate(model.memberships(0, x).T):
-        panel.plot(x, grade, color=RULES[r % len(RULES)], linewidth=1.0, label=f"A{r + 1}")
+        panel.plot(x, grade, **_stroke(r), label=f"A{r + 1}")
     panel.set_xlabel(axis_label(model.antecedents[0]))
     panel.set_ylabel("membership")
     panel.legend(ncols=2, frameon=False, fontsize=6)
+
+
+def _stroke(rule: int) -> dict[str, Any]:
+    return stroke_of(f"rule r{rule % 8 + 1}")
 
 
 def _over_time(panels: Any, model: OfRules, segment: Segment, at: tuple[int, int]) -> None:
@@ -136,10 +141,9 @@ def _rules(panels: Any, model: OfRules, segment: Segment, j: int) -> None:
     alone = model.rule_outputs(segment.u, y)[:, :, j]
     half = (strength.shape[1] + 1) // 2
     for r in range(strength.shape[1]):
-        colour = RULES[r % len(RULES)]
         said = np.where(strength[:, r] >= SHOWN_FROM, alone[:, r], np.nan)
-        panels[0].plot(t, said, color=colour, linewidth=0.8)
-        panels[1 + (r >= half)].plot(t, strength[:, r], color=colour, linewidth=0.8, label=f"R{r + 1}")
+        panels[0].plot(t, said, **_stroke(r))
+        panels[1 + (r >= half)].plot(t, strength[:, r], **_stroke(r), label=f"R{r + 1}")
     panels[0].set_ylabel("output of every rule")
     for panel in panels:
         panel.set_xlabel("time, s")

@@ -12,9 +12,11 @@ import pytest
 from flysid.dataset import FloatArray, Signal
 from flysid.errors import StoreError, UsageError
 from flysid.model.arx import ARX
+from flysid.validate.compare.comparison import Comparison
 from flysid.validate.compare_models import compare
 from flysid.validate.show.page import ReportContext
-from flysid.validate.show.paperfigures import draw, figure_files, write_figure
+from flysid.validate.show.page.describe import Page, describe
+from flysid.validate.show.paperfigures import draw_section, figure_files, write_figure
 from tests.fakes import FirstOrder, flown
 from tests.validate.show.page.test_report import compared
 from tests.validate.show.page.test_report_mimo import flights
@@ -22,14 +24,18 @@ from tests.validate.show.page.test_report_mimo import flights
 pytest.importorskip("matplotlib", reason="pip install matplotlib")
 
 
+def page_of(**comparisons: Comparison) -> Page:
+    return describe(ReportContext.of(comparisons))
+
+
 @pytest.mark.parametrize(("kind", "start"), [("pdf", b"%PDF"), ("svg", b"<?xml"), ("png", b"\x89PNG")])
 def test_every_kind_and_equal_bytes(kind: str, start: bytes) -> None:
-    context = ReportContext.of({"roll": compared()})
-    files = figure_files(context, kind)
+    page = page_of(roll=compared())
+    files = figure_files(page, kind)
     assert list(files) == [f"channel-1-1.{kind}"]
     assert files[f"channel-1-1.{kind}"].startswith(start)
     if kind == "pdf":
-        assert figure_files(context, kind) == files
+        assert figure_files(page, kind) == files
 
 
 def test_names_are_text_and_a_linear_contender_gets_its_frequency_response() -> None:
@@ -38,7 +44,7 @@ def test_names_are_text_and_a_linear_contender_gets_its_frequency_response() -> 
     arx = FirstOrder(b=0.08, outputs=signals)
     oe = FirstOrder(structure="oe", outputs=signals)
     test = replace(flown(oe, [200], noise=0.02), outputs=signals)
-    files = figure_files(ReportContext.of({evil: compare([arx, oe], test)}), "svg")
+    files = figure_files(page_of(**{evil: compare([arx, oe], test)}), "svg")
     assert list(files) == ["channel-1-1.svg"]
     text = files["channel-1-1.svg"].decode()
     assert "gain" in text
@@ -48,7 +54,7 @@ def test_names_are_text_and_a_linear_contender_gets_its_frequency_response() -> 
 def test_every_output_is_drawn_with_the_input_that_moves_it() -> None:
     train = flights(3, 0)
     models = {"arx": ARX(na=1, nb=1, refine=False).fit(train), "oe": ARX(na=1, nb=2, refine=False).fit(train)}
-    files = figure_files(ReportContext.of({"body": compare(models, flights(2, 1))}), "svg")
+    files = figure_files(page_of(body=compare(models, flights(2, 1))), "svg")
     one, two = (files[f"channel-1-{j}.svg"].decode() for j in (1, 2))
     assert (">phi<" in one, ">theta<" in one) == (True, False)
     assert (">phi<" in two, ">theta<" in two) == (False, True)
@@ -70,14 +76,14 @@ class WithSets(FirstOrder):
 def test_fuzzy_sets_carry_their_names() -> None:
     ts = WithSets(structure="ts", labels=("R1", "R2"))
     c = compare([FirstOrder(b=0.08), ts], flown(ts, [200] * 2, noise=0.02))
-    (drawn,) = figure_files(ReportContext.of({"roll": c}), "svg").values()
+    (drawn,) = figure_files(page_of(roll=c), "svg").values()
     assert all(f">{name}<" in drawn.decode() for name in ("A1", "A2", "y(k-1), m/s"))
 
 
 def test_wrong_kind_and_folder_are_named(tmp_path: Path) -> None:
-    context = ReportContext.of({"roll": compared()})
+    page = page_of(roll=compared())
     with pytest.raises(UsageError, match="'gif' are not known"):
-        figure_files(context, "gif")
+        figure_files(page, "gif")
     (tmp_path / "file").write_text("x")
     with pytest.raises(StoreError):
-        write_figure(tmp_path / "file" / "roll.svg", partial(draw, context, "roll"))
+        write_figure(tmp_path / "file" / "roll.svg", partial(draw_section, page.sections[0]))

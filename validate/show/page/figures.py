@@ -75,21 +75,38 @@ def interval_bar(
     return picture(width, height + 16.0 if scale else height, parts, label, "scaled" if scale else "interval")
 
 
+@dataclass(frozen=True, eq=False)
+class Points:
+    """A measured response, (F,) each; `spread`: half the 95 % interval of ln gain and of the phase, rad."""
+
+    hz: FloatArray
+    response: ComplexArray
+    coherence: FloatArray
+    spread: FloatArray
+
+    @classmethod
+    def of(cls, spectrum: ResidualSpectrum) -> Points:
+        """Those of a spectrum along held-out flights."""
+        return cls(spectrum.hz, spectrum.response, spectrum.coherence, Z95 * spectrum.relative_error)
+
+
 def bode(
-    empirical: ResidualSpectrum | None,
+    points: Points | None,
     models: Mapping[Role, Sequence[BandCurve]],
     hz: FloatArray,
     unit: str,
     label: str,
+    trusted_hz: tuple[float, float] | None = None,
 ) -> Markup:
     """Gain, phase and coherence; `models` gives every model one curve per rule, with its band.
 
-    The axes hold the models of the headline and every measured point of enough coherence.
+    The axes hold the models of the headline and every measured point of enough coherence. `trusted_hz` is
+    shaded.
     """
     shown = [c.response for role, own in models.items() if role.shown for c in own]
     gains = [_db(r) for r in shown]
     phases = [_degrees(r) for r in shown]
-    measured = None if empirical is None else _Measured.of(empirical, hz, phases)
+    measured = None if points is None else _Measured.of(points, hz, phases)
     if measured is not None:
         gains.append(measured.db[measured.trusted])
     low, high = span(*gains)
@@ -103,6 +120,9 @@ def bode(
         frame(phase, "phase, deg", x_ticks=False),
     ]
     bottom = Axes(x, (0.0, 1.0), top=344, width=width, height=44, log_x=True)
+    if trusted_hz is not None:
+        ends = tuple(gain.px(np.array(trusted_hz)))
+        parts += [box(ends, (axes.top, axes.bottom), "band") for axes in (gain, phase)]
     parts.append(frame(bottom, "coherence", "frequency, Hz", y_count=1))
     if measured is not None:
         parts += _empirical(measured, gain, phase, bottom)
@@ -167,7 +187,7 @@ class _Measured:
     trusted: npt.NDArray[np.bool_]
 
     @classmethod
-    def of(cls, s: ResidualSpectrum, hz: FloatArray, phases: Sequence[FloatArray]) -> _Measured:
+    def of(cls, s: Points, hz: FloatArray, phases: Sequence[FloatArray]) -> _Measured:
         """Within the range of `hz`; the phase on the turn that is nearest to the models'."""
         keep = np.flatnonzero((s.hz >= hz[0]) & (s.hz <= hz[-1]))
         keep = keep[_apart(np.log(s.hz[keep] / hz[0]) / np.log(hz[-1] / hz[0]))]
@@ -176,8 +196,8 @@ class _Measured:
             near = np.mean([np.interp(s.hz[keep], hz, p) for p in phases], axis=0)
             degrees = degrees + 360.0 * np.round((near - degrees) / 360.0)
         coherence = s.coherence[keep]
-        spread = Z95 * s.relative_error[keep]
-        return cls(s.hz[keep], _db(s.response[keep]), degrees, coherence, spread, coherence >= GOOD_COHERENCE)
+        trusted = coherence >= GOOD_COHERENCE
+        return cls(s.hz[keep], _db(s.response[keep]), degrees, coherence, s.spread[keep], trusted)
 
 
 def _apart(places: FloatArray) -> list[int]:

@@ -303,7 +303,11 @@ def _bode(source: Source, j: int, signal: int) -> Panel:
         f"Frequency response from {one_line(c.test.inputs[signal].name)}",
         f"{seen} Dashed: {one_line(c.baseline).upper()}.{solid} Shaded: 95 % bands from the training data.",
         figures.bode(
-            empirical, known, hz, gain_unit(c, j, signal), "Frequency response, measured and modelled"
+            None if empirical is None else figures.Points.of(empirical),
+            known,
+            hz,
+            gain_unit(c, j, signal),
+            "Frequency response, measured and modelled",
         ),
     )
 

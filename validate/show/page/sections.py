@@ -139,10 +139,10 @@ def _section(source: Source, j: int, anchor: str) -> Section:
 
 
 def _still(shown: Sequence[tuple[overlay.Strip, str]], titles: tuple[str, str, str]) -> Markup:
-    """The picture of one segment; nothing where none is drawn."""
-    return Markup("").join(
-        overlay.still(piece, titles, f"Measured and simulated {titles[0]}, {label}") for piece, label in shown
-    )
+    """The picture of the segment; nothing where none is drawn."""
+    for piece, label in shown:
+        return overlay.still(piece, titles, f"Measured and simulated {titles[0]}, {label}")
+    return Markup("")
 
 
 def _rules(source: Source, j: int, signal: int) -> tuple[tuple[str, tuple[RuleRow, ...]], ...]:

@@ -5,8 +5,10 @@ Everything that is text passes `escape`; numbers pass `_n`; nothing else reaches
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import wraps
+from typing import Any, TypeVar, cast
 
 import numpy as np
 from markupsafe import Markup, escape
@@ -14,12 +16,41 @@ from markupsafe import Markup, escape
 from flysid.dataset import FloatArray
 from flysid.escaping import one_line
 
+F = TypeVar("F", bound=Callable[..., Markup])
 HALF = 470.0
 THIRD = 310.0
 """Widths of pictures that stand two and three in a row."""
 BASELINE = "arx"
 CONTENDER = "ts"
 """CSS classes of the two models of the headline, whichever structures these are."""
+
+
+class Mark(Markup):
+    """Markup that keeps what it draws, so that others than a browser can (`flysid.validate.show.sheets`).
+
+    Attributes
+    ----------
+    kind : name of the function of this module that made it; "" of markup that no other renderer draws.
+    given, settings : what the function was given.
+    """
+
+    kind = ""
+    given: tuple[Any, ...] = ()
+    settings: dict[str, Any]
+
+
+def _kept(draw: F) -> F:
+    """The function, whose markup is a `Mark`."""
+
+    @wraps(draw)
+    def drawing(*given: Any, **settings: Any) -> Mark:
+        mark = Mark(draw(*given, **settings))
+        mark.kind = draw.__name__
+        mark.given = given
+        mark.settings = settings
+        return mark
+
+    return cast("F", drawing)
 
 
 @dataclass(frozen=True)
@@ -112,6 +143,7 @@ def tick_text(value: float) -> str:
     return f"{value + 0.0:.6g}".replace("-", "−")
 
 
+@_kept
 def text(x: float, y: float, content: str, *, css: str = "t", anchor: str = "start") -> Markup:
     """A line of text, escaped."""
     return Markup('<text x="{}" y="{}" class="{}" text-anchor="{}">{}</text>').format(
@@ -119,6 +151,7 @@ def text(x: float, y: float, content: str, *, css: str = "t", anchor: str = "sta
     )
 
 
+@_kept
 def frame(
     axes: Axes,
     title: str = "",
@@ -157,11 +190,13 @@ def _spaced_ticks(axes: Axes) -> list[float]:
     return found[:1]
 
 
+@_kept
 def segment(x1: float, y1: float, x2: float, y2: float, css: str) -> Markup:
     """A straight line in pixels."""
     return Markup('<path d="M{} {}L{} {}" class="{}"/>').format(_n(x1), _n(y1), _n(x2), _n(y2), css)
 
 
+@_kept
 def line(axes: Axes, x: FloatArray, y: FloatArray, css: str) -> Markup:
     """A polyline in data coordinates, broken where a value is not finite or outside the axes."""
     margin = 0.02 * (axes.y[1] - axes.y[0])
@@ -181,6 +216,7 @@ def _path(px: FloatArray, py: FloatArray) -> str:
     return "".join(parts)
 
 
+@_kept
 def area(axes: Axes, x: FloatArray, low: FloatArray, high: FloatArray, css: str) -> Markup:
     """The area between two curves."""
     forth = _path(axes.px(x), axes.py(high))
@@ -188,6 +224,7 @@ def area(axes: Axes, x: FloatArray, low: FloatArray, high: FloatArray, css: str)
     return Markup('<path d="{}L{}Z" class="{}"/>').format(forth, back[1:], css)
 
 
+@_kept
 def box(x: tuple[float, float], y: tuple[float, float], css: str) -> Markup:
     """A rectangle in pixels; nothing where it has no area."""
     width = abs(x[1] - x[0])
@@ -199,6 +236,7 @@ def box(x: tuple[float, float], y: tuple[float, float], css: str) -> Markup:
     )
 
 
+@_kept
 def whiskers(axes: Axes, x: FloatArray, low: FloatArray, high: FloatArray, css: str) -> Markup:
     """Vertical lines from low to high, drawn as one path."""
     ends = zip(axes.px(x), axes.py(low), axes.py(high), strict=True)
@@ -206,6 +244,7 @@ def whiskers(axes: Axes, x: FloatArray, low: FloatArray, high: FloatArray, css: 
     return Markup('<path d="{}" class="{}"/>').format(d, css)
 
 
+@_kept
 def dots(axes: Axes, x: FloatArray, y: FloatArray, css: str) -> Markup:
     """Small squares drawn as one path: hundreds of points in little markup."""
     keep = np.isfinite(x) & np.isfinite(y)
@@ -213,20 +252,23 @@ def dots(axes: Axes, x: FloatArray, y: FloatArray, css: str) -> Markup:
     return Markup('<path d="{}" class="{}"/>').format(d, css)
 
 
-def picture(width: float, height: float, parts: Iterable[Markup], label: str, css: str = "") -> Markup:
+@_kept
+def picture(width: float, height: float, parts: Sequence[Markup], label: str, css: str = "") -> Markup:
     """An <svg> that a screen reader announces as one image with `label`."""
     return Markup('<svg viewBox="0 0 {} {}" role="img" aria-label="{}" class="{}">{}</svg>').format(
         _n(width), _n(height), one_line(label), css, Markup("").join(parts)
     )
 
 
-def owned(model: str, parts: Iterable[Markup], *, shown: bool) -> Markup:
+@_kept
+def owned(model: str, parts: Sequence[Markup], *, shown: bool) -> Markup:
     """What a picture has of one model; the page's buttons show and hide it."""
     return Markup('<g data-model="{}"{}>{}</g>').format(
         one_line(model), Markup("" if shown else " hidden"), Markup("").join(parts)
     )
 
 
+@_kept
 def legend(items: Sequence[tuple[str, str]], x: float, y: float) -> Markup:
     """Short lines with names, (css class, name), from x to the right."""
     parts: list[Markup] = []
@@ -238,6 +280,7 @@ def legend(items: Sequence[tuple[str, str]], x: float, y: float) -> Markup:
 
 
 __all__ = [
-    "BASELINE", "CONTENDER", "HALF", "THIRD", "Axes", "area", "box", "dots", "escape", "frame", "legend",
-    "line", "log_ticks", "owned", "picture", "segment", "span", "text", "tick_text", "ticks", "whiskers",
+    "BASELINE", "CONTENDER", "HALF", "THIRD", "Axes", "Mark", "area", "box", "dots", "escape", "frame",
+    "legend", "line", "log_ticks", "owned", "picture", "segment", "span", "text", "tick_text", "ticks",
+    "whiskers",
 ]  # fmt: skip
