@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
@@ -10,7 +11,7 @@ from flysid.cli.addresses import SOURCE
 from flysid.cli.bounds import POSITIVE
 from flysid.cli.checks import Words
 from flysid.cli.display import Display
-from flysid.cli.options import force_option
+from flysid.cli.options import force_option, gather
 from flysid.cli.output import say
 from flysid.cli.source import opened_flights, reading_options
 from flysid.cli.trust import Setting
@@ -19,9 +20,48 @@ from flysid.errors import UsageError
 from flysid.facts.clock import log_clock
 from flysid.progress import tell
 
+if TYPE_CHECKING:
+    from flysid.export.fmu import FMIVersion
+
 KINDS = ("csv", "parquet", "mat", "xlsx", "mcap")
 CALLED = {"casadi": "model_casadi.py", "jax": "model_jax.py", "onnx": "model.onnx"}
 """Kinds of a model's file that other code calls, and what each is called where no name is given."""
+
+
+place_options = gather(
+    "places",
+    dict,
+    click.option("--c", type=click.Path(path_type=Path), metavar="DIR", help="A model as C99, into DIR."),
+    click.option("--fmu", type=click.Path(path_type=Path), metavar="F.fmu", help="A model as an FMU."),
+    click.option(
+        "--matlab", type=click.Path(path_type=Path), metavar="DIR", help="A model as .m files, into DIR."
+    ),
+    click.option(
+        "--lpv",
+        type=click.Path(path_type=Path),
+        metavar="F.json|F.mat",
+        help="A model as affine systems and their weights, in physical units.",
+    ),
+    click.option(
+        "--casadi",
+        type=click.Path(path_type=Path),
+        metavar="F.py",
+        help="A model as CasADi functions, for MPC.",
+    ),
+    click.option(
+        "--jax",
+        type=click.Path(path_type=Path),
+        metavar="F.py",
+        help="A model as JAX functions, for learning.",
+    ),
+    click.option(
+        "--onnx",
+        type=click.Path(path_type=Path),
+        metavar="F.onnx",
+        help="One step of a model in float32, and F.json with names and units.",
+    ),
+)
+"""Where to write a model; the verb takes the places by target, None where nothing is written."""
 
 
 @click.command("export")
@@ -47,33 +87,9 @@ CALLED = {"casadi": "model_casadi.py", "jax": "model_jax.py", "onnx": "model.onn
 )
 @click.option("-o", "--out", type=click.Path(path_type=Path), help="File, or folder for several tables.")
 @reading_options
-@click.option(
-    "--c", "c_folder", type=click.Path(path_type=Path), metavar="DIR", help="A model as C99, into DIR."
-)
-@click.option("--fmu", type=click.Path(path_type=Path), metavar="F.fmu", help="A model as an FMU.")
+@place_options
 @click.option(
     "--fmi", type=click.Choice(["2", "3"]), default="2", show_default=True, help="Version of the FMU."
-)
-@click.option(
-    "--matlab", type=click.Path(path_type=Path), metavar="DIR", help="A model as .m files, into DIR."
-)
-@click.option(
-    "--lpv",
-    type=click.Path(path_type=Path),
-    metavar="F.json|F.mat",
-    help="A model as affine systems and their weights, in physical units.",
-)
-@click.option(
-    "--casadi", type=click.Path(path_type=Path), metavar="F.py", help="A model as CasADi functions, for MPC."
-)
-@click.option(
-    "--jax", type=click.Path(path_type=Path), metavar="F.py", help="A model as JAX functions, for learning."
-)
-@click.option(
-    "--onnx",
-    type=click.Path(path_type=Path),
-    metavar="F.onnx",
-    help="One step of a model in float32, and F.json with names and units.",
 )
 @click.option("--float32", is_flag=True, help="C in float32, if it is accurate enough on the training data.")
 @click.option("--channel", "-c", cls=Setting, default="", help="Channel of the run.")
@@ -97,14 +113,8 @@ def command(
     out: Path | None,
     force: bool,
     told: Words,
-    c_folder: Path | None,
-    fmu: Path | None,
+    places: dict[str, Path | None],
     fmi: str,
-    matlab: Path | None,
-    lpv: Path | None,
-    casadi: Path | None,
-    jax: Path | None,
-    onnx: Path | None,
     float32: bool,
     channel: str,
     label: str,
@@ -117,57 +127,33 @@ def command(
     of MPC and of learning: --to casadi is --casadi with the file after -o, or model_casadi.py. A vehicle
     (what 'flysid vehicle -o' wrote) becomes parameters of a simulator, or functions for a controller.
     """
-    header = None if c_folder is None else c_folder / FILES["c"]
-    named = {"c": header, "fmu": fmu, "casadi": casadi, "jax": jax, "onnx": onnx}
-    if kind in FILES and (kind not in CALLED or is_vehicle(source)):
-        named = {**named, kind: named.get(kind) or out or Path(FILES[kind])}
-    elif not is_vehicle(source):
-        named = {}
-    files = {target: place for target, place in named.items() if place is not None}
-    if files:
-        if any((matlab, lpv, float32, channel, label, data)):
+    version: FMIVersion = 3 if fmi == "3" else 2
+    named = {target: place for target, place in places.items() if place is not None}
+    if is_vehicle(source) or (kind in FILES and kind not in CALLED):
+        if "c" in named:
+            named["c"] /= FILES["c"]
+        if kind in FILES:
+            named[kind] = named.get(kind) or out or Path(FILES[kind])
+        if named and ({"matlab", "lpv"} & {*named} or any((float32, channel, label, data))):
             raise UsageError(
                 "--matlab, --lpv, --float32, --channel, --model and --data are for a run's model",
                 hint=f"--to {' or '.join(FILES)}",
             )
-        for target, place in files.items():
-            path = write_vehicle(source, target, place, mass_kg, arm_m, force, 3 if fmi == "3" else 2)
-            click.echo(str(path))
-        return
+        for target, place in named.items():
+            click.echo(str(write_vehicle(source, target, place, mass_kg, arm_m, force, version)))
+        if named:
+            return
     if mass_kg is not None or arm_m is not None:
         raise UsageError("--mass and --arm are of a vehicle", hint=f"--to {' or '.join(FILES)}")
-    from flysid.cli.modelexport import (
-        Wanted,
-        write_c,
-        write_fmu,
-        write_lpv,
-        write_matlab,
-        write_onnx,
-        write_python,
-    )
-
-    called = {"casadi": casadi, "jax": jax, "onnx": onnx}
     if kind in CALLED:
-        called[kind] = called[kind] or out or Path(CALLED[kind])
+        named[kind] = named.get(kind) or out or Path(CALLED[kind])
+    if named:
+        from flysid.cli.modelexport import Wanted, write_model
 
-    wanted = Wanted(source, channel, label, rate_hz, data)
-    if c_folder is not None:
-        write_c(wanted, c_folder, single=float32, force=force)
-    if fmu is not None:
-        write_fmu(wanted, fmu, 3 if fmi == "3" else 2, force=force)
-    if matlab is not None:
-        write_matlab(wanted, matlab, force=force)
-    if lpv is not None:
-        write_lpv(wanted, lpv, force=force)
-    if (file := called["casadi"]) is not None:
-        write_python(wanted, file, "casadi", force=force)
-    if (file := called["jax"]) is not None:
-        write_python(wanted, file, "jax", force=force)
-    if (file := called["onnx"]) is not None:
-        write_onnx(wanted, file, force=force)
-    written = [str(path) for path in (c_folder, fmu, matlab, lpv, *called.values()) if path is not None]
-    if written:
-        click.echo("\n".join(written))
+        wanted = Wanted(source, channel, label, rate_hz, data, float32, version)
+        for target, place in named.items():
+            write_model(wanted, target, place, force=force)
+        click.echo("\n".join(map(str, named.values())))
         return
     if channel or label or float32:
         raise UsageError(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -26,6 +27,8 @@ class Wanted:
     label: str
     rate_hz: float | None
     data: Path | None
+    single: bool = False
+    fmi: FMIVersion = 2
 
 
 @dataclass(frozen=True)
@@ -52,6 +55,11 @@ class ChosenModel:
                 hint="give the run's folder, or leave out --float32",
             )
         return held_out(replace(self.run, channels=(self.channel,)), data)[0].train
+
+
+Content = Callable[[ChosenModel, Wanted, Path], "dict[str, str] | list[bytes]"]
+"""The texts of a folder by name, or the bytes of a file and of those beside it."""
+ENDINGS = {"casadi": (".py",), "jax": (".py",), "onnx": (".onnx",), "lpv": (".json", ".mat")}
 
 
 def find_model(wanted: Wanted) -> ChosenModel:
@@ -89,119 +97,101 @@ def find_model(wanted: Wanted) -> ChosenModel:
     return ChosenModel(identifier(channel.name), models[label], run, channel)
 
 
-def write_c(wanted: Wanted, folder: Path, *, single: bool, force: bool) -> None:
-    """Write the C of a model into a new folder."""
+def write_model(wanted: Wanted, target: str, place: Path, *, force: bool) -> None:
+    """Write a model for a target: a folder of C or MATLAB, or a file; beside an ONNX graph its names.
+
+    Raises
+    ------
+    UsageError : another ending than the target's; the package onnx is missing; float32 costs too much; as
+        `find_model`.
+    """
+    from flysid.files import replacing_folder, write_atomically, writing_to
+
+    ends = ENDINGS.get(target, ())
+    if ends and place.suffix not in ends:
+        hint = (
+            f"--lpv F{' or --lpv F'.join(ends)}" if target == "lpv" else f"--{target} {place.stem}{ends[0]}"
+        )
+        raise UsageError(f"unknown file type: {place.name!r}", hint=hint)
+    files = [place, place.with_suffix(".json")] if target == "onnx" else [place]
+    for file in files:
+        check_target(file, force)
+    content = _CONTENT[target](find_model(wanted), wanted, place)
+    if isinstance(content, dict):
+        with replacing_folder(place) as folder:
+            for name, text in content.items():
+                (folder / name).write_text(text, "utf-8")
+        return
+    with writing_to(place):
+        for file, written in zip(files, content, strict=True):
+            write_atomically(file, written)
+
+
+def _c(found: ChosenModel, wanted: Wanted, _: Path) -> dict[str, str]:
     from flysid.export.csource import c_files
     from flysid.export.programs import program_of
     from flysid.export.single import loss_in_float32
-    from flysid.files import replacing_folder
 
-    check_target(folder, force)
-    found = find_model(wanted)
     program = program_of(found.model, wanted.rate_hz)
-    loss = loss_in_float32(found.model, program, found.training_part(wanted.data)) if single else None
-    with replacing_folder(folder) as place:
-        for file, text in c_files(program, found.name, loss).items():
-            (place / file).write_text(text, "utf-8")
+    train = found.training_part(wanted.data) if wanted.single else None
+    loss = None if train is None else loss_in_float32(found.model, program, train)
+    return c_files(program, found.name, loss)
 
 
-def write_fmu(wanted: Wanted, file: Path, version: FMIVersion, *, force: bool) -> None:
-    """Write the FMU of a model."""
-    from flysid.export.fmu import fmu_bytes
-    from flysid.export.programs import program_of
-    from flysid.files import write_atomically, writing_to
-
-    check_target(file, force)
-    found = find_model(wanted)
-    content = fmu_bytes(program_of(found.model, wanted.rate_hz), found.name, version=version)
-    with writing_to(file):
-        write_atomically(file, content)
-
-
-def write_matlab(wanted: Wanted, folder: Path, *, force: bool) -> None:
-    """Write the MATLAB text of a model into a new folder."""
+def _matlab(found: ChosenModel, wanted: Wanted, _: Path) -> dict[str, str]:
     from flysid.export.matlab import matlab_files
     from flysid.export.programs import program_of
-    from flysid.files import replacing_folder
 
-    check_target(folder, force)
-    found = find_model(wanted)
-    program = program_of(found.model, wanted.rate_hz)
-    with replacing_folder(folder) as place:
-        for file, text in matlab_files(found.model, program, found.name).items():
-            (place / file).write_text(text, "utf-8")
+    return matlab_files(found.model, program_of(found.model, wanted.rate_hz), found.name)
 
 
-def write_lpv(wanted: Wanted, file: Path, *, force: bool) -> None:
-    """Write a model in linear parameter-varying form, as JSON or for MATLAB by the file's name.
+def _fmu(found: ChosenModel, wanted: Wanted, _: Path) -> list[bytes]:
+    from flysid.export.fmu import fmu_bytes
+    from flysid.export.programs import program_of
 
-    Raises
-    ------
-    UsageError : the name ends in neither .json nor .mat.
-    """
+    return [fmu_bytes(program_of(found.model, wanted.rate_hz), found.name, version=wanted.fmi)]
+
+
+def _lpv(found: ChosenModel, wanted: Wanted, place: Path) -> list[bytes]:
     from flysid.export.lpv import to_lpv
-    from flysid.files import write_atomically, writing_to
 
-    check_target(file, force)
-    if file.suffix not in (".json", ".mat"):
-        raise UsageError(f"unknown file type: {file.name!r}", hint="--lpv F.json or --lpv F.mat")
-    lpv = to_lpv(find_model(wanted).model, wanted.rate_hz)
-    with writing_to(file):
-        write_atomically(file, lpv.to_mat() if file.suffix == ".mat" else lpv.to_json().encode())
+    lpv = to_lpv(found.model, wanted.rate_hz)
+    return [lpv.to_mat() if place.suffix == ".mat" else lpv.to_json().encode()]
 
 
-def write_python(wanted: Wanted, file: Path, dialect: Dialect, *, force: bool) -> None:
-    """Write a model as Python functions that need one package alone.
+def _python(dialect: Dialect) -> Content:
+    """Functions that need one package alone."""
 
-    Raises
-    ------
-    UsageError : the name does not end in .py.
-    """
-    from flysid.export.programs import members_of
-    from flysid.export.pysource import python_file
-    from flysid.files import write_atomically, writing_to
+    def content(found: ChosenModel, wanted: Wanted, _: Path) -> list[bytes]:
+        from flysid.export.programs import members_of
+        from flysid.export.pysource import python_file
 
-    check_target(file, force)
-    require_ending(file, ".py", dialect)
-    found = find_model(wanted)
-    text = python_file(members_of(found.model, wanted.rate_hz), found.name, dialect)
-    with writing_to(file):
-        write_atomically(file, text.encode())
+        return [python_file(members_of(found.model, wanted.rate_hz), found.name, dialect).encode()]
+
+    return content
 
 
-def write_onnx(wanted: Wanted, file: Path, *, force: bool) -> None:
-    """Write a model as an ONNX graph in float32, and beside it a JSON of the same name.
-
-    A run's model is tried in float32 on its training data first; of a model file its poles are looked at.
-
-    Raises
-    ------
-    UsageError : the name does not end in .onnx; the package onnx is missing; float32 costs too much.
-    """
+def _onnx(found: ChosenModel, wanted: Wanted, _: Path) -> list[bytes]:
+    """A graph in float32, tried on the training data of a run; of a model file its poles are looked at."""
     from flysid.export.onnx_graph import names_json, onnx_bytes
     from flysid.export.programs import members_of
     from flysid.export.single import refuse_poles, worst_loss_in_float32
-    from flysid.files import write_atomically, writing_to
 
-    names = file.with_suffix(".json")
-    require_ending(file, ".onnx", "onnx")
-    check_target(file, force)
-    check_target(names, force)
-    found = find_model(wanted)
     members = members_of(found.model, wanted.rate_hz)
     loss = None
     if found.run is not None:
-        train = found.training_part(wanted.data)
-        loss = worst_loss_in_float32(found.model, train, wanted.rate_hz)
+        loss = worst_loss_in_float32(found.model, found.training_part(wanted.data), wanted.rate_hz)
     for member in members:
         refuse_poles(member.program)
-    content = onnx_bytes(members, found.name)
-    with writing_to(file):
-        write_atomically(file, content)
-        write_atomically(names, names_json(members, loss).encode())
+    return [onnx_bytes(members, found.name), names_json(members, loss).encode()]
 
 
-def require_ending(file: Path, ending: str, option: str) -> None:
-    """Raise UsageError where a file's name has another ending than its option writes."""
-    if file.suffix != ending:
-        raise UsageError(f"unknown file type: {file.name!r}", hint=f"--{option} {file.stem}{ending}")
+_CONTENT: Mapping[str, Content] = {
+    "c": _c,
+    "fmu": _fmu,
+    "matlab": _matlab,
+    "lpv": _lpv,
+    "casadi": _python("casadi"),
+    "jax": _python("jax"),
+    "onnx": _onnx,
+}
