@@ -77,7 +77,7 @@ def command(
     from flysid.validate.runs.judge import judge_run
     from flysid.validate.runs.run import REPORT, models_of, open_run
     from flysid.validate.show.finish import finish, remember, write_finished
-    from flysid.validate.show.paperfigures import require_matplotlib
+    from flysid.validate.show.pictures import require_matplotlib
 
     target = output if output is not None else run / REPORT
     if figures is not None:

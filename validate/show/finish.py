@@ -24,7 +24,8 @@ from flysid.validate.show.page.describe import Page, describe
 from flysid.validate.show.page.html import plain_page
 from flysid.validate.show.page.narrative import worse_than_constant
 from flysid.validate.show.page.page import fill
-from flysid.validate.show.paperfigures import figure_files, require_matplotlib
+from flysid.validate.show.paperfigures import figure_files
+from flysid.validate.show.pictures import require_matplotlib
 from flysid.validate.show.tables import to_csv, to_markdown
 from flysid.validate.show.terminal import summary, table
 

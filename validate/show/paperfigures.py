@@ -1,23 +1,20 @@
-"""Figures for a paper, drawn by matplotlib as PDF, SVG or PNG; no window, no pyplot, no global state.
+"""Figures for a paper, as PDF, SVG or PNG.
 
 One file per channel and output, of the page's own pictures: measured and simulated output, error, input;
-static map; memberships where the model has rules, else the frequency response. Sizes fit a double column
-(170 mm); fonts are embedded as text.
+static map; memberships where the model has rules, else the frequency response. A double column wide: 170 mm.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from markupsafe import Markup
 
-from flysid.errors import UsageError, WriteError
+from flysid.errors import UsageError
 from flysid.escaping import picture_text
-from flysid.files import write_atomically
 from flysid.validate.compare.comparison import Comparison
 from flysid.validate.compare.trials import FREE_RUN, run_trials
 from flysid.validate.show.page.describe import Page
@@ -26,20 +23,13 @@ from flysid.validate.show.page.modelpanels import Panel
 from flysid.validate.show.page.overlay import WIDE, drawn
 from flysid.validate.show.page.sections import Section
 from flysid.validate.show.page.svg import BASELINE, CONTENDER, HALF
+from flysid.validate.show.pictures import check_picture, picture_bytes, require_matplotlib
 from flysid.validate.show.sheets import Sheet, height_of, stroke_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-KINDS = ("pdf", "svg", "png")
 WIDTH_IN = 6.7
-SETTINGS: dict[Any, Any] = {
-    "pdf.fonttype": 42,
-    "svg.fonttype": "none",
-    "svg.hashsalt": "flysid",
-    "font.size": 8.0,
-    "axes.linewidth": 0.6,
-}
 
 
 def figure_files(page: Page, kind: str = "pdf") -> dict[str, bytes]:
@@ -49,45 +39,14 @@ def figure_files(page: Page, kind: str = "pdf") -> dict[str, bytes]:
     ------
     UsageError : an unknown kind, or matplotlib is not installed.
     """
-    _refuse_unknown(kind)
-    return {f"{_name(s)}.{kind}": _render(partial(draw_section, s), kind) for s in page.sections}
+    suffix = f".{kind}"
+    check_picture(f"figures{suffix}")
+    return {f"{_name(s)}{suffix}": picture_bytes(partial(draw_section, s), suffix) for s in page.sections}
 
 
 def _name(section: Section) -> str:
     """ "channel-1-2" of the second output of the first channel."""
     return "-".join(["channel", *(str(int(number) + 1) for number in section.anchor[1:].split("-"))])
-
-
-def write_figure(path: Path, drawing: Callable[[], Figure]) -> Path:
-    """A figure as a file of the kind that its name ends with; equal input gives equal bytes.
-
-    Raises
-    ------
-    UsageError : an unknown kind, or matplotlib is not installed; as `drawing`.
-    WriteError : the file cannot be written.
-    """
-    kind = path.suffix.removeprefix(".")
-    _refuse_unknown(kind)
-    content = _render(drawing, kind)
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write_atomically(path, content)
-    except OSError as error:
-        raise WriteError(f"the figure cannot be written: {error.strerror}", path=path) from error
-    return path
-
-
-def _refuse_unknown(kind: str) -> None:
-    if kind not in KINDS:
-        raise UsageError(f"figures of kind {kind!r} are not known", hint=f"use one of {', '.join(KINDS)}")
-
-
-def require_matplotlib() -> None:
-    """Raise UsageError where matplotlib is not installed, before any work is done."""
-    try:
-        import matplotlib  # noqa: F401
-    except ImportError as error:
-        raise UsageError("matplotlib is not installed", hint="pip install 'flysid[plot]'") from error
 
 
 def draw_section(section: Section) -> Figure:
@@ -112,24 +71,6 @@ def draw_section(section: Section) -> Figure:
 def _find(panels: Sequence[Panel], title: str) -> Markup:
     """The picture of the first panel whose title begins so; nothing where there is none."""
     return next((panel.picture for panel in panels if panel.title.startswith(title)), Markup(""))
-
-
-def _render(drawing: Callable[[], Figure], kind: str) -> bytes:
-    """The file's bytes; equal input gives equal bytes (no dates, no random ids)."""
-    import io
-
-    require_matplotlib()
-    from matplotlib import rc_context
-
-    metadata: dict[str, dict[str, Any]] = {
-        "pdf": {"CreationDate": None, "Producer": None, "Creator": "flysid"},
-        "svg": {"Date": None, "Creator": "flysid"},
-        "png": {"Software": "flysid"},
-    }
-    buffer = io.BytesIO()
-    with rc_context(SETTINGS):
-        drawing().savefig(buffer, format=kind, metadata=metadata[kind], dpi=200)
-    return buffer.getvalue()
 
 
 def axis_label(name: str, unit: str = "") -> str:

@@ -15,11 +15,13 @@ import numpy as np
 
 from flysid.dataset import FloatArray, Segment
 from flysid.errors import UsageError
+from flysid.files import write_atomically, writing_to
 from flysid.model.base import Fitted
 from flysid.model.start import as_modelled, run_from_window, start_window
 from flysid.validate.diagnose.responses import steady_outputs
 from flysid.validate.show.page.rulefigures import SHOWN_FROM
-from flysid.validate.show.paperfigures import axis_label, require_matplotlib, write_figure
+from flysid.validate.show.paperfigures import axis_label
+from flysid.validate.show.pictures import check_picture, picture_bytes, require_matplotlib
 from flysid.validate.show.sheets import stroke_of
 
 if TYPE_CHECKING:
@@ -80,9 +82,15 @@ def write_rules_figure(path: str | Path, model: OfRules, segment: Segment) -> Pa
     Raises
     ------
     UsageError : another kind than pdf, svg, png; as `draw_rules`.
-    StoreError : the file cannot be written.
+    WriteError : the file cannot be written.
     """
-    return write_figure(Path(path), partial(draw_rules, model, segment))
+    path = Path(path)
+    check_picture(path)
+    content = picture_bytes(partial(draw_rules, model, segment), path.suffix)
+    with writing_to(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_atomically(path, content)
+    return path
 
 
 def _sets(panel: Axes, model: OfRules) -> None:

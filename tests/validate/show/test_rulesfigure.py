@@ -60,7 +60,7 @@ def test_names_from_logs_are_text(tmp_path: Path) -> None:
 
 def test_what_cannot_be_drawn_is_named(tmp_path: Path) -> None:
     model = StaticTS(rules=2).fit(DATA)
-    with pytest.raises(UsageError, match="'gif' are not known"):
+    with pytest.raises(UsageError, match=r"no picture format '\.gif'"):
         write_rules_figure(tmp_path / "f.gif", model, SEGMENT)
     with pytest.raises(UsageError, match="no rules to draw"):
         draw_rules(ARX(na=1, nb=1, nk=1, refine=False).fit(DATA), SEGMENT)  # type: ignore[arg-type]
