@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from flysid.cli.display import Display, progress_options
-from flysid.cli.options import comparison_forms, target_options
+from flysid.cli.options import comparison_forms, condition_option, target_options
 from flysid.cli.output import end_comparison
 from flysid.cli.source import given, selection_options
 from flysid.cli.trust import Setting
@@ -36,9 +36,7 @@ FOLDER = click.Path(path_type=Path)
 )
 @click.option("--data-a", type=FOLDER, help="The ingested folder of RUN_A, if it has moved since the fit.")
 @click.option("--data-b", type=FOLDER, help="The ingested folder of RUN_B, if it has moved since the fit.")
-@click.option(
-    "--fail-if", "condition", cls=Setting, help="Exit with 4 if this holds, e.g. 'free_run.change_pct > 5'."
-)
+@condition_option("'free_run.change_pct > 5'")
 @selection_options
 @comparison_forms
 @progress_options

@@ -13,7 +13,7 @@ from flysid.cli.addresses import SOURCE
 from flysid.cli.bounds import POSITIVE, Number
 from flysid.cli.checks import Words
 from flysid.cli.display import Display, progress_options
-from flysid.cli.options import target_options
+from flysid.cli.options import channels_option, target_options
 from flysid.cli.output import align_columns, print_json, printable, say
 from flysid.cli.ratedesign import AXES, design_rates
 from flysid.cli.source import flight_options, reading_options
@@ -52,9 +52,7 @@ LARGEST_MS = 1.6
 @click.option(
     "--axis", "axes", multiple=True, type=click.Choice(AXES), help="Of a log: only this axis; repeatable."
 )
-@click.option(
-    "--channel", "-c", "channels", cls=Setting, multiple=True, help="Only this channel; repeatable."
-)
+@channels_option
 @click.option(
     "--method",
     type=click.Choice(["pid", "pdc"]),

@@ -13,10 +13,9 @@ import click
 
 from flysid.cli import complete
 from flysid.cli.addresses import SOURCE
-from flysid.cli.bounds import COUNT
 from flysid.cli.checks import Asked, Words, check_source, is_ingested
 from flysid.cli.display import Display, progress_options
-from flysid.cli.options import force_option, gather
+from flysid.cli.options import channels_option, effort_option, force_option, gather, jobs_option
 from flysid.cli.output import check_target, cores, explain, say, say_left_out
 from flysid.cli.source import (
     READING_OF_A_FIT,
@@ -85,15 +84,7 @@ def _settings(holdout: Held, models: str, memory: float, **chosen: Any) -> FitSe
 fit_options = gather(
     "settings",
     _settings,
-    click.option(
-        "--channel",
-        "-c",
-        "channels",
-        cls=Setting,
-        multiple=True,
-        shell_complete=complete.channels,
-        help="Only this channel; repeatable.",
-    ),
+    channels_option,
     click.option(
         "--models",
         "-m",
@@ -121,13 +112,7 @@ fit_options = gather(
         multiple=True,
         help="Variable that chooses between rules.",
     ),
-    click.option(
-        "--effort",
-        default="normal",
-        show_default=True,
-        type=click.Choice(["quick", "normal", "thorough"]),
-        help="Effort of the search for rules.",
-    ),
+    effort_option("Effort of the search for rules."),
     click.option(
         "--flight-offsets",
         "flight_offsets",
@@ -178,15 +163,7 @@ fit_options = gather(
 @selection_options
 @click.option("--output", "-o", required=True, type=click.Path(path_type=Path), help="Folder of the run.")
 @fit_options
-@click.option(
-    "--jobs",
-    "-j",
-    cls=Own,
-    default=0,
-    type=COUNT,
-    metavar="N",
-    help="Channels in parallel.  [default: one per core]",
-)
+@jobs_option("Channels in parallel.  [default: one per core]")
 @force_option("run")
 @click.option("--json", "as_json", is_flag=True, help="Print the run as JSON.")
 @progress_options

@@ -12,11 +12,11 @@ import click
 
 from flysid.cli import complete
 from flysid.cli.addresses import SOURCE
-from flysid.cli.bounds import COUNT, POSITIVE
+from flysid.cli.bounds import POSITIVE
 from flysid.cli.lakeoptions import CLUSTER, check_one_cluster, dask_cluster
-from flysid.cli.options import gather
+from flysid.cli.options import channels_option, gather, jobs_option
 from flysid.cli.output import cores, say
-from flysid.cli.trust import Own, ProjectFile, Setting
+from flysid.cli.trust import ProjectFile
 from flysid.errors import UsageError
 from flysid.showing import counted
 
@@ -105,19 +105,9 @@ fleet_data_options = gather(
         shell_complete=complete.recipes,
         help="Name or .toml file.",
     ),
-    click.option(
-        "--channel", "-c", "channels", cls=Setting, multiple=True, help="Only this channel; repeatable."
-    ),
+    channels_option,
     click.option("--grid", "rate_hz", type=POSITIVE, metavar="HZ", help="Rate of the grid."),
-    click.option(
-        "--jobs",
-        "-j",
-        cls=Own,
-        default=0,
-        type=COUNT,
-        metavar="N",
-        help="Processes; one per core when not given.",
-    ),
+    jobs_option("Processes; one per core when not given."),
     *CLUSTER,
 )
 """LAKE and the options of `FleetData`; the verb takes them as `data`."""

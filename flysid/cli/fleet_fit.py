@@ -10,6 +10,7 @@ import click
 
 from flysid.cli.display import Display, progress_options
 from flysid.cli.fleet_data import FleetData, fleet_data_options
+from flysid.cli.options import effort_option
 from flysid.cli.output import align_columns, check_target, explain, say, say_left_out
 from flysid.cli.trust import Own, ProjectFile, Setting
 from flysid.errors import UsageError
@@ -41,12 +42,7 @@ HEADINGS = ("GROUP", "CHANNEL", "FLIGHTS", "SAMPLES", "RMSE", "GAIN", "AT")
 @click.option(
     "--models", "-m", cls=ProjectFile, default="", metavar="A,B", help="Models of those runs, as for 'fit'."
 )
-@click.option(
-    "--effort",
-    default="normal",
-    type=click.Choice(["quick", "normal", "thorough"]),
-    help="Effort of the search for rules in these runs.",
-)
+@effort_option("Effort of the search for rules in these runs.")
 @click.option("--force", cls=Own, is_flag=True, help="Replace the models if they exist.")
 @click.option("--json", "as_json", is_flag=True, help="Print the models as JSON.")
 @progress_options

@@ -7,11 +7,12 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from flysid.cli.bounds import COUNT, bounds_options
+from flysid.cli.bounds import bounds_options
 from flysid.cli.checks import Words
 from flysid.cli.display import Display, progress_options
 from flysid.cli.lakeoptions import LakeOptions, check_pattern, lake_options
 from flysid.cli.losses import report
+from flysid.cli.options import jobs_option
 from flysid.cli.output import ExitCode, printable, say, say_passed_over
 from flysid.cli.source import reading_options
 from flysid.cli.trust import Own
@@ -27,15 +28,7 @@ if TYPE_CHECKING:
 @click.option(
     "-o", "--output", "data", cls=Own, default="data", show_default=True, help="The folder to fill."
 )
-@click.option(
-    "-j",
-    "--jobs",
-    cls=Own,
-    default=0,
-    type=COUNT,
-    metavar="N",
-    help="Worker processes; one per core when not given.",
-)
+@jobs_option("Worker processes; one per core when not given.")
 @bounds_options
 @reading_options
 @click.option(

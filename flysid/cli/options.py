@@ -9,8 +9,9 @@ from typing import Any, TypeVar
 
 import click
 
+from flysid.cli import complete
 from flysid.cli.output import FORMS, check_target, chosen_form
-from flysid.cli.trust import Own
+from flysid.cli.trust import Own, Setting
 
 F = TypeVar("F", bound=Callable[..., Any])
 Decorator = Callable[[Any], Any]
@@ -46,6 +47,36 @@ def gather(name: str, make: Callable[..., Any], *options: Decorator) -> Callable
 def force_option(replaced: str) -> Decorator:
     """--force: `replaced` is what the help calls that which is replaced."""
     return click.option("--force", cls=Own, is_flag=True, help=f"Replace the {replaced} if it exists.")
+
+
+def jobs_option(words: str) -> Decorator:
+    """--jobs: how many of what run side by side; 0 where it is not given."""
+    return click.option(
+        "--jobs", "-j", cls=Own, default=0, type=click.IntRange(min=0), metavar="N", help=words
+    )
+
+
+def effort_option(words: str) -> Decorator:
+    """--effort: of the search for rules."""
+    kinds = click.Choice(["quick", "normal", "thorough"])
+    return click.option("--effort", default="normal", show_default=True, type=kinds, help=words)
+
+
+def condition_option(example: str) -> Decorator:
+    """--fail-if, as `condition`."""
+    words = f"Exit with 4 if this holds, e.g. {example}."
+    return click.option("--fail-if", "condition", cls=Setting, help=words)
+
+
+channels_option = click.option(
+    "--channel",
+    "-c",
+    "channels",
+    cls=Setting,
+    multiple=True,
+    shell_complete=complete.channels,
+    help="Only this channel; repeatable.",
+)
 
 
 def target_options(

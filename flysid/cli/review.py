@@ -15,10 +15,9 @@ import click
 from flysid.cli.addresses import SOURCE
 from flysid.cli.checks import Words
 from flysid.cli.display import Display
-from flysid.cli.options import target_options
+from flysid.cli.options import condition_option, target_options
 from flysid.cli.output import ExitCode, explain, print_json, printable, say
 from flysid.cli.source import flight_options, opened_flights, reading_options
-from flysid.cli.trust import Setting
 from flysid.extras import Extra, Missing, extra
 from flysid.showing import fold
 
@@ -40,12 +39,7 @@ if TYPE_CHECKING:
 )
 @click.option("--json", "as_json", is_flag=True, help="Print everything as JSON.")
 @click.option("--markdown", "as_markdown", is_flag=True, help="Print Markdown, for a pull request.")
-@click.option(
-    "--fail-if",
-    "condition",
-    cls=Setting,
-    help="Exit with 4 if this holds, e.g. 'vibration.accel_rms > 30'.",
-)
+@condition_option("'vibration.accel_rms > 30'")
 @reading_options
 def command(
     sources: tuple[Path, ...],

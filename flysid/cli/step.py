@@ -14,7 +14,7 @@ from flysid.cli.addresses import SOURCE
 from flysid.cli.bounds import POSITIVE
 from flysid.cli.checks import Asked, Words, check_source
 from flysid.cli.display import Display
-from flysid.cli.options import picture_options
+from flysid.cli.options import channels_option, picture_options
 from flysid.cli.output import print_json, printable, say_drawn, say_left_out
 from flysid.cli.source import (
     lost_on_the_way,
@@ -23,7 +23,7 @@ from flysid.cli.source import (
     selection_options,
     words_options,
 )
-from flysid.cli.trust import Own, Setting
+from flysid.cli.trust import Own
 
 if TYPE_CHECKING:
     from flysid.ingest.lake.chosen_flights import Selection
@@ -34,9 +34,7 @@ if TYPE_CHECKING:
 @click.argument("data", type=SOURCE)
 @words_options
 @selection_options
-@click.option(
-    "--channel", "-c", "channels", cls=Setting, multiple=True, help="Only this channel; repeatable."
-)
+@channels_option
 @click.option(
     "--horizon",
     default=None,

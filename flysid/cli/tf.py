@@ -10,12 +10,11 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from flysid.cli import complete
 from flysid.cli.addresses import SOURCE
 from flysid.cli.bounds import POSITIVE
 from flysid.cli.checks import Asked, Words, check_source
 from flysid.cli.display import Display, progress_options
-from flysid.cli.options import gather, picture_options
+from flysid.cli.options import channels_option, condition_option, gather, picture_options
 from flysid.cli.output import ExitCode, align_columns, explain, print_json, say, say_drawn, say_left_out
 from flysid.cli.source import (
     lost_on_the_way,
@@ -125,15 +124,7 @@ estimator_options = gather(
 @click.argument("data", type=SOURCE)
 @words_options
 @selection_options
-@click.option(
-    "--channel",
-    "-c",
-    "channels",
-    cls=Setting,
-    multiple=True,
-    shell_complete=complete.channels,
-    help="Only this channel; repeatable.",
-)
+@channels_option
 @click.option(
     "--reference",
     cls=Setting,
@@ -148,9 +139,7 @@ estimator_options = gather(
     metavar="input|setpoint",
     help="For margins: it enters at the plant's input, or at the controller's setpoint.",
 )
-@click.option(
-    "--fail-if", "condition", cls=Setting, help="Exit with 4 if this holds: 'loop.phase_margin_deg.low < 45'."
-)
+@condition_option("'loop.phase_margin_deg.low < 45'")
 @estimator_options
 @click.option("--table", is_flag=True, help="Print the measured frequency response, too.")
 @picture_options("a Bode plot")

@@ -9,7 +9,7 @@ import click
 
 from flysid.cli.addresses import SOURCE
 from flysid.cli.display import Display, progress_options
-from flysid.cli.options import comparison_forms, force_option
+from flysid.cli.options import comparison_forms, condition_option, force_option
 from flysid.cli.output import check_target, end_comparison
 from flysid.cli.source import given, selection_options
 from flysid.cli.trust import Own, Setting
@@ -26,9 +26,7 @@ if TYPE_CHECKING:
     "--output", "-o", type=click.Path(path_type=Path), help="Folder of the report [default: RUN/report]."
 )
 @click.option("--data", type=SOURCE, help="The ingested folder, if it has moved since the fit.")
-@click.option(
-    "--fail-if", "condition", cls=Setting, help="Exit with 4 if this holds, e.g. 'free_run.change_pct > 5'."
-)
+@condition_option("'free_run.change_pct > 5'")
 @click.option(
     "--figures",
     type=click.Choice(["pdf", "svg", "png"]),
