@@ -13,8 +13,8 @@ from flysid.ingest.lake.failures import plain_words
 from flysid.ingest.lake.motors import Motor, read_motors
 from flysid.reviews.battery import read_battery
 from flysid.reviews.failures import Failure
+from flysid.reviews.figures import limit
 from flysid.reviews.gps import find_jump, read_receiver
-from flysid.reviews.limits import limit
 from flysid.reviews.logged import Column, LoggedFlight
 
 BEFORE_S = 10.0

@@ -1,0 +1,157 @@
+"""The figures that reviews state, from `figures.toml`: a row each with label, unit, limit and consequence."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from functools import cache
+from importlib.resources import files
+
+import numpy as np
+
+from flysid.reviews.fact import Action, Fact, Finding, Grade
+
+PHASE_MARGIN = "tracking.{axis}_phase_margin"
+
+
+@dataclass(frozen=True)
+class Row:
+    """A figure's label and unit, from which value on it is to be watched or bad, and what follows from it.
+
+    Where `bad` lies below `watch`, less is worse; NaN where the figure has no limit.
+    """
+
+    label: str = ""
+    unit: str = ""
+    watch: float = np.nan
+    bad: float = np.nan
+    source: str = ""
+    like: str = ""
+    finding: str = ""
+    more: str = ""
+    weight: float | list[float] = 0.5
+    action: Mapping[str, str | float] = field(default_factory=dict)
+
+    def grade(self, value: float) -> Grade:
+        """Of a value.
+
+        Examples
+        --------
+        >>> limit("vibration.ardupilot_vibe").grade(41.0).value, limit("estimator.satellites").grade(4).value
+        ('watch', 'bad')
+        """
+        if np.isnan(self.watch):
+            return Grade.PLAIN
+        sign = 1.0 if self.bad >= self.watch else -1.0
+        if sign * value >= sign * self.bad:
+            return Grade.BAD
+        return Grade.WATCH if sign * value >= sign * self.watch else Grade.GOOD
+
+
+@cache
+def _rows() -> dict[str, Row]:
+    sections = tomllib.loads(files(__package__).joinpath("figures.toml").read_text("utf-8"))
+    return {f"{name}.{key}": Row(**row) for name, rows in sections.items() for key, row in rows.items()}
+
+
+def limit(key: str) -> Row:
+    """The row whose limit a figure has; KeyError where there is none."""
+    row = _rows()[key]
+    return limit(row.like) if row.like else row
+
+
+def rate_lag_limit(axis: str) -> Row:
+    """Of how late a body rate follows, ms."""
+    return limit("tracking.yaw_rate_lag" if axis == "yaw" else "tracking.rate_lag")
+
+
+def fact_of(
+    key: str,
+    value: float | str | None,
+    fields: tuple[str, ...] = (),
+    *,
+    at_s: float | None = None,
+    interval: tuple[float, float] | None = None,
+    note: str = "",
+    grade: Grade | None = None,
+    missing: str = "",
+    **names: str | float,
+) -> Fact:
+    """A figure as its row calls it, graded by its limit, whose source ends its note.
+
+    Parameters
+    ----------
+    key : of the row; braces in it and in its label are filled with `names`.
+    grade : where the row's limit is not that of the value itself.
+
+    Examples
+    --------
+    >>> fact_of("estimator.cpu_load", 97.0).grade.value
+    'bad'
+    """
+    row, bound = _rows()[key], limit(key)
+    if grade is None:
+        grade = bound.grade(value) if isinstance(value, (int, float)) else Grade.PLAIN
+    return Fact(
+        key.format(**names),
+        row.label.format(**names),
+        value,
+        "" if isinstance(value, str) else row.unit,
+        interval,
+        grade,
+        "; ".join(filter(None, (note, bound.source))),
+        fields,
+        at_s,
+        missing,
+    )
+
+
+def absent(
+    key: str, missing: str, remedy: str = "", fields: tuple[str, ...] = (), **names: str | float
+) -> Fact:
+    """A figure that is not determined: why, and what logs it next time."""
+    label = _rows()[key].label.format(**names)
+    return Fact(key.format(**names), label, missing=missing, remedy=remedy, fields=fields)
+
+
+def exceeded(facts: Iterable[Fact]) -> dict[str, Fact]:
+    """Key -> fact of those that passed their limits."""
+    return {
+        fact.key: fact for fact in facts if fact.grade.rank >= Grade.WATCH.rank and fact.value is not None
+    }
+
+
+def findings_of(facts: Iterable[Fact]) -> Iterator[Finding]:
+    """The sentences that rows have for facts beyond their limits."""
+    for key, fact in exceeded(facts).items():
+        row = _rows().get(key, Row())
+        if row.finding:
+            weights = row.weight if isinstance(row.weight, list) else [row.weight]
+            weight = weights[-1] if fact.grade is Grade.BAD else weights[0]
+            yield Finding(_filled(row.finding, fact), fact.grade, weight, key, _filled(row.more, fact))
+
+
+def actions_of(facts: Iterable[Fact]) -> Iterator[Action]:
+    """The actions that rows have for facts beyond their limits."""
+    for key, fact in exceeded(facts).items():
+        texts = dict(_rows().get(key, Row()).action)
+        if texts:
+            weight = float(texts.pop("weight"))
+            yield Action(
+                **{name: _filled(str(text), fact) for name, text in texts.items()}, weight=weight, fact=key
+            )
+
+
+def _filled(text: str, fact: Fact) -> str:
+    """A text of a row with what the fact holds."""
+    what = str(fact.value).partition(" at ")[0]
+    return text.format(
+        value=fact.value,
+        words=fact.words,
+        what=what,
+        What=what.capitalize(),
+        at_s=fact.at_s,
+        note=fact.note,
+        source=limit(fact.key).source,
+    )
