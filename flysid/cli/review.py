@@ -9,6 +9,7 @@ from contextlib import ExitStack
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from threading import Thread
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -103,19 +104,19 @@ def _reviewed(
     sources: Sequence[Path], told: Words, selection: Selection, *, with_evidence: bool
 ) -> tuple[list[Review], Series]:
     """The reviews of all flights of all sources in their order, and what several of one vehicle show."""
-    from flysid.ingest.lake.chosen_flights import select
-    from flysid.reviews.logged import LoggedFlight
-    from flysid.reviews.review import review_flight
-    from flysid.reviews.series import Series, series
-
-    pairs: list[tuple[Review, LoggedFlight]] = []
+    Thread(target=_load_reviews, daemon=True).start()
     with ExitStack() as stack:
         stack.enter_context(Display().shown())
-        for source in sources:
-            lake = stack.enter_context(opened_flights(source, told, selection=selection))
-            for log in select(lake, selection).logs:
-                flight = LoggedFlight(log, log.manifest.damage, log.manifest.source.name)
-                pairs.append((review_flight(flight, with_evidence=with_evidence), flight))
+        lakes = [stack.enter_context(opened_flights(each, told, selection=selection)) for each in sources]
+        from flysid.ingest.lake.chosen_flights import select
+        from flysid.reviews.logged import LoggedFlight
+        from flysid.reviews.review import review_flight
+        from flysid.reviews.series import Series, series
+
+        pairs: list[tuple[Review, LoggedFlight]] = []
+        for log in (log for lake in lakes for log in select(lake, selection).logs):
+            flight = LoggedFlight(log, log.manifest.damage, log.manifest.source.name)
+            pairs.append((review_flight(flight, with_evidence=with_evidence), flight))
         missing = Missing()
         with missing.gathering():
             compared = extra(Extra.SERIES, partial(series, pairs), Series(()))
@@ -123,6 +124,13 @@ def _reviewed(
     for sentence in compared.missing:
         explain(sentence)
     return [review for review, _ in pairs], compared
+
+
+def _load_reviews() -> None:
+    """Import what reviews need: while another process reads the log, it costs no time."""
+    from flysid.reviews.sections import load_sections
+
+    load_sections()
 
 
 def _document(found: Sequence[Review], series: Series) -> dict[str, Any]:

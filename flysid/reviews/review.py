@@ -80,6 +80,7 @@ def review_flight(flight: LoggedFlight, *, with_evidence: bool = False) -> Revie
         facts = [fact for section in sections for fact in section.facts]
         if with_evidence:
             timeline = extra(Extra.REVIEW_PICTURE, partial(evidence, flight, facts), timeline, of="evidence")
+        flight.forget()
     return Review(
         flight.name,
         flight.info,

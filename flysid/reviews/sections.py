@@ -20,6 +20,12 @@ SECTIONS: Mapping[str, str] = {
 """Key of a section -> the module whose `review` computes it."""
 
 
+def load_sections() -> None:
+    """Import what the sections need: while another process reads the log, it costs no time."""
+    for module in SECTIONS.values():
+        import_module(module)
+
+
 def section_of(key: str) -> Reviewer:
     """The function that computes a section."""
     review: Reviewer = import_module(SECTIONS[key]).review
