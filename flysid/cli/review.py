@@ -128,7 +128,7 @@ def _reviewed(
 
 def _load_reviews() -> None:
     """Import what reviews need: while another process reads the log, it costs no time."""
-    from flysid.reviews.sections import load_sections
+    from flysid.reviews.review import load_sections
 
     load_sections()
 

@@ -1,4 +1,4 @@
-"""What a review states of the battery: its lowest voltage, resistance, sag, and the charge that is left."""
+"""Facts about the battery: lowest voltage, resistance, sag and the charge that is left."""
 
 from __future__ import annotations
 

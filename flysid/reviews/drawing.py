@@ -29,7 +29,7 @@ HEIGHT = 210.0
 FROM_ABOVE = 240.0
 """Width and height of motors from above."""
 LEVELS = 8
-"""Shades of a heat map: more are not told apart."""
+"""Shades of a heat map: an eye separates no more."""
 CELLS = 72
 """Of a heat map along an axis: more are narrower than an eye tells apart, and weigh on the page."""
 SHOWN_DB = 60.0

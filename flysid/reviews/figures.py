@@ -1,4 +1,4 @@
-"""The figures that reviews state, from `figures.toml`: a row each with label, unit, limit and consequence."""
+"""Figures of a review, one row each in `figures.toml`: label, unit, limit, finding and action."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ PHASE_MARGIN = "tracking.{axis}_phase_margin"
 
 @dataclass(frozen=True)
 class Row:
-    """A figure's label and unit, from which value on it is to be watched or bad, and what follows from it.
+    """A figure's label, unit and limit, and the finding and action of a value beyond the limit.
 
     Where `bad` lies below `watch`, less is worse; NaN where the figure has no limit.
     """
@@ -110,7 +110,7 @@ def fact_of(
 def absent(
     key: str, missing: str, remedy: str = "", fields: tuple[str, ...] = (), **names: str | float
 ) -> Fact:
-    """A figure that is not determined: why, and what logs it next time."""
+    """A figure that the log does not determine, with the reason and the setting that logs it."""
     label = _rows()[key].label.format(**names)
     return Fact(key.format(**names), label, missing=missing, remedy=remedy, fields=fields)
 

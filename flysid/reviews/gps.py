@@ -1,4 +1,4 @@
-"""The GPS of a log: fix, satellites, accuracy, jamming, and places that it cannot have flown to."""
+"""The GPS of a log: fix, satellites, accuracy, jamming, and jumps beyond the vehicle's speed."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Landings that were blows: what the accelerometer felt at touch-down, and how fast the vehicle sank."""
+"""Hard landings: the acceleration at touch-down and the sink rate before it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Power and motors: what hovering takes and leaves, how motors share it, what the battery loses."""
+"""Power and motors: hover throttle and headroom, motor balance, battery sag."""
 
 from __future__ import annotations
 

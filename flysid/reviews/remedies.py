@@ -1,4 +1,4 @@
-"""What logs next time what a log lacks, in the words of its firmware: from `remedies.toml`."""
+"""Parameters that log a missing stream on the next flight, by firmware: from `remedies.toml`."""
 
 from __future__ import annotations
 

@@ -1,20 +1,37 @@
-"""Logs reviewed: every section computed, each guarded so that none takes the others down."""
+"""Review a log: compute every section; one that fails leaves the others intact."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Mapping
 from functools import partial
+from importlib import import_module
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from flysid.errors import FormatError, UsageError
 from flysid.extras import Extra, Missing, extra
 from flysid.ingest.lake.crash import end_at_crash
+from flysid.ingest.lake.timeline import Timeline, Trace, happenings, with_gaps
 from flysid.progress import tell
-from flysid.reviews.evidence import evidence
-from flysid.reviews.fact import Section
-from flysid.reviews.logged import LoggedFlight
+from flysid.reviews.fact import Fact, Section
+from flysid.reviews.logged import Column, LoggedFlight
 from flysid.reviews.reviewed import NO_TIMELINE, Review
-from flysid.reviews.sections import SECTIONS, section_of
+
+SECTIONS: Mapping[str, str] = {
+    "tracking": "flysid.reviews.tracking",
+    "vibration": "flysid.reviews.vibration",
+    "power": "flysid.reviews.power",
+    "estimator": "flysid.reviews.estimator",
+    "happened": "flysid.reviews.happened",
+    "trust": "flysid.reviews.trust",
+}
+"""Key of a section -> the module whose `review` computes it."""
+
+
+def load_sections() -> None:
+    """Import what the sections need: while another process reads the log, it costs no time."""
+    for module in SECTIONS.values():
+        import_module(module)
 
 
 def review(path: str | Path, page: str | Path | None = None) -> Review:
@@ -79,7 +96,7 @@ def review_flight(flight: LoggedFlight, *, with_evidence: bool = False) -> Revie
                 sections.append(made)
         facts = [fact for section in sections for fact in section.facts]
         if with_evidence:
-            timeline = extra(Extra.REVIEW_PICTURE, partial(evidence, flight, facts), timeline, of="evidence")
+            timeline = extra(Extra.REVIEW_PICTURE, partial(_evidence, flight, facts), timeline, of="evidence")
         flight.forget()
     return Review(
         flight.name,
@@ -93,4 +110,23 @@ def review_flight(flight: LoggedFlight, *, with_evidence: bool = False) -> Revie
 
 
 def _review(key: str, flight: LoggedFlight) -> Section:
-    return section_of(key)(flight)
+    review: Callable[[LoggedFlight], Section] = import_module(SECTIONS[key]).review
+    return review(flight)
+
+
+def _evidence(flight: LoggedFlight, facts: Iterable[Fact]) -> Timeline:
+    """The fields of facts, in their order: those of one fact and unit share a panel."""
+    panels: list[tuple[Trace, ...]] = []
+    drawn: set[str] = set()
+    for fact in facts:
+        new = [flight.read[a] for a in fact.fields if a in flight.read and a not in drawn]
+        units = dict.fromkeys(column.unit for column in new)
+        panels += [tuple(_trace(column) for column in new if column.unit == unit) for unit in units]
+        drawn |= set(fact.fields)
+    seen = happenings(flight.log, flight.clock.offsets_s, flight.duration_s)
+    return Timeline(flight.name, tuple(panels), *seen, flight.clock.words)
+
+
+def _trace(column: Column) -> Trace:
+    time_s, values = with_gaps(column.time_s, column.values)
+    return Trace(column.address, column.unit, time_s, values)

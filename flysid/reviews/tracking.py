@@ -1,4 +1,4 @@
-"""Section "Tracking": how every loop follows its setpoint, what stands at its limit, and what oscillates."""
+"""Section "Tracking": how each loop follows its setpoint, saturates or oscillates."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a pilot should know of how the vehicle follows: one short sentence each."""
+"""Findings about tracking, in one short sentence each."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a log can be trusted with: how long it flew, what was lost, and how fast it was logged."""
+"""Limits of a log: time flown, and what was lost."""
 
 from __future__ import annotations
 
