@@ -47,6 +47,14 @@ if TYPE_CHECKING:
     cls=Setting,
     help="Exit with 4 if this holds, e.g. 'vibration.accel_rms > 30'.",
 )
+@click.option(
+    "--limit",
+    "limits",
+    cls=Setting,
+    multiple=True,
+    metavar="FIGURE=WATCH,BAD",
+    help="Judge a figure by your own limits, e.g. power.motor_spread=15,40; repeatable.",
+)
 @reading_options
 def command(
     sources: tuple[Path, ...],
@@ -56,6 +64,7 @@ def command(
     as_json: bool,
     as_markdown: bool,
     condition: str | None,
+    limits: tuple[str, ...],
     told: Words,
 ) -> int:
     """Review a log: does the vehicle fly well, and what should be changed?
@@ -71,6 +80,7 @@ def command(
     Exit code 3: nothing in a log could be judged; 4: --fail-if holds.
     """
     from flysid.errors import UsageError
+    from flysid.reviews.figures import own_limits, parse_limits
     from flysid.validate.compare.condition import check_grammar
 
     if as_json and as_markdown:
@@ -79,7 +89,8 @@ def command(
         check_grammar(condition)
     if output is not None:
         check_target(output, force, makes_folders=True)
-    found, series = _reviewed(sources, told, selection, with_evidence=output is not None)
+    with own_limits(parse_limits(limits)):
+        found, series = _reviewed(sources, told, selection, with_evidence=output is not None)
     if as_json:
         click.echo(json.dumps(_document(found, series), indent=1, allow_nan=False))
     elif as_markdown:

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import re
 import tomllib
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from contextlib import contextmanager
+from contextvars import ContextVar
+from dataclasses import dataclass, field, replace
 from functools import cache
 from importlib.resources import files
 
 import numpy as np
 
+from flysid.errors import UsageError
 from flysid.reviews.fact import Action, Fact, Finding, Grade
+from flysid.showing import one_of, significant
 
 PHASE_MARGIN = "tracking.{axis}_phase_margin"
 
@@ -55,10 +60,64 @@ def _rows() -> dict[str, Row]:
     return {f"{name}.{key}": Row(**row) for name, rows in sections.items() for key, row in rows.items()}
 
 
+_OWN: ContextVar[Mapping[str, Row]] = ContextVar("_OWN", default={})  # noqa: B039 - never written to
+
+
 def limit(key: str) -> Row:
     """The row whose limit a figure has; KeyError where there is none."""
-    row = _rows()[key]
+    row = _OWN.get().get(key) or _rows()[key]
     return limit(row.like) if row.like else row
+
+
+@contextmanager
+def own_limits(limits: Mapping[str, tuple[float, float]]) -> Iterator[None]:
+    """Judge by other limits within this block.
+
+    Parameters
+    ----------
+    limits : figure -> from which value on it is to be watched, and bad, in the unit of the figure.
+
+    Raises
+    ------
+    UsageError : no figure of that name has a limit.
+
+    Examples
+    --------
+    >>> with own_limits({"power.motor_spread": (20.0, 60.0)}):
+    ...     limit("power.motor_spread").grade(15.0).value
+    'good'
+    """
+    keys = {re.sub(r"{\w+}_", "", key): key for key, row in _rows().items() if not np.isnan(row.watch)}
+    own = dict(_OWN.get())
+    for name, (watch, bad) in limits.items():
+        if name not in keys:
+            raise UsageError(f"no figure {name!r} has a limit", hint=one_of(list(keys), name))
+        words = f"your limits: {significant(watch)} and {significant(bad)}"
+        own[keys[name]] = replace(_rows()[keys[name]], watch=watch, bad=bad, source=words)
+    before = _OWN.set(own)
+    try:
+        yield
+    finally:
+        _OWN.reset(before)
+
+
+def parse_limits(words: Iterable[str]) -> dict[str, tuple[float, float]]:
+    """Limits as a person writes them: "power.motor_spread=15,40".
+
+    Raises
+    ------
+    UsageError : it is written otherwise.
+    """
+    found = {}
+    for text in words:
+        name, _, numbers = text.partition("=")
+        try:
+            watch, bad = (float(part) for part in numbers.split(","))
+        except ValueError:
+            hint = "FIGURE=WATCH,BAD, such as power.motor_spread=15,40"
+            raise UsageError(f"{text!r} is no limit", hint=hint) from None
+        found[name.strip()] = (watch, bad)
+    return found
 
 
 def rate_lag_limit(axis: str) -> Row:

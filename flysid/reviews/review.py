@@ -14,6 +14,7 @@ from flysid.ingest.lake.crash import end_at_crash
 from flysid.ingest.lake.timeline import Timeline, Trace, happenings, with_gaps
 from flysid.progress import tell
 from flysid.reviews.fact import Fact, Section
+from flysid.reviews.figures import own_limits
 from flysid.reviews.logged import Column, LoggedFlight
 from flysid.reviews.reviewed import NO_TIMELINE, Review
 
@@ -34,17 +35,25 @@ def load_sections() -> None:
         import_module(module)
 
 
-def review(path: str | Path, page: str | Path | None = None) -> Review:
+def review(
+    path: str | Path,
+    page: str | Path | None = None,
+    *,
+    limits: Mapping[str, tuple[float, float]] | None = None,
+) -> Review:
     """Review one log: does the vehicle fly well, and what should be changed?
 
     Parameters
     ----------
     path : a log of any format that flysid reads.
     page : write the page to this file, too.
+    limits : figure, such as "power.motor_spread" -> your own limits: from which value on it is to be
+        watched, and bad, in the figure's unit.
 
     Raises
     ------
-    UsageError : there is no such file, or it is a folder or archive of several flights.
+    UsageError : there is no such file, or it is a folder or archive of several flights; a figure of
+        `limits` has none.
     FormatError : nothing of it can be read.
     StoreError : the page cannot be written.
 
@@ -69,7 +78,8 @@ def review(path: str | Path, page: str | Path | None = None) -> Review:
             raise UsageError(f"it holds {len(logs)} flights", path=path, hint=f"flysid review {path}")
         (stored,) = logs
         flight = LoggedFlight(stored, stored.manifest.damage, stored.manifest.source.name)
-        found = review_flight(flight, with_evidence=page is not None)
+        with own_limits(limits or {}):
+            found = review_flight(flight, with_evidence=page is not None)
     if page is not None:
         from flysid.reviews.page import write_review
 

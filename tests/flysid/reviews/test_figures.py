@@ -10,7 +10,7 @@ import pytest
 
 import flysid.reviews
 from flysid.reviews.fact import Grade
-from flysid.reviews.figures import absent, actions_of, fact_of, findings_of, limit
+from flysid.reviews.figures import absent, actions_of, fact_of, findings_of, limit, own_limits
 
 ROWS = tomllib.loads(files("flysid.reviews").joinpath("figures.toml").read_text("utf-8"))
 KEYS = [f"{section}.{name}" for section, rows in ROWS.items() for name in rows]
@@ -48,3 +48,10 @@ def test_what_is_good_or_unknown_needs_no_word() -> None:
 def test_fewer_is_worse_where_the_row_says_so() -> None:
     grades = [fact_of("estimator.satellites", count).grade for count in (14.0, 9.0, 5.0)]
     assert grades == [Grade.GOOD, Grade.WATCH, Grade.BAD]
+
+
+def test_own_limits_hold_for_figures_of_the_same_limit_and_end_with_their_block() -> None:
+    with own_limits({"estimator.test_ratio": (0.1, 0.2)}):
+        strict = fact_of("estimator.{kind}_ratio", 0.3, kind="height")
+    assert (strict.grade, strict.note) == (Grade.BAD, "your limits: 0.1 and 0.2")
+    assert fact_of("estimator.{kind}_ratio", 0.3, kind="height").grade is Grade.GOOD
