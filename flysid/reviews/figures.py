@@ -194,12 +194,10 @@ def findings_of(facts: Iterable[Fact]) -> Iterator[Finding]:
 def actions_of(facts: Iterable[Fact]) -> Iterator[Action]:
     """The actions that rows have for facts beyond their limits."""
     for key, fact in exceeded(facts).items():
-        texts = dict(_rows().get(key, Row()).action)
-        if texts:
-            weight = float(texts.pop("weight"))
-            yield Action(
-                **{name: _filled(str(text), fact) for name, text in texts.items()}, weight=weight, fact=key
-            )
+        action = _rows().get(key, Row()).action
+        if action:
+            title, reason, outcome = (_filled(str(action[n]), fact) for n in ("title", "reason", "predicted"))
+            yield Action(title, reason, predicted=outcome, weight=float(action["weight"]), fact=key)
 
 
 def _filled(text: str, fact: Fact) -> str:

@@ -54,14 +54,14 @@ def _facts(tracked: Tracked) -> Iterator[Fact]:
 
 def _facts_of(followed: Followed, flight: LoggedFlight) -> Iterator[Fact]:
     pair, lag, rows = followed.pair, followed.lag, followed.rows
-    names = {"pair": followed.name, "what": f"{pair.loop.title} {pair.axis}"}
+    name, what = followed.name, f"{pair.loop.title} {pair.axis}"
     worst = int(np.argmax(np.abs(np.where(rows.counts, rows.measured - rows.setpoint, 0.0))))
     at_s = float(rows.time_s[worst])
-    error = fact_of("tracking.{pair}_rms", followed.rms, pair.fields, at_s=at_s, **names)
+    error = fact_of("tracking.{pair}_rms", followed.rms, pair.fields, at_s=at_s, pair=name, what=what)
     yield replace(error, unit=pair.loop.unit)
     if not lag.is_known or lag.interval is None:
         needed = (pair.remedy or remedy(flight, pair.loop.key)) if followed.is_slow else ""
-        yield absent("tracking.{pair}_lag", lag.why, needed, pair.fields, **names)
+        yield absent("tracking.{pair}_lag", lag.why, needed, pair.fields, pair=name, what=what)
     else:
         low, high = (MS * edge for edge in lag.interval)
         bound = rate_lag_limit(pair.axis) if pair.loop.key == "rate" else Row()
@@ -73,13 +73,14 @@ def _facts_of(followed: Followed, flight: LoggedFlight) -> Iterator[Fact]:
             interval=(low, high),
             note="; ".join(filter(None, (share, bound.source))),
             grade=bound.grade(low),
-            **names,
+            pair=name,
+            what=what,
         )
     beyond = followed.overshoot
     if beyond is not None:
         percent, interval = (None, None) if beyond.interval is None else (beyond.percent, beyond.interval)
         key, why = "tracking.{pair}_overshoot", beyond.why
-        yield fact_of(key, percent, pair.fields, interval=interval, missing=why, **names)
+        yield fact_of(key, percent, pair.fields, interval=interval, missing=why, pair=name, what=what)
 
 
 def _absent(tracked: Tracked) -> Iterator[Fact]:

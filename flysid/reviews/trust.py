@@ -14,7 +14,7 @@ from flysid.showing import significant
 
 def review(flight: LoggedFlight) -> Section:
     """Section "What this log can show"."""
-    findings = ()
+    findings: tuple[Finding, ...] = ()
     if not flight.was_flown:
         ground = f"{significant(flight.duration_s)} s on the ground"
         text = "The vehicle did not fly in this log"

@@ -76,7 +76,7 @@ def test_own_limits_grade_the_figure(tmp_path: Path) -> None:
     rates = {name: 0.5 * np.sin(time_s) for name in ("RDes", "R", "ROut")}
     copter_log(tmp_path, {"RATE": (time_s, rates)})
     log, key = tmp_path / "flight.bin", "controller_roll_at_limit"
-    words = ([], ["--limit", "tracking.at_limit=0,0.5"])
+    words: tuple[list[str], ...] = ([], ["--limit", "tracking.at_limit=0,0.5"])
     documents = [json.loads(run("review", log, "--json", *more)[1]) for more in words]
     grades = [document["sections"]["tracking"]["facts"][key]["grade"] for document in documents]
     assert grades == ["good", "watch"]
