@@ -18,6 +18,7 @@ from __future__ import annotations
 import json
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 from flysid.errors import UsageError
@@ -212,6 +213,7 @@ class Flight(Shown):
         return self.tables[resolve_stream(stream, self.tables, self.source.name)]
 
 
+@lru_cache(maxsize=4096)
 def stem_of(stream: str) -> str:
     """A stream's key without the thing that its rows belong to: `1.1/ESC_INFO` of `1.1/ESC_INFO[0]`."""
     if not stream.endswith("]"):

@@ -61,8 +61,7 @@ def command(
     the real time of an iteration. It is run again on the raw gyro, where the log has it, and compared with
     what the vehicle logged. Notches whose frequencies are not in the log are named, and not run.
     """
-    from flysid.reviews.crossover import crossover_of
-    from flysid.reviews.filter_trial import stage_of, try_filters
+    from flysid.reviews.filter_trial import crossover_of, stage_of, try_filters
 
     for words in more:
         stage_of(words)

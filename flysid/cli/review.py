@@ -8,6 +8,7 @@ from contextlib import ExitStack
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from threading import Thread
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -18,6 +19,7 @@ from flysid.cli.display import Display
 from flysid.cli.options import condition_option, target_options
 from flysid.cli.output import ExitCode, explain, print_json, printable, say
 from flysid.cli.source import flight_options, opened_flights, reading_options
+from flysid.cli.trust import Setting
 from flysid.extras import Extra, Missing, extra
 from flysid.showing import fold
 
@@ -40,6 +42,14 @@ if TYPE_CHECKING:
 @click.option("--json", "as_json", is_flag=True, help="Print everything as JSON.")
 @click.option("--markdown", "as_markdown", is_flag=True, help="Print Markdown, for a pull request.")
 @condition_option("'vibration.accel_rms > 30'")
+@click.option(
+    "--limit",
+    "limits",
+    cls=Setting,
+    multiple=True,
+    metavar="FIGURE=WATCH,BAD",
+    help="Judge a figure by your own limits, e.g. power.motor_spread=15,40; repeatable.",
+)
 @reading_options
 def command(
     sources: tuple[Path, ...],
@@ -48,6 +58,7 @@ def command(
     as_json: bool,
     as_markdown: bool,
     condition: str | None,
+    limits: tuple[str, ...],
     told: Words,
 ) -> int:
     """Review a log: does the vehicle fly well, and what should be changed?
@@ -63,13 +74,15 @@ def command(
     Exit code 3: nothing in a log could be judged; 4: --fail-if holds.
     """
     from flysid.errors import UsageError
+    from flysid.reviews.figures import own_limits, parse_limits
     from flysid.validate.compare.condition import check_grammar
 
     if as_json and as_markdown:
         raise UsageError("--json and --markdown each say what to print", hint="give one of them")
     if condition:
         check_grammar(condition)
-    found, series = _reviewed(sources, told, selection, with_evidence=output is not None)
+    with own_limits(parse_limits(limits)):
+        found, series = _reviewed(sources, told, selection, with_evidence=output is not None)
     if as_json:
         print_json(_document(found, series))
     elif as_markdown:
@@ -94,19 +107,19 @@ def _reviewed(
     sources: Sequence[Path], told: Words, selection: Selection, *, with_evidence: bool
 ) -> tuple[list[Review], Series]:
     """The reviews of all flights of all sources in their order, and what several of one vehicle show."""
-    from flysid.ingest.lake.chosen_flights import select
-    from flysid.reviews.logged import LoggedFlight
-    from flysid.reviews.review import review_flight
-    from flysid.reviews.series import Series, series
-
-    pairs: list[tuple[Review, LoggedFlight]] = []
+    Thread(target=_load_reviews, daemon=True).start()
     with ExitStack() as stack:
         stack.enter_context(Display().shown())
-        for source in sources:
-            lake = stack.enter_context(opened_flights(source, told, selection=selection))
-            for log in select(lake, selection).logs:
-                flight = LoggedFlight(log, log.manifest.damage, log.manifest.source.name)
-                pairs.append((review_flight(flight, with_evidence=with_evidence), flight))
+        lakes = [stack.enter_context(opened_flights(each, told, selection=selection)) for each in sources]
+        from flysid.ingest.lake.chosen_flights import select
+        from flysid.reviews.logged import LoggedFlight
+        from flysid.reviews.review import review_flight
+        from flysid.reviews.series import Series, series
+
+        pairs: list[tuple[Review, LoggedFlight]] = []
+        for log in (log for lake in lakes for log in select(lake, selection).logs):
+            flight = LoggedFlight(log, log.manifest.damage, log.manifest.source.name)
+            pairs.append((review_flight(flight, with_evidence=with_evidence), flight))
         missing = Missing()
         with missing.gathering():
             compared = extra(Extra.SERIES, partial(series, pairs), Series(()))
@@ -114,6 +127,13 @@ def _reviewed(
     for sentence in compared.missing:
         explain(sentence)
     return [review for review, _ in pairs], compared
+
+
+def _load_reviews() -> None:
+    """Import what reviews need: while another process reads the log, it costs no time."""
+    from flysid.reviews.review import load_sections
+
+    load_sections()
 
 
 def _document(found: Sequence[Review], series: Series) -> dict[str, Any]:

@@ -89,7 +89,7 @@ def command(
 
     Thresholds come from the run's held-out flights. An input outside the training range is shown, but is
     not an alarm. The vehicle is never commanded. Where RUN is what 'flysid vehicle -o' wrote, the LOG is
-    fitted anew, and it is said which motor, mass or drag has changed.
+    fitted anew, and the answer names the motor, mass or drag that has changed.
     """
     from flysid.validate.runs.run import open_run
 

@@ -1,4 +1,4 @@
-"""Everything of some flights out of a lake: objects, rows, parts, and the catalogue's history."""
+"""Remove flights from a lake for good: objects, rows, parts and the catalogue's history."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Many logs into a lake: found, sorted out against the catalogue, read by an engine, entered into it.
+"""Ingest many logs into a lake: find them, drop those it has, read the rest, add them to the catalogue.
 
 At-least-once tasks and a commit that one writer can make are together exactly once: whatever is killed, the
 same command goes on where it was. Workers never write the catalogue; what is missing there after a kill is

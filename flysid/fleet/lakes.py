@@ -1,4 +1,4 @@
-"""Lakes in object stores: made, checked for what commits rest on, and what lies where.
+"""Lakes in object stores: how they are made and checked, and where things lie in them.
 
 flysid-data.json                    format, version
 flights/<hh>/<digits>/              manifest.json, the commit; <generation>/<stream>.parquet

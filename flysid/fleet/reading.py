@@ -1,4 +1,4 @@
-"""Logs of one task, each from its place to the lake: fetched, hashed, read in a child process, published.
+"""Ingest the logs of one task: fetch, hash, read in a child process, publish.
 
 The child is bounded in memory and time, and its end costs one log (`flysid.ingest.lake.workers`). It sees
 files on this machine alone; its parent speaks to the store.

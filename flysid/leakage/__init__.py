@@ -1,1 +1,1 @@
-"""Whether a held-out flight is one of the training flights, whatever its name: `copies` asks."""
+"""Find held-out flights that are training flights under another name: see `copies`."""

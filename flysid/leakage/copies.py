@@ -42,7 +42,7 @@ LONGEST_PAUSE = 1000  # samples: longer pauses are shortened, so that a day betw
 
 @dataclass(frozen=True)
 class Copy:
-    """A held-out flight that repeats a training flight, and how that shows."""
+    """A held-out flight that repeats a training flight, and the evidence."""
 
     held_out: str
     training: str

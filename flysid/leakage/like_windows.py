@@ -1,4 +1,4 @@
-"""Which pairs of many flights have a stretch in common, found without a look at every pair.
+"""Find the pairs of flights that share a stretch, without comparing every pair.
 
 Every window of the training flights is a point: its slow shape (the first cosines), whatever its size and
 mean. Windows of a held-out flight look for points near by in a tree. A copy agrees in each window that both

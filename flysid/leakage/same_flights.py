@@ -39,7 +39,7 @@ NOISE, OUTPUT, MOVES, CLOSEST = range(4)  # whose lag it is
 def same_flights(
     train: Sequence[Grid], held: Sequence[Grid], *, every_pair: int = EVERY_PAIR
 ) -> Iterator[tuple[int, int, str]]:
-    """Numbers of held-out and training flights that are the same, and how that shows.
+    """Numbers of held-out and training flights that are the same, and the evidence.
 
     Of flights of like length, those of each part in their order; the shortest first.
 

@@ -1,4 +1,4 @@
-"""What a change can mean: the words of an alarm, by what a channel's output is."""
+"""Possible causes of an alarm, by the kind of output that changed."""
 
 from __future__ import annotations
 

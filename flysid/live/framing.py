@@ -1,4 +1,4 @@
-"""Frames in the bytes of one peer, as they come: what is whole is given out, what is begun is kept.
+"""Cut one peer's bytes into frames as they arrive; an unfinished frame waits for its rest.
 
 Bytes that belong to no frame are given out as well. A frame whose id is unknown has no checksum that could be
 judged: it is taken only directly behind a frame, and where its datagram ends with it or a frame

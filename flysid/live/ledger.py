@@ -1,4 +1,4 @@
-"""What came of every vehicle on every link: counted while its frames become records of a tlog.
+"""Frames, losses and repeats of every vehicle on every link, counted as frames become tlog records.
 
 A sender is a peer, a system and a component: two vehicles with one number on two addresses stay two.
 What its link lost is counted by `facts.link`, as it is when the recording is read.

@@ -1,4 +1,4 @@
-"""Links that are recorded, and watched beside a run's models, while a page looks on."""
+"""Record links and watch them against a run's models, with a page that shows both."""
 
 from __future__ import annotations
 

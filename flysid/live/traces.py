@@ -1,4 +1,4 @@
-"""The latest samples of a watched channel, kept for pages that show them."""
+"""The latest samples of a watched channel, for pages that plot them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A run's models beside a stream of samples: when the vehicle leaves the behaviour its flights have shown."""
+"""Compare a stream of samples with a run's models, and raise an alarm when the vehicle behaves otherwise."""
 
 from __future__ import annotations
 

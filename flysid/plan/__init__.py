@@ -1,1 +1,1 @@
-"""The flight to fly next: signals to identify with, and what more flying would tell."""
+"""Plan the next flight: signals to identify with, and the precision they would bring."""

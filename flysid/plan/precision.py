@@ -1,4 +1,4 @@
-"""How well a run knows its vehicle, and what more of the same flying would make of it.
+"""How precisely a run knows its vehicle, and how much more flying of the same kind would help.
 
 The information that records hold of a model's parameters adds up: twice as long a flight of the same kind,
 with the same disturbance, halves the covariance (Ljung, System Identification, 1999, 9.4). An interval

@@ -13,8 +13,8 @@ from flysid.ingest.lake.failures import plain_words
 from flysid.ingest.lake.motors import Motor, read_motors
 from flysid.reviews.battery import read_battery
 from flysid.reviews.failures import Failure
+from flysid.reviews.figures import limit
 from flysid.reviews.gps import find_jump, read_receiver
-from flysid.reviews.limits import limit
 from flysid.reviews.logged import Column, LoggedFlight
 
 BEFORE_S = 10.0
@@ -24,9 +24,6 @@ STOPPED = 0.2
 """Of a motor's speed in steady flight."""
 HELD_S = 0.3
 """At full for so long: a gust asks for less."""
-BROWN_OUT_V = 4.6
-"""Of the board's supply: below it processors and sensors restart."""
-EMPTY_CELL_V = 3.0
 
 
 @dataclass(frozen=True)
@@ -141,13 +138,13 @@ def _brown_out(flight: LoggedFlight, begins_s: float) -> Iterator[Cause]:
     board = flight.quantity("POWR.Vcc", "system_power.voltage5v_v", unit="V", stated="V")
     if board is not None:
         last = _between(board, begins_s - BEFORE_S, begins_s + 1.0)
-        if len(last) and last.values.min() < BROWN_OUT_V:
+        if len(last) and last.values.min() < limit("happened.brown_out").bad:
             volts = float(last.values.min())
             yield Cause("brown-out", 0.8, f"the board's supply fell to {volts:.2f} V")
     battery = read_battery(flight)
     if battery.voltage is not None and battery.cells:
         last = _between(battery.voltage, begins_s - BEFORE_S, begins_s + 1.0)
-        if len(last) and last.values.min() / battery.cells < EMPTY_CELL_V:
+        if len(last) and last.values.min() / battery.cells < limit("happened.empty_cell").bad:
             cell = float(last.values.min()) / battery.cells
             yield Cause("empty battery", 0.8, f"the battery fell to {cell:.2f} V a cell")
 

@@ -29,27 +29,22 @@ HEIGHT = 210.0
 FROM_ABOVE = 240.0
 """Width and height of motors from above."""
 LEVELS = 8
-"""Shades of a heat map: more are not told apart."""
+"""Shades of a heat map: an eye separates no more."""
 CELLS = 72
 """Of a heat map along an axis: more are narrower than an eye tells apart, and weigh on the page."""
-SHOWN_DB = 60.0
-"""Of a spectrum below its highest peak."""
 
 
 def draw_picture(drawn: Picture) -> Markup:
     """Lines on two axes, with marks, and a veil over what the log cannot show."""
     lines = [_thinned(one) for one in drawn.lines]
     xs = [one.x for one in lines]
-    ys = [_in_db(one.y) if drawn.log_y else one.y for one in lines]
+    ys = [one.y for one in lines]
     x_range = _limits(xs)
     if drawn.hidden_from is not None:
         x_range = (x_range[0], max(x_range[1], 1.05 * drawn.hidden_from))
     y_range = span(*ys) if ys else (0.0, 1.0)
-    if drawn.log_y:
-        y_range = (max(y_range[0], y_range[1] - SHOWN_DB), y_range[1])
     axes = Axes(x_range, y_range, left=52.0, top=24.0, width=WIDTH - 66.0, height=HEIGHT - 74.0)
-    unit = f"{drawn.y_label}, dB" if drawn.log_y else drawn.y_label
-    parts = [frame(axes, unit, drawn.x_label)]
+    parts = [frame(axes, drawn.y_label, drawn.x_label)]
     if drawn.hidden_from is not None:
         start = float(axes.px(drawn.hidden_from))
         parts += [
@@ -163,11 +158,6 @@ def _thinned(drawn: Line) -> Line:
     size = -(-len(drawn.x) // round(WIDTH))
     kept = extremes(drawn.y, size) if size > 1 else slice(None)
     return replace(drawn, x=drawn.x[kept], y=drawn.y[kept])
-
-
-def _in_db(values: FloatArray) -> FloatArray:
-    """(N,) powers in decibels."""
-    return np.asarray(10.0 * np.log10(np.maximum(values, np.finfo(float).tiny)))
 
 
 def _limits(xs: Sequence[FloatArray]) -> tuple[float, float]:

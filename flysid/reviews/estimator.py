@@ -8,17 +8,24 @@ import numpy as np
 
 from flysid.reviews import gps, sensors
 from flysid.reviews.fact import Fact, Finding, Grade, Section
-from flysid.reviews.limits import limit
+from flysid.reviews.figures import absent, actions_of, exceeded, fact_of, findings_of, limit
 from flysid.reviews.logged import Column, LoggedFlight
+from flysid.reviews.remedies import remedy
 
 RATIOS = {
-    "velocity": ("SV", "vel_test_ratio", "gps_hvel[0]", "velocity_variance"),
-    "position": ("SP", "pos_test_ratio", "gps_hpos[0]", "pos_horiz_variance"),
-    "height": ("SH", "hgt_test_ratio", "baro_vpos", "pos_vert_variance"),
-    "compass": ("SM", "hdg_test_ratio", "heading", "compass_variance"),
+    "XKF4": ("SV", "SP", "SH", "SM"),
+    "NKF4": ("SV", "SP", "SH", "SM"),
+    "estimator_status": ("vel_test_ratio", "pos_test_ratio", "hgt_test_ratio", "hdg_test_ratio"),
+    "estimator_innovation_test_ratios": ("gps_hvel[0]", "gps_hpos[0]", "baro_vpos", "heading"),
+    "EKF_STATUS_REPORT": (
+        "velocity_variance",
+        "pos_horiz_variance",
+        "pos_vert_variance",
+        "compass_variance",
+    ),
 }
-"""What is measured -> its field in XKF4 and NKF4, and in each of the other messages."""
-MESSAGES = ("XKF4", "NKF4", "estimator_status", "estimator_innovation_test_ratios", "EKF_STATUS_REPORT")
+"""Message -> its fields of `KINDS`; the first message that the log holds counts."""
+KINDS = ("velocity", "position", "height", "compass")
 LEAST = 5
 SETTLED_S = 2.0
 """From take-off and to landing: the estimate takes in what it could not see on the ground, and bumps."""
@@ -29,74 +36,50 @@ def review(flight: LoggedFlight) -> Section:
     receiver = gps.read_receiver(flight)
     ratios = tuple(_ratio_facts(flight))
     of_gps = tuple(gps.facts(receiver))
-    of_sensors = tuple(sensors.facts(flight))
-    found: tuple[Finding, ...] = ()
-    if flight.was_flown:
-        found = (
-            *_findings(ratios, of_gps),
-            *gps.findings(of_gps, receiver),
-            *sensors.findings(of_sensors, flight),
-        )
-    actions = tuple(sensors.actions(of_sensors)) if flight.was_flown else ()
-    facts = (*ratios, *of_gps, *of_sensors)
-    return Section("estimator", "Estimator and sensors", facts, found, actions)
+    facts = (*ratios, *of_gps, *sensors.facts(flight))
+    if not flight.was_flown:
+        return Section("estimator", "Estimator and sensors", facts)
+    of_compass = exceeded(facts).keys() & {"estimator.compass_change"}
+    plain = [fact for fact in facts if not (of_compass and fact.key == "estimator.field_change")]
+    findings = (
+        *_findings(ratios, of_gps),
+        *gps.findings(of_gps, receiver),
+        *sensors.findings(facts, flight),
+        *findings_of(plain),
+    )
+    return Section("estimator", "Estimator and sensors", facts, findings, tuple(actions_of(facts)))
 
 
 def _ratio_facts(flight: LoggedFlight) -> Iterator[Fact]:
-    logged = [name for name in MESSAGES if flight.has(name)]
+    logged = [name for name in RATIOS if flight.has(name)]
     if not logged:
-        remedy = {"ardupilot": "LOG_BITMASK with NTUN (EKF)", "px4": "SDLOG_PROFILE 1"}.get(flight.family, "")
-        yield Fact(
-            "estimator.test_ratio", "largest test ratio", missing="no estimator is logged", remedy=remedy
-        )
+        yield absent("estimator.test_ratio", "no estimator is logged", remedy(flight, "estimator"))
         return
-    known = limit("estimator.test_ratio")
-    worst: Fact | None = None
-    for kind in RATIOS:
-        column = _ratio(flight, kind, logged)
+    worst: tuple[float, str, Column] | None = None
+    for k, kind in enumerate(KINDS):
+        column = _ratio(flight, k, logged)
         if column is None:
             continue
         value = float(np.percentile(column.values, 99.5))
         at_s = float(column.time_s[np.argmax(column.values)])
-        label = f"{kind} test ratio"
-        fields = (column.address,)
-        fact = Fact(
-            f"estimator.{kind}_ratio", label, value, "", None, known.grade(value), known.source, fields, at_s
-        )
-        yield fact
-        if worst is None or value > float(worst.value or 0.0):
-            worst = fact
+        yield fact_of("estimator.{kind}_ratio", value, (column.address,), at_s=at_s, kind=kind)
+        if worst is None or value > worst[0]:
+            worst = value, kind, column
     if worst is not None:
-        yield Fact(
-            "estimator.test_ratio",
-            "largest test ratio",
-            worst.value,
-            "",
-            grade=worst.grade,
-            note=f"{worst.label.partition(' ')[0]}; {known.source}",
-            fields=worst.fields,
-            at_s=worst.at_s,
-        )
+        value, kind, column = worst
+        at_s = float(column.time_s[np.argmax(column.values)])
+        yield fact_of("estimator.test_ratio", value, (column.address,), at_s=at_s, note=kind)
 
 
-def _ratio(flight: LoggedFlight, kind: str, logged: Sequence[str]) -> Column | None:
+def _ratio(flight: LoggedFlight, k: int, logged: Sequence[str]) -> Column | None:
     """The ratio of one measurement in the air, of the first estimator; None where it is not used."""
-    of_ardupilot, of_status, of_innovations, of_mavlink = RATIOS[kind]
-    names = {
-        "XKF4": of_ardupilot,
-        "NKF4": of_ardupilot,
-        "estimator_status": of_status,
-        "estimator_innovation_test_ratios": of_innovations,
-        "EKF_STATUS_REPORT": of_mavlink,
-    }
     for message in logged:
         thing = flight.things(message)[0]
-        column = flight.quantity(f"{thing}.{names[message]}", unit="1")
+        column = flight.quantity(f"{thing}.{RATIOS[message][k]}", unit="1")
         if column is None:
             continue
-        flown = column.where(
-            flight.flying(column.time_s + SETTLED_S) & flight.flying(column.time_s - SETTLED_S)
-        )
+        settled = flight.flying(column.time_s + SETTLED_S) & flight.flying(column.time_s - SETTLED_S)
+        flown = column.where(settled)
         if len(flown) >= LEAST and flown.values.max() > 0.0:
             return flown
     return None

@@ -199,7 +199,6 @@ class Picture:
     lines : drawn in their order.
     marks : x -> words: a peak, an impact.
     hidden_from : x from which on the log cannot show anything, such as half of its rate; None for nowhere.
-    log_y : the y axis is logarithmic.
     """
 
     title: str
@@ -209,7 +208,6 @@ class Picture:
     aside: str = ""
     marks: Mapping[float, str] = field(default_factory=dict)
     hidden_from: float | None = None
-    log_y: bool = False
 
 
 @dataclass(frozen=True, eq=False)

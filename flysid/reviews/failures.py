@@ -1,4 +1,4 @@
-"""Failures that a log states, as a pilot counts them: what is stated twice within a moment is one."""
+"""Failures that a log reports, counted as a pilot would: two reports of one moment are one failure."""
 
 from __future__ import annotations
 

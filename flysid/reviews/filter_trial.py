@@ -1,4 +1,4 @@
-"""Other filters on a log's gyro, beside those that it was flown with: what `flysid filters` shows."""
+"""Other filters on a log's gyro, compared with those it flew with: the content of `flysid filters`."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from flysid.errors import DataError, UsageError
+from flysid.errors import DataError, FlysidError, UsageError
+from flysid.loops.judged import judge
 from flysid.reviews.filters import gyro_chain, replayable
 from flysid.reviews.gyro import AXES, logged_gyro
 from flysid.reviews.logged import LoggedFlight
@@ -17,6 +18,9 @@ from flysid.spectra.chain import Chain, Step
 from flysid.spectra.replay import Replayed
 from flysid.spectra.spectrum import Windows, windows_of
 from flysid.spectra.stages import Kind, Stage
+
+OTHERWISE_HZ = 30.0
+"""Where vehicles of some kilograms cross over, for a log that does not determine it."""
 
 
 def stage_of(words: str) -> Stage:
@@ -46,6 +50,20 @@ def stage_of(words: str) -> Stage:
     if wanted == 1:
         return Stage(Kind(name), values[0])
     return Stage(Kind.NOTCH, values[0], q=values[0] / values[1])
+
+
+def crossover_of(flight: LoggedFlight) -> tuple[float, str]:
+    """Of the roll loop in Hz, where the log determines it; and how that is known."""
+    unknown = f"not determined; {OTHERWISE_HZ:g} Hz are assumed (--crossover HZ)"
+    try:
+        (judged,) = judge([flight.log], ("roll",))[:1]
+    except (FlysidError, ValueError):
+        return OTHERWISE_HZ, unknown
+    figure = judged.margins.crossover_hz if judged.margins is not None else None
+    if figure is None or figure.value is None:
+        return OTHERWISE_HZ, unknown
+    edges = f"[{significant(figure.low)}, {significant(figure.high)}]"
+    return figure.value, f"{significant(figure.value)} Hz {edges} of the roll loop, from the gains in the log"
 
 
 @dataclass(frozen=True)

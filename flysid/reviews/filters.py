@@ -14,6 +14,7 @@ from flysid.loops.axis_flight import slower
 from flysid.loops.betaflight import stated_step_s
 from flysid.reviews.gyro import LoggedGyro, motors_hz, throttle_of
 from flysid.reviews.logged import Column, LoggedFlight
+from flysid.reviews.remedies import remedy
 from flysid.spectra.ardupilot import Sources, ardupilot_chain
 from flysid.spectra.betaflight import betaflight_chain
 from flysid.spectra.chain import Chain
@@ -50,6 +51,7 @@ def gyro_chain(flight: LoggedFlight, gyro: LoggedGyro) -> Chain:
     )
 
 
+BOTH = "log both at the gyro's rate"
 ARDUPILOT_HZ = 1000.0
 """At which ArduPilot samples a gyro at least: older versions do not log it."""
 
@@ -102,7 +104,7 @@ def replayable(flight: LoggedFlight, gyro: LoggedGyro) -> Replayable:
     if not gyro.raw:
         raise DataError(gyro.missing, hint=gyro.remedy)
     if not gyro.every_sample:
-        raise DataError(f"the filters cannot run again on {gyro.note}", hint=_remedy(flight))
+        raise DataError(f"the filters cannot run again on {gyro.note}", hint=remedy(flight, "gyro", BOTH))
     loops = flight.quantity("main.loopIteration")
     stamps = gyro.raw["roll"].time_s
     parts = whole_stretches(stamps, longest_gap=1.5) if loops is None else _counted_stretches(loops)
@@ -110,7 +112,9 @@ def replayable(flight: LoggedFlight, gyro: LoggedGyro) -> Replayable:
     for axis, raw in gyro.raw.items():
         behind = gyro.filtered.get(axis)
         if behind is None:
-            raise DataError("the log does not hold the gyro behind its filters", hint=_remedy(flight))
+            raise DataError(
+                "the log does not hold the gyro behind its filters", hint=remedy(flight, "gyro", BOTH)
+            )
         beside = _beside(raw, behind)
         rows[axis] = [Rows(raw.time_s[p], raw.values[p], beside[p]) for p in parts]
     step = max(quantum(gyro.raw["roll"].values), quantum(gyro.filtered["roll"].values))
@@ -126,12 +130,6 @@ def _beside(raw: Column, behind: Column) -> FloatArray:
     found = np.full(len(raw), np.nan)
     found[place[own]] = behind.values[own]
     return found
-
-
-def _remedy(flight: LoggedFlight) -> str:
-    from flysid.reviews.gyro import REMEDIES
-
-    return REMEDIES.get(flight.family, "log both at the gyro's rate")
 
 
 def _counted_stretches(loops: Column) -> list[slice]:

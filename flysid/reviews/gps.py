@@ -1,4 +1,4 @@
-"""The GPS of a log: fix, satellites, accuracy, jamming, and places that it cannot have flown to."""
+"""The GPS of a log: fix, satellites, accuracy, jamming, and jumps beyond the vehicle's speed."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from flysid.reviews.fact import Fact, Finding, Grade
-from flysid.reviews.limits import limit
+from flysid.reviews.figures import absent, fact_of, limit
 from flysid.reviews.logged import Column, LoggedFlight
 
 FIX_3D = 3
@@ -139,55 +139,38 @@ def facts(receiver: Receiver) -> Iterator[Fact]:
     if fix is None or not len(fix):
         satellites = receiver.satellites
         if satellites is None or not len(satellites):
-            yield Fact("estimator.gps_fix", "GPS fix", missing="no GPS is logged in the air")
+            yield absent("estimator.gps_fix", "no GPS is logged in the air", which="GPS fix")
             return
     else:
         share = float(np.mean(fix.values >= FIX_3D))
         grade = Grade.GOOD if share == 1.0 else Grade.PLAIN if share == 0.0 else Grade.WATCH
         at_s = None if share in (0.0, 1.0) else float(fix.time_s[np.argmax(fix.values < FIX_3D)])
-        fields = (fix.address,)
-        yield Fact("estimator.gps_fix", "time with a fix", 100.0 * share, "%", None, grade, "", fields, at_s)
+        fields, which = (fix.address,), "time with a fix"
+        yield fact_of("estimator.gps_fix", 100.0 * share, fields, grade=grade, at_s=at_s, which=which)
         if share == 0.0:
             return
-    yield from _worst("satellites", "fewest satellites", receiver.satellites, "")
-    yield from _worst("hdop", "worst horizontal dilution", receiver.hdop, "")
-    yield from _worst("eph", "worst horizontal accuracy", receiver.accuracy, "m")
-    yield from _worst("speed_accuracy", "worst speed accuracy", receiver.speed_accuracy, "m/s")
-    yield from _worst("jamming", "worst jamming indicator", receiver.jamming, "")
+    yield from _worst("estimator.satellites", receiver.satellites)
+    yield from _worst("estimator.hdop", receiver.hdop)
+    yield from _worst("estimator.eph", receiver.accuracy)
+    yield from _worst("estimator.speed_accuracy", receiver.speed_accuracy)
+    yield from _worst("estimator.jamming", receiver.jamming)
     jump_m, at_s = find_jump(receiver)
     if np.isfinite(jump_m) and receiver.north is not None:
-        known = limit("estimator.gps_jump")
-        yield Fact(
-            "estimator.gps_jump",
-            "largest jump beyond the speed",
-            jump_m,
-            "m",
-            grade=known.grade(jump_m),
-            note=known.source,
-            fields=(receiver.north.address,),
-            at_s=at_s if jump_m >= known.watch else None,
-        )
+        seen = at_s if jump_m >= limit("estimator.gps_jump").watch else None
+        yield fact_of("estimator.gps_jump", jump_m, (receiver.north.address,), at_s=seen)
 
 
-def _worst(key: str, label: str, column: Column | None, unit: str) -> Iterator[Fact]:
+def _worst(key: str, column: Column | None) -> Iterator[Fact]:
     """The worst value that lasts: of a twentieth of the flight, or of three seconds of a long one."""
     if column is None or len(column) < LEAST:
         return
-    known = limit(f"estimator.{key}")
+    known = limit(key)
     share = min(MOST_SHARE, LASTS_S / max(column.covered_s, LASTS_S))
     sign = 1.0 if known.bad >= known.watch else -1.0
     value = sign * float(np.quantile(sign * column.values, 1.0 - share))
-    first = int(np.argmax(sign * column.values >= sign * value))
-    yield Fact(
-        f"estimator.{key}",
-        label,
-        value,
-        unit,
-        grade=known.grade(value),
-        note=f"for {share * column.covered_s:.0f} s in all; {known.source}",
-        fields=(column.address,),
-        at_s=float(column.time_s[first]),
-    )
+    at_s = float(column.time_s[np.argmax(sign * column.values >= sign * value)])
+    note = f"for {share * column.covered_s:.0f} s in all"
+    yield fact_of(key, value, (column.address,), note=note, at_s=at_s)
 
 
 def is_disturbed(stated: Sequence[Fact]) -> bool:
@@ -198,16 +181,15 @@ def is_disturbed(stated: Sequence[Fact]) -> bool:
 
 
 def findings(stated: Sequence[Fact], receiver: Receiver) -> Iterator[Finding]:
-    """A jump, a fix that was lost, few satellites, jamming."""
+    """A jump, a fix that was lost, few satellites."""
     by_key = {fact.key.partition(".")[2]: fact for fact in stated if isinstance(fact.value, float)}
     jump = by_key.get("gps_jump")
     if jump is not None and jump.grade.rank >= Grade.WATCH.rank and jump.at_s is not None:
         seen = receiver.satellites
         count = float(seen.held(np.array([jump.at_s]))[0]) if seen is not None and len(seen) else float("nan")
         more = f"with {count:.0f} satellites" if np.isfinite(count) else ""
-        yield Finding(
-            f"The GPS jumps {jump.value:.0f} m at {jump.at_s:.0f} s", jump.grade, 0.9, jump.key, more
-        )
+        text = f"The GPS jumps {jump.value:.0f} m at {jump.at_s:.0f} s"
+        yield Finding(text, jump.grade, 0.9, jump.key, more)
     fix = by_key.get("gps_fix")
     if fix is not None and fix.grade is not Grade.GOOD:
         lost = fix.grade is Grade.WATCH
@@ -219,11 +201,6 @@ def findings(stated: Sequence[Fact], receiver: Receiver) -> Iterator[Finding]:
         text = f"The GPS has only {few.value:.0f} satellites at {few.at_s:.0f} s"
         weight = 0.82 if few.grade is Grade.BAD else 0.35
         yield Finding(text, few.grade, weight, few.key, few.note.partition("; ")[2])
-    jammed = by_key.get("jamming")
-    if jammed is not None and jammed.grade is not Grade.GOOD:
-        text = f"Something jams the GPS at {jammed.at_s:.0f} s: indicator {jammed.value:.0f}"
-        weight = 0.84 if jammed.grade is Grade.BAD else 0.55
-        yield Finding(text, jammed.grade, weight, jammed.key, jammed.note.partition("; ")[2])
 
 
 def _is_inaccurate(by_key: Mapping[str, Fact]) -> bool:

@@ -11,6 +11,7 @@ import numpy as np
 from flysid.dataset import FloatArray
 from flysid.flight import thing_of
 from flysid.reviews.logged import Column, LoggedFlight
+from flysid.reviews.remedies import remedy
 from flysid.spectra.causes import Source
 
 AXES = ("roll", "pitch", "yaw")
@@ -48,15 +49,6 @@ class LoggedGyro:
         return self.raw if rates[0] >= rates[1] else self.filtered
 
 
-REMEDIES = {
-    "ardupilot": "INS_RAW_LOG_OPT 9 logs the gyro before and behind its filters",
-    "px4": "SDLOG_PROFILE with the high-rate sensor bit (32) logs sensor_gyro_fifo",
-    "betaflight": "blackbox with the field gyroUnfilt (4.5 and later); before, debug_mode GYRO_SCALED",
-    "inav": "blackbox_enable GYRO_RAW",
-}
-"""Firmware -> what logs the gyro before its filters."""
-
-
 def logged_gyro(flight: LoggedFlight) -> LoggedGyro:
     """The gyro of a log, wherever its firmware writes it."""
     readers = {"ardupilot": _ardupilot, "px4": _px4, "betaflight": _blackbox, "inav": _blackbox}
@@ -64,7 +56,7 @@ def logged_gyro(flight: LoggedFlight) -> LoggedGyro:
     if found.raw:
         return found
     why = "the log holds the gyro only behind the filters" if found.filtered else "the log holds no gyro"
-    return LoggedGyro({}, found.filtered, missing=why, remedy=REMEDIES.get(flight.family, ""))
+    return LoggedGyro({}, found.filtered, missing=why, remedy=remedy(flight, "gyro"))
 
 
 def _of_axes(flight: LoggedFlight, form: str, names: Sequence[str], stated: str = "") -> dict[str, Column]:

@@ -1,4 +1,4 @@
-"""The spectra of one flight's gyro, with what its filters and its motors have to do with them."""
+"""Spectra of one flight's gyro, with the filters and motors that shape them."""
 
 from __future__ import annotations
 

@@ -17,9 +17,10 @@ from flysid.ingest.lake.motors import read_motors
 from flysid.reviews.causes import Cause, rank_causes
 from flysid.reviews.fact import Fact, Finding, Grade, Section, Table
 from flysid.reviews.failures import Failure, stated_failures
+from flysid.reviews.figures import absent, fact_of
 from flysid.reviews.landing import HardLanding, find_hard_landing
-from flysid.reviews.limits import limit
 from flysid.reviews.logged import LoggedFlight
+from flysid.reviews.motor_loss import first_lasting
 from flysid.showing import clock
 
 ROWS = 60
@@ -99,32 +100,27 @@ class Story:
 
 
 def _facts(story: Story) -> Iterator[Fact]:
-    flight = story.flight
+    flight, crash, failures = story.flight, story.crash, story.failures
     modes = [event.text for event in story.events if event.kind == "mode"]
     if modes:
-        yield Fact("happened.modes", "flight modes", ", ".join(dict.fromkeys(modes)))
+        yield fact_of("happened.modes", ", ".join(dict.fromkeys(modes)))
     else:
-        yield Fact("happened.modes", "flight modes", missing="the log states no mode")
+        yield absent("happened.modes", "the log states no mode")
     if flight.flown.seconds:
-        spans = "; ".join(f"{clock(a)} to {clock(b)}" for a, b in flight.air_s[:5])
-        yield Fact("happened.air", "in the air", spans)
-    words = "; ".join(f"{failure.words} at {failure.at_s:.1f} s" for failure in story.failures[:3])
-    first_s = story.failures[0].at_s if story.failures else None
-    grade = Grade.WATCH if story.failures else Grade.GOOD
-    yield Fact("happened.failsafes", "failsafes and errors", words or "none", grade=grade, at_s=first_s)
-    value = "; ".join(event.text for event in story.changed[:3]) or "none"
-    yield Fact("happened.parameter_changes", "parameters changed in the air", value)
+        yield fact_of("happened.air", "; ".join(f"{clock(a)} to {clock(b)}" for a, b in flight.air_s[:5]))
+    words = "; ".join(f"{failure.words} at {failure.at_s:.1f} s" for failure in failures[:3]) or "none"
+    first_s = failures[0].at_s if failures else None
+    grade = Grade.WATCH if failures else Grade.GOOD
+    yield fact_of("happened.failsafes", words, grade=grade, at_s=first_s)
+    yield fact_of("happened.parameter_changes", "; ".join(e.text for e in story.changed[:3]) or "none")
     yield from _departure(flight)
     yield from _impact(story)
-    crash = story.crash
     if crash is not None and np.isfinite(crash.tipped_s):
-        yield Fact(
-            "happened.tipped_over", "tipped over", crash.tipped_s, "s", grade=Grade.BAD, at_s=crash.tipped_s
-        )
+        yield fact_of("happened.tipped_over", crash.tipped_s, grade=Grade.BAD, at_s=crash.tipped_s)
     if story.ended_badly:
         likely = f"{story.causes[0].name}: {story.causes[0].evidence}" if story.causes else None
         missing = "" if story.causes else "nothing in the ten seconds before speaks for one cause"
-        yield Fact("happened.cause", "likely cause", likely, grade=Grade.BAD, missing=missing)
+        yield fact_of("happened.cause", likely, grade=Grade.BAD, missing=missing)
 
 
 def _departure(flight: LoggedFlight) -> Iterator[Fact]:
@@ -138,55 +134,30 @@ def _departure(flight: LoggedFlight) -> Iterator[Fact]:
     flown = error.where(inside)
     if len(flown) < 10:
         return
-    need = max(1, round(LASTING_S * flown.rate_hz))
-    away = np.convolve(flown.values > APART_DEG, np.ones(need), "valid") >= need
-    fields = (flown.address,)
-    label = f"first {APART_DEG:.0f} deg away from the commanded tilt"
-    if away.any():
-        at_s = float(flown.time_s[np.argmax(away)])
-        yield Fact("happened.departure", label, at_s, "s", None, Grade.WATCH, "", fields, at_s)
-    else:
-        most = float(flown.values.max())
-        text = f"never; at most {most:.0f} deg"
-        yield Fact("happened.departure", label, text, "", None, Grade.GOOD, "", fields)
+    at = first_lasting(flown.values > APART_DEG, max(1, round(LASTING_S * flown.rate_hz)))
+    at_s = None if at is None else float(flown.time_s[at])
+    value = f"never; at most {float(flown.values.max()):.0f} deg" if at_s is None else at_s
+    grade = Grade.GOOD if at_s is None else Grade.WATCH
+    yield fact_of("happened.departure", value, (flown.address,), grade=grade, at_s=at_s, degrees=APART_DEG)
 
 
 def _impact(story: Story) -> Iterator[Fact]:
-    crash, landing = story.crash, story.landing
+    key, crash, landing = "happened.impact", story.crash, story.landing
     if crash is not None:
-        yield Fact(
-            "happened.impact",
-            "hardest impact",
-            crash.impact_m_s2,
-            "m/s2",
-            grade=Grade.BAD,
-            fields=(crash.field,),
-            at_s=crash.impact_s,
-        )
+        fields, at_s = (crash.field,), crash.impact_s
+        which = "hardest impact"
+        yield fact_of(key, crash.impact_m_s2, fields, at_s=at_s, grade=Grade.BAD, which=which)
         return
     if landing is not None:
-        note = f"at touch-down; {limit('happened.landing').source}"
-        yield Fact(
-            "happened.landing",
-            "blow of the landing",
-            landing.impact_m_s2,
-            "m/s2",
-            None,
-            landing.grade,
-            note,
-            (landing.field,),
-            landing.at_s,
-        )
+        fields, at_s, note = (landing.field,), landing.at_s, "at touch-down"
+        grade = landing.grade
+        yield fact_of("happened.landing", landing.impact_m_s2, fields, at_s=at_s, note=note, grade=grade)
     felt = acceleration(story.flight)
-    if felt is None:
-        return
-    flown = felt.where(story.flight.flying(felt.time_s))
-    if len(flown):
+    flown = None if felt is None else felt.where(story.flight.flying(felt.time_s))
+    if flown is not None and len(flown):
         at = int(np.argmax(flown.values))
         value, at_s = float(flown.values[at]), float(flown.time_s[at])
-        yield Fact(
-            "happened.impact", "largest acceleration", value, "m/s2", fields=(felt.address,), at_s=at_s
-        )
+        yield fact_of(key, value, (flown.address,), at_s=at_s, which="largest acceleration")
 
 
 # ------------------------------------------------------------------------------------------- findings

@@ -1,4 +1,4 @@
-"""Hovering: when a vehicle stood nearly still in the air, and what thrust it took."""
+"""Hover throttle: stretches of nearly still flight, and the thrust they took."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Landings that were blows: what the accelerometer felt at touch-down, and how fast the vehicle sank."""
+"""Hard landings: the acceleration at touch-down and the sink rate before it."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from flysid.ingest.lake.attitude import sink_speed
 from flysid.ingest.lake.crash import acceleration
 from flysid.reviews.fact import Grade
-from flysid.reviews.limits import limit
+from flysid.reviews.figures import limit
 from flysid.reviews.logged import Column, LoggedFlight
 
 FAMILIES = ("ardupilot", "px4", "inav")

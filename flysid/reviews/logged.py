@@ -1,4 +1,4 @@
-"""A log as a review reads it, and its rate loops as the firmware's gains make them."""
+"""A log under review, with the rate loops that its gains define."""
 
 from __future__ import annotations
 

@@ -14,9 +14,10 @@ import numpy as np
 from flysid.dataset import FloatArray
 from flysid.ingest.lake.motors import Motor
 from flysid.reviews.fact import Action, Fact, Finding, Grade, MotorPlan
+from flysid.reviews.figures import absent, fact_of, limit
 from flysid.reviews.hover import find_calm
-from flysid.reviews.limits import limit
 from flysid.reviews.logged import LoggedFlight
+from flysid.showing import list_words
 
 AXES = ("roll", "pitch", "yaw")
 LEAST_S = 5.0
@@ -54,7 +55,7 @@ class Balance:
         axis = main_axis(self)
         if self.doubts[axis] > abs(self.trims[axis]):
             return Grade.GOOD
-        return limit("power.motor_spread").grade(self.spread)
+        return limit("power.motor_spread").grade(100.0 * self.spread)
 
     @property
     def odd(self) -> int | None:
@@ -127,64 +128,39 @@ def _trims(motors: Sequence[Motor], shares: FloatArray) -> dict[str, float]:
 def facts(balance: Balance | None, motors: tuple[Motor, ...], remedy: str) -> Iterator[Fact]:
     """Spread, trims, each motor's mean and speed."""
     if balance is None:
-        reason = (
-            "the flight is too short" if motors else "no motor commands are logged, or the frame is not known"
-        )
-        yield Fact("power.motor_spread", "difference between motors", missing=reason, remedy=remedy)
+        unknown = "no motor commands are logged, or the frame is not known"
+        yield absent("power.motor_spread", "the flight is too short" if motors else unknown, remedy)
         return
     fields = tuple(m.command.address for m in balance.motors)
-    known = limit("power.motor_spread")
     note = "level and slow flight" if balance.calm else "the whole flight: its trims hold its manoeuvres, too"
-    spread = balance.spread
-    yield Fact(
-        "power.motor_spread", "difference between motors", 100.0 * spread, "%",
-        grade=balance.grade, note=f"{note}; {known.source}", fields=fields,
-    )  # fmt: skip
+    yield fact_of("power.motor_spread", 100.0 * balance.spread, fields, note=note, grade=balance.grade)
     for axis, trim in balance.trims.items():
-        half = 100.0 * balance.doubts[axis]
-        interval = (100.0 * trim - half, 100.0 * trim + half) if np.isfinite(half) else None
-        label, share = f"{axis} trim", 100.0 * trim
-        yield Fact(
-            f"power.trim_{axis}", label, share, "%", interval, note="of the hover thrust", fields=fields
-        )
+        share, half = 100.0 * trim, 100.0 * balance.doubts[axis]
+        interval = (share - half, share + half) if np.isfinite(half) else None
+        note = "of the hover thrust"
+        yield fact_of("power.trim_{axis}", share, fields, interval=interval, note=note, axis=axis)
     for motor, share, speed in zip(balance.motors, balance.shares, balance.speeds, strict=True):
-        key = f"power.motor_{motor.number}"
-        yield Fact(key, f"motor {motor.number}", 100.0 * float(share), "%", fields=(motor.command.address,))
+        number = motor.number
+        yield fact_of("power.motor_{number}", 100.0 * float(share), (motor.command.address,), number=number)
         if motor.speed is not None and np.isfinite(speed):
-            yield Fact(
-                f"{key}_rpm",
-                f"motor {motor.number} speed",
-                float(speed),
-                "rpm",
-                fields=(motor.speed.address,),
-            )
+            yield fact_of("power.motor_{number}_rpm", float(speed), (motor.speed.address,), number=number)
 
 
 def findings(balance: Balance | None) -> Iterator[Finding]:
     """The motor that stands out, or the axis that is trimmed."""
     if balance is None:
         return
-    grade = balance.grade
+    grade, key = balance.grade, "power.motor_spread"
     if grade is Grade.GOOD:
-        if limit("power.motor_spread").grade(balance.spread) is not Grade.GOOD:
-            return  # it differs, but not for good
-        worst = f"{max(1.0, 100.0 * balance.spread):.0f} %"
-        yield Finding(f"The motors share the load evenly, within {worst}", grade, 0.3, "power.motor_spread")
-        return
-    if balance.odd is not None:
-        yield Finding(
-            _odd_words(balance, balance.odd),
-            grade,
-            0.85,
-            "power.motor_spread",
-            _odd_more(balance, balance.odd),
-        )
-        return
-    high, low, share = pair_of(balance)
-    words = f"Motors {_list(high)} carry {100.0 * share:.0f} % more than {_list(low)}"
-    axis = main_axis(balance)
-    more = f"{axis} trim of {abs(100.0 * balance.trims[axis]):.0f} %: {CAUSES[axis]}"
-    yield Finding(words, grade, 0.66, "power.motor_spread", more)
+        if limit(key).grade(100.0 * balance.spread) is Grade.GOOD:  # else it differs, but not for good
+            worst = f"{max(1.0, 100.0 * balance.spread):.0f} %"
+            yield Finding(f"The motors share the load evenly, within {worst}", grade, 0.3, key)
+    elif balance.odd is not None:
+        yield Finding(_odd_words(balance, balance.odd), grade, 0.85, key, _odd_more(balance, balance.odd))
+    else:
+        axis = main_axis(balance)
+        more = f"{axis} trim of {abs(100.0 * balance.trims[axis]):.0f} %: {CAUSES[axis]}"
+        yield Finding(f"Motors {_pair_words(balance)}", grade, 0.66, key, more)
 
 
 CAUSES = {
@@ -239,37 +215,32 @@ def actions(balance: Balance | None) -> Iterator[Action]:
     """What to look at on the bench."""
     if balance is None or balance.grade is Grade.GOOD:
         return
-    if balance.odd is not None and balance.apart(balance.odd) < 0.0:
-        return  # less is no fault of its own, and the log does not show whose
-    if balance.odd is not None:
-        number = balance.motors[balance.odd].number
-        part = "motor and ESC" if _is_motor(balance) else "propeller, shaft and mount"
+    if balance.odd is None:
+        axis = main_axis(balance)
+        mounts = "Check the mounts of all motors: upright, none twisted"
         yield Action(
-            f"Check motor {number}: {part}", _odd_words(balance, balance.odd),
-            predicted=f"motors within {100.0 * limit('power.motor_spread').watch:.0f} % of each other",
+            mounts if axis == "yaw" else "Move the battery to the middle",
+            f"motors {_pair_words(balance)}: a {axis} trim",
+            predicted="motors that share the load evenly",
+            weight=0.5,
+            fact=f"power.trim_{axis}",
+        )
+    elif balance.apart(balance.odd) >= 0.0:  # less is no fault of its own, and the log does not show whose
+        part = "motor and ESC" if _turns_alike(balance, balance.odd) else "propeller, shaft and mount"
+        yield Action(
+            f"Check motor {balance.motors[balance.odd].number}: {part}",
+            _odd_words(balance, balance.odd),
+            predicted=f"motors within {limit('power.motor_spread').watch:.0f} % of each other",
             weight=0.7,
             fact="power.motor_spread",
-        )  # fmt: skip
-        return
+        )
+
+
+def _pair_words(balance: Balance) -> str:
+    """ "1 and 2 carry 28 % more than 3 and 4"."""
     high, low, share = pair_of(balance)
-    axis = main_axis(balance)
-    reason = f"motors {_list(high)} carry {100.0 * share:.0f} % more than {_list(low)}: a {axis} trim"
-    order = (
-        "Check the mounts of all motors: upright, none twisted"
-        if axis == "yaw"
-        else "Move the battery to the middle"
-    )
-    yield Action(
-        order, reason, predicted="motors that share the load evenly", weight=0.5, fact=f"power.trim_{axis}"
-    )
-
-
-def _is_motor(balance: Balance) -> bool:
-    return (
-        balance.odd is not None
-        and np.isfinite(balance.faster(balance.odd))
-        and _turns_alike(balance, balance.odd)
-    )
+    more, less = (list_words([str(n) for n in numbers]) for numbers in (high, low))
+    return f"{more} carry {100.0 * share:.0f} % more than {less}"
 
 
 def plan(balance: Balance | None) -> Iterator[MotorPlan]:
@@ -279,8 +250,3 @@ def plan(balance: Balance | None) -> Iterator[MotorPlan]:
         places = tuple(m.place for m in balance.motors)
         shares = tuple(float(share) for share in balance.shares)
         yield MotorPlan("Motors", places, shares, names, "% of full, mean in flight")
-
-
-def _list(numbers: Sequence[int]) -> str:
-    texts = [str(n) for n in numbers]
-    return texts[0] if len(texts) == 1 else f"{', '.join(texts[:-1])} and {texts[-1]}"

@@ -1,4 +1,4 @@
-"""A notch where a log shows a tone before the filters that no notch takes away, with what it would do."""
+"""Propose a notch for a tone that the filters leave in place, with the effect it would have."""
 
 from __future__ import annotations
 

@@ -90,7 +90,7 @@ def oscillation(
 
     Parameters
     ----------
-    setpoint : of this rate: by itself is what it did not ask for.
+    setpoint : of this rate: what it does not hold is the vehicle's own.
     narrow : share that a narrow band must hold, of what is quicker than manoeuvres and not in the setpoint.
     quiet : the setpoint moves by less than this share of it.
     least : deg/s, root mean square: less does not count; and where the log folds, since the shaking of rotors
@@ -105,7 +105,10 @@ def oscillation(
     shaken = [
         w
         for w in windows
-        if w.rms >= floor and w.frequency_hz >= SLOWEST_HZ and w.narrow >= narrow and w.asked <= quiet * w.rms
+        if w.rms >= floor
+        and w.frequency_hz >= SLOWEST_HZ
+        and w.narrow >= narrow
+        and w.wanted <= quiet * w.rms
     ]
     if len(shaken) < least_windows:
         return Oscillation(gyro.address, gyro.rate_hz)
@@ -131,7 +134,7 @@ class _Window:
     frequency_hz: float
     rms: float
     narrow: float
-    asked: float
+    wanted: float
 
 
 def _windows(
@@ -147,11 +150,11 @@ def _windows(
     taper = np.hanning(size)
     for piece in gyro.pieces():
         flown = counts(piece.time_s)
-        asked = np.nan_to_num(setpoint.at(piece.time_s))
+        wanted = np.nan_to_num(setpoint.at(piece.time_s))
         for at in range(0, len(piece) - size + 1, max(size // 2, 1)):
             rows = slice(at, at + size)
             if flown[rows].all():
-                both = (_power(piece.values[rows], taper), _power(asked[rows], taper))
+                both = (_power(piece.values[rows], taper), _power(wanted[rows], taper))
                 yield _window(float(piece.time_s[at + size // 2]), f, inside, *both)
 
 
@@ -164,10 +167,10 @@ def _power(values: FloatArray, taper: FloatArray) -> FloatArray:
 
 
 def _window(
-    at_s: float, f: FloatArray, inside: BoolArray, rate: FloatArray, asked: FloatArray, lines: int = 2
+    at_s: float, f: FloatArray, inside: BoolArray, rate: FloatArray, wanted: FloatArray, lines: int = 2
 ) -> _Window:
     """`lines`: to either side of the strongest, as wide as the taper spreads one frequency."""
-    own = np.where(inside, np.maximum(rate - asked, 0.0), 0.0)
+    own = np.where(inside, np.maximum(rate - wanted, 0.0), 0.0)
     k = int(np.argmax(own))
     band = slice(max(k - lines, 0), k + lines + 1)
     held = float(rate[band].sum())
@@ -177,5 +180,5 @@ def _window(
         float(f[k]),
         float(np.sqrt(held)),
         float(own[band].sum()) / whole if whole > 0.0 else 0.0,
-        float(np.sqrt(asked[band].sum())),
+        float(np.sqrt(wanted[band].sum())),
     )

@@ -15,18 +15,7 @@ from flysid.escaping import one_line
 from flysid.extras import Extra, Missing, extra
 from flysid.ingest.lake.timeline import Timeline
 from flysid.reviews.drawing import draw_heat_map, draw_motors, draw_picture, draw_top_view
-from flysid.reviews.fact import (
-    Action,
-    Drawn,
-    Fact,
-    Finding,
-    Grade,
-    HeatMap,
-    MotorPlan,
-    Section,
-    Table,
-    TopView,
-)
+from flysid.reviews.fact import Action, Drawn, Finding, Grade, HeatMap, MotorPlan, Section, Table, TopView
 from flysid.reviews.lines import capital, head
 from flysid.reviews.reviewed import Review
 from flysid.validate.show.page.flight_page import timeline_document
@@ -101,16 +90,17 @@ def fill_page(
         _environment()
         .get_template("review.html.j2")
         .render(
+            capital=capital,
             csp=security_policy(scripts, styles),
             styles=Markup(styles),
             scripts=[Markup(script) for script in scripts],
             data=Markup(script_json(list(data))),
-            title=one_line(title),
+            title=title,
             reviews=shown,
-            series=[_table(table) for table in series],
-            command=one_line(command),
+            series=series,
+            command=command,
             version=__version__,
-            missing=[one_line(words) for words in absent],
+            missing=absent,
         )
     )
 
@@ -122,17 +112,21 @@ def _asset(name: str) -> str:
 
 @cache
 def _environment() -> Environment:
-    """As the report's pages, with this page's template."""
-    return environment().overlay(loader=FunctionLoader(_asset))
+    """As the report's pages, with this page's template; no text of a log breaks a line."""
+    return environment().overlay(loader=FunctionLoader(_asset), finalize=_printable)
+
+
+def _printable(shown: object) -> object:
+    """Names and messages come from logs; markup was made here."""
+    return one_line(shown) if isinstance(shown, str) and not isinstance(shown, Markup) else shown
 
 
 def _filled(review: Review, index: int) -> dict[str, Any]:
     aside = "from what this log shows; nothing was tried on the vehicle"
     answer = fill_answer(head(review), review.findings, review.actions, review.sections, aside, index)
     return answer | {
-        "broken": [one_line(sentence) for sentence in review.broken],
-        "clock": one_line(review.clock.words),
-        "moments": [(m.time_s, one_line(m.kind), one_line(m.text)) for m in review.timeline.moments],
+        "broken": review.broken,
+        "clock": review.clock.words,
         "has_panels": bool(review.timeline.panels),
     }
 
@@ -154,38 +148,17 @@ def fill_answer(
     aside : what the actions rest on.
     index : of it on its page.
     """
-    first, *rest = findings
-    keys = {fact.key: _anchor(index, fact.key) for section in sections for fact in section.facts}
+    keys = {fact.key for section in sections for fact in section.facts}
     return {
         "index": index,
-        "head": one_line(whose),
-        "headline": one_line(first.text),
-        "headline_more": one_line(first.more),
-        "headline_to": keys.get(first.fact, ""),
-        "headline_grade": first.grade.value,
-        "findings": [
-            {
-                "text": one_line(finding.text),
-                "more": one_line(finding.more),
-                "grade": finding.grade.value,
-                "to": keys.get(finding.fact, ""),
-            }
-            for finding in rest
-        ],
-        "aside": one_line(aside),
-        "actions": [
-            {
-                "title": one_line(action.title),
-                "reason": one_line(capital(action.reason)),
-                "changes": [one_line(change.words) for change in action.changes],
-                "predicted": one_line(action.predicted),
-                "risk": one_line(action.risk),
-                "to": keys.get(action.fact, ""),
-            }
-            for action in actions
-        ],
+        "head": whose,
+        "findings": findings,
+        "actions": actions,
+        "aside": aside,
         "sections": [_section(section, index) for section in sections],
-        "broken": [],
+        "anchor": partial(_anchor, index),
+        "link": lambda key: _anchor(index, key) if key in keys else "",
+        "broken": (),
         "has_panels": False,
     }
 
@@ -194,22 +167,19 @@ def _section(section: Section, index: int) -> dict[str, Any]:
     known = [fact for fact in section.facts if fact.value is not None]
     judged = [fact for fact in known if fact.grade is not Grade.PLAIN]
     first = known if len(known) <= FEW else judged
+    drawn = [shown for shown in section.shown if not isinstance(shown, Table)]
+    empty = Markup("")
     return {
         "key": _anchor(index, section.key),
-        "title": one_line(section.title),
-        "facts": [_fact(fact, index) for fact in first],
-        "more": [_fact(fact, index) for fact in known if fact not in first],
-        "unknown": [_fact(fact, index) for fact in section.facts if fact.value is None],
+        "title": section.title,
+        "facts": first,
+        "more": [fact for fact in known if fact not in first],
+        "unknown": [fact for fact in section.facts if fact.value is None],
         "pictures": [
-            {
-                "title": one_line(shown.title),
-                "aside": one_line(shown.aside),
-                "svg": extra(Extra.REVIEW_PICTURE, partial(_draw, shown), Markup(""), of=section.title),
-            }
-            for shown in section.shown
-            if not isinstance(shown, Table)
+            (shown, extra(Extra.REVIEW_PICTURE, partial(_draw, shown), empty, of=section.title))
+            for shown in drawn
         ],
-        "tables": [_table(shown) for shown in section.shown if isinstance(shown, Table)],
+        "tables": [shown for shown in section.shown if isinstance(shown, Table)],
     }
 
 
@@ -221,32 +191,6 @@ def _draw(shown: Drawn) -> Markup:
     if isinstance(shown, MotorPlan):
         return draw_motors(shown)
     return draw_picture(shown)
-
-
-def _table(table: Table) -> dict[str, Any]:
-    times = table.times or (None,) * len(table.rows)
-    return {
-        "title": one_line(table.title),
-        "headings": [one_line(heading) for heading in table.headings],
-        "rows": [
-            {"cells": [one_line(cell) for cell in row], "at": at}
-            for row, at in zip(table.rows, times, strict=True)
-        ],
-    }
-
-
-def _fact(fact: Fact, index: int) -> dict[str, Any]:
-    return {
-        "key": _anchor(index, fact.key),
-        "label": one_line(fact.label),
-        "words": one_line(fact.words),
-        "grade": fact.grade.value,
-        "note": one_line(fact.note),
-        "missing": one_line(fact.missing),
-        "remedy": one_line(fact.remedy),
-        "fields": [one_line(field) for field in fact.fields],
-        "at": fact.at_s,
-    }
 
 
 def _anchor(index: int, key: str) -> str:

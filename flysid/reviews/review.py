@@ -1,33 +1,59 @@
-"""Logs reviewed: every section computed, each guarded so that none takes the others down."""
+"""Review a log: compute every section; one that fails leaves the others intact."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Mapping
 from functools import partial
+from importlib import import_module
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from flysid.errors import FormatError, UsageError
 from flysid.extras import Extra, Missing, extra
 from flysid.ingest.lake.crash import end_at_crash
+from flysid.ingest.lake.timeline import Timeline, Trace, happenings, with_gaps
 from flysid.progress import tell
-from flysid.reviews.evidence import evidence
-from flysid.reviews.fact import Section
-from flysid.reviews.logged import LoggedFlight
+from flysid.reviews.fact import Fact, Section
+from flysid.reviews.figures import own_limits
+from flysid.reviews.logged import Column, LoggedFlight
 from flysid.reviews.reviewed import NO_TIMELINE, Review
-from flysid.reviews.sections import SECTIONS, section_of
+
+SECTIONS: Mapping[str, str] = {
+    "tracking": "flysid.reviews.tracking",
+    "vibration": "flysid.reviews.vibration",
+    "power": "flysid.reviews.power",
+    "estimator": "flysid.reviews.estimator",
+    "happened": "flysid.reviews.happened",
+    "trust": "flysid.reviews.trust",
+}
+"""Key of a section -> the module whose `review` computes it."""
 
 
-def review(path: str | Path, page: str | Path | None = None) -> Review:
+def load_sections() -> None:
+    """Import what the sections need: while another process reads the log, it costs no time."""
+    for module in SECTIONS.values():
+        import_module(module)
+
+
+def review(
+    path: str | Path,
+    page: str | Path | None = None,
+    *,
+    limits: Mapping[str, tuple[float, float]] | None = None,
+) -> Review:
     """Review one log: does the vehicle fly well, and what should be changed?
 
     Parameters
     ----------
     path : a log of any format that flysid reads.
     page : write the page to this file, too.
+    limits : figure, such as "power.motor_spread" -> your own limits: from which value on it is to be
+        watched, and bad, in the figure's unit.
 
     Raises
     ------
-    UsageError : there is no such file, or it is a folder or archive of several flights.
+    UsageError : there is no such file, or it is a folder or archive of several flights; a figure of
+        `limits` has none.
     FormatError : nothing of it can be read.
     StoreError : the page cannot be written.
 
@@ -52,7 +78,8 @@ def review(path: str | Path, page: str | Path | None = None) -> Review:
             raise UsageError(f"it holds {len(logs)} flights", path=path, hint=f"flysid review {path}")
         (stored,) = logs
         flight = LoggedFlight(stored, stored.manifest.damage, stored.manifest.source.name)
-        found = review_flight(flight, with_evidence=page is not None)
+        with own_limits(limits or {}):
+            found = review_flight(flight, with_evidence=page is not None)
     if page is not None:
         from flysid.reviews.page import write_review
 
@@ -79,7 +106,8 @@ def review_flight(flight: LoggedFlight, *, with_evidence: bool = False) -> Revie
                 sections.append(made)
         facts = [fact for section in sections for fact in section.facts]
         if with_evidence:
-            timeline = extra(Extra.REVIEW_PICTURE, partial(evidence, flight, facts), timeline, of="evidence")
+            timeline = extra(Extra.REVIEW_PICTURE, partial(_evidence, flight, facts), timeline, of="evidence")
+        flight.forget()
     return Review(
         flight.name,
         flight.info,
@@ -92,4 +120,23 @@ def review_flight(flight: LoggedFlight, *, with_evidence: bool = False) -> Revie
 
 
 def _review(key: str, flight: LoggedFlight) -> Section:
-    return section_of(key)(flight)
+    review: Callable[[LoggedFlight], Section] = import_module(SECTIONS[key]).review
+    return review(flight)
+
+
+def _evidence(flight: LoggedFlight, facts: Iterable[Fact]) -> Timeline:
+    """The fields of facts, in their order: those of one fact and unit share a panel."""
+    panels: list[tuple[Trace, ...]] = []
+    drawn: set[str] = set()
+    for fact in facts:
+        new = [flight.read[a] for a in fact.fields if a in flight.read and a not in drawn]
+        units = dict.fromkeys(column.unit for column in new)
+        panels += [tuple(_trace(column) for column in new if column.unit == unit) for unit in units]
+        drawn |= set(fact.fields)
+    seen = happenings(flight.log, flight.clock.offsets_s, flight.duration_s)
+    return Timeline(flight.name, tuple(panels), *seen, flight.clock.words)
+
+
+def _trace(column: Column) -> Trace:
+    time_s, values = with_gaps(column.time_s, column.values)
+    return Trace(column.address, column.unit, time_s, values)

@@ -1,4 +1,4 @@
-"""What a log tells about its vehicle: the result of a review, which nothing here computes."""
+"""The result of a review, as the page, JSON and terminal show it. Nothing here computes."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ NO_TIMELINE = Timeline("", (), (), ())
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Review(Shown):
-    """What a log tells about its vehicle.
+    """The review of one log.
 
     Attributes
     ----------
@@ -33,7 +33,7 @@ class Review(Shown):
     sections : in the order of the page.
     broken : a sentence for every section that could not be given.
     whole : names of the parameters that are whole numbers.
-    timeline : the evidence over time, for a page; empty where none was asked for.
+    timeline : the evidence over time, for a page; empty unless a page was requested.
 
     Examples
     --------

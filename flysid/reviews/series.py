@@ -142,8 +142,8 @@ class VehicleSeries:
     def contradictions(self) -> tuple[tuple[str, str], ...]:
         """Axis and sentence of every flight whose loop no plant can have beside that of weaker gains."""
         loops = [judged for _, judged in self.judged]
-        told = ((judged.axis, contradiction_of(judged, loops)) for judged in loops)
-        return tuple((axis, words) for axis, words in told if words)
+        found = ((judged.axis, contradiction_of(judged, loops)) for judged in loops)
+        return tuple((axis, words) for axis, words in found if words)
 
     @cached_property
     @on_one_thread

@@ -1,8 +1,8 @@
 """Which change of a gain did what, beyond the scatter between flights of equal gains.
 
-A figure is regressed on the logarithms of the gains that changed. Gains that rose together cannot be told
-apart, and count as one. The interval is Student's t of the residuals, never less than flights of equal gains
-scatter. Where neither is there, as of one flight each, gains cannot be told from flights: nothing is clear.
+A figure is regressed on the logarithms of the gains that changed. Gains that rose together cannot be
+separated, and count as one. The interval is Student's t of the residuals, never less than flights of equal
+gains scatter. Where neither is there, as of one flight each, nothing separates gains from flights.
 """
 
 from __future__ import annotations

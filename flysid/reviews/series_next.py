@@ -18,7 +18,7 @@ from flysid.loops.margins import Margins, flight_curves, margins, margins_across
 from flysid.loops.prediction import Prediction, predict
 from flysid.loops.stick_response import Loop
 from flysid.reviews.fact import Action, Change
-from flysid.reviews.limits import limit
+from flysid.reviews.figures import PHASE_MARGIN, limit
 from flysid.reviews.logged import LoggedFlight
 from flysid.reviews.rate_gains import scaled_gains
 
@@ -104,7 +104,7 @@ def _choose(
     noisier : the noise on the motors may grow by this factor.
     gain : share of the crossover, or of the margin, below which a change is not worth a flight.
     """
-    wanted = limit("tracking.phase_margin").watch
+    wanted = limit(PHASE_MARGIN).watch
     noise = now.margins.noise.value or np.inf
     quiet = [one for one in tried if (one.margins.noise.value or 0.0) <= noisier * noise]
     enough = [one for one in quiet if one.phase_deg >= wanted]
@@ -126,7 +126,7 @@ def _changes(latest: LoggedFlight, axis: str, best: _Tried) -> list[Change]:
 
 def _reason(now: _Tried, best: _Tried) -> str:
     phase = f"{now.phase_deg:.0f} deg of phase margin"
-    wanted = limit("tracking.phase_margin")
+    wanted = limit(PHASE_MARGIN)
     if now.phase_deg < wanted.watch:
         return f"over all flights the latest gains leave {phase}, less than {wanted.watch:.0f}"
     kept = f"{best.phase_deg:.0f}"

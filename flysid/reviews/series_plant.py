@@ -1,4 +1,4 @@
-"""Is it the same vehicle all along: does a controller's output turn it as much in every flight?"""
+"""Compare the plants of several flights: does the same controller output turn the vehicle as much?"""
 
 from __future__ import annotations
 

@@ -7,14 +7,10 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from flysid.reviews.fact import Fact, Grade
-from flysid.reviews.limits import limit
+from flysid.reviews.figures import absent, fact_of, limit
 from flysid.reviews.logged import Column, LoggedFlight
+from flysid.reviews.remedies import remedy
 
-REMEDIES = {
-    "ardupilot": "LOG_BITMASK with IMU (bit 7) logs VIBE",
-    "px4": "SDLOG_PROFILE with the default set (bit 0) logs vehicle_imu_status",
-    "betaflight": "acc_lpf_hz 0 and blackbox with the accelerometer",
-}
 LIMITS = {"ardupilot": "vibration.ardupilot_vibe", "px4": "vibration.px4_accel"}
 OF_PEAKS = ("ardupilot",)
 """Firmwares whose limit holds for peaks, too: VIBE is a mean over seconds already."""
@@ -26,36 +22,18 @@ def accelerometer_level(flight: LoggedFlight) -> Iterator[Fact]:
     found = [c.where(flight.flying(c.time_s)) for c in _levels(flight)]
     found = [column for column in found if len(column)]
     if not found:
-        yield Fact(
-            "vibration.accel_level",
-            "vibration of the accelerometer",
-            missing=_why(flight),
-            remedy=REMEDIES.get(flight.family, ""),
-        )
+        yield absent("vibration.accel_level", _why(flight), remedy(flight, "vibration"))
         return
     bound = limit(LIMITS[flight.family])
     worst = max(found, key=lambda column: float(np.median(column.values)))
     value = float(np.median(worst.values))
-    yield Fact(
-        "vibration.accel_level",
-        "vibration of the accelerometer",
-        value,
-        "m/s2",
-        grade=bound.grade(value),
-        note=f"median of {worst.address}; {bound.source}",
-        fields=(worst.address,),
-    )
+    note = f"median of {worst.address}; {bound.source}"
+    yield fact_of("vibration.accel_level", value, (worst.address,), note=note, grade=bound.grade(value))
     highest = max(found, key=lambda column: float(column.values.max()))
     top = int(highest.values.argmax())
-    yield Fact(
-        "vibration.accel_peak",
-        "highest vibration",
-        float(highest.values[top]),
-        "m/s2",
-        grade=bound.grade(float(highest.values[top])) if flight.family in OF_PEAKS else Grade.PLAIN,
-        fields=(highest.address,),
-        at_s=float(highest.time_s[top]),
-    )
+    value, at_s = float(highest.values[top]), float(highest.time_s[top])
+    grade = bound.grade(value) if flight.family in OF_PEAKS else Grade.PLAIN
+    yield fact_of("vibration.accel_peak", value, (highest.address,), at_s=at_s, grade=grade)
 
 
 def accelerometer_clips(flight: LoggedFlight) -> Iterator[Fact]:
@@ -63,23 +41,12 @@ def accelerometer_clips(flight: LoggedFlight) -> Iterator[Fact]:
     counters = _counters(flight)
     grown = [(_growth(column.where(flight.flying(column.time_s))), column.address) for column in counters]
     if not grown:
-        yield Fact(
-            "vibration.accel_clips",
-            "clips of the accelerometer",
-            missing=_why(flight),
-            remedy=REMEDIES.get(flight.family, ""),
-        )
+        yield absent("vibration.accel_clips", _why(flight), remedy(flight, "vibration"))
         return
     count, address = max(grown)
     bound = limit(CLIPS[flight.family])
-    yield Fact(
-        "vibration.accel_clips",
-        "clips of the accelerometer",
-        count,
-        grade=bound.grade(count),
-        note=f"since take-off; {bound.source}",
-        fields=(address,),
-    )
+    note = f"since take-off; {bound.source}"
+    yield fact_of("vibration.accel_clips", count, (address,), note=note, grade=bound.grade(count))
 
 
 def _growth(column: Column) -> float:

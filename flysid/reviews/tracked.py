@@ -1,4 +1,4 @@
-"""What is measured of a flight's loops: errors, lags, overshoot, oscillation, limits and margins."""
+"""Measurements of a flight's loops: error, lag, overshoot, oscillation, saturation and margins."""
 
 from __future__ import annotations
 
@@ -7,19 +7,39 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from flysid.dataset import Dataset, Segment, Signal
+from flysid.errors import DataError
+from flysid.ingest.lake.motors import read_motors
 from flysid.loops.betaflight import AXES
 from flysid.loops.judged import Judged
+from flysid.model.polynomials import Z95
 from flysid.model.threads import on_one_thread
 from flysid.reviews.follow import TURN_DEG, Counting, Lag, Together, at_rows, lag_of, on_grid
 from flysid.reviews.logged import Column, LoggedFlight
 from flysid.reviews.oscillation import Oscillation, fastest_gyro, oscillation
-from flysid.reviews.overshoot import Overshoot, overshoot
-from flysid.reviews.pairs import Pair, in_control, pairs
-from flysid.reviews.saturation import AtLimit, controller_limits, resting_motors
+from flysid.reviews.pairs import Pair, in_control, pairs, recipe_of
 
 MS = 1000.0
 PERCENT = 100.0
 LEAST_ROWS = 3
+
+
+@dataclass(frozen=True)
+class Overshoot:
+    """Percent of a step beyond it, with its 95 % interval; `why` it is not known where it is NaN."""
+
+    percent: float = float("nan")
+    interval: tuple[float, float] | None = None
+    why: str = ""
+
+
+@dataclass(frozen=True)
+class AtLimit:
+    """Share of the time in the air that a controller's output stands at its limit."""
+
+    axis: str
+    address: str
+    share: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +88,7 @@ class Tracked:
 
 @on_one_thread
 def track(flight: LoggedFlight) -> Tracked:
-    """Measure it."""
+    """Measure the loops of a flight."""
     counts = in_control(flight)
     held = list(pairs(flight))
     followed = tuple(found for pair in held if (found := _follow(pair, counts)) is not None)
@@ -104,9 +124,9 @@ def _slope(pair: Pair | None) -> Column | None:
     """How fast the setpoint of an angle turns."""
     if pair is None or len(pair.setpoint) < LEAST_ROWS:
         return None
-    asked = pair.setpoint
-    turned = np.gradient(np.unwrap(asked.values, period=TURN_DEG), asked.time_s)
-    return Column(asked.address, "deg/s", asked.time_s, np.nan_to_num(turned, posinf=0.0, neginf=0.0))
+    angle = pair.setpoint
+    turned = np.gradient(np.unwrap(angle.values, period=TURN_DEG), angle.time_s)
+    return Column(angle.address, "deg/s", angle.time_s, np.nan_to_num(turned, posinf=0.0, neginf=0.0))
 
 
 def _follow(pair: Pair, counts: Counting) -> Followed | None:
@@ -129,3 +149,81 @@ def _too_slow(pair: Pair) -> Lag:
         why=f"logged at {rate:.0f} Hz, which shows nothing above {0.5 * rate:.0f} Hz; "
         f"{pair.min_rate_hz:.0f} Hz are needed"
     )
+
+
+def overshoot(
+    pair: Pair, counts: Counting, *, fastest_hz: float = 125.0, taps: int = 60, widest: float = 30.0
+) -> Overshoot:
+    """Of a loop, within the longest lag that is looked for.
+
+    Parameters
+    ----------
+    fastest_hz, taps : what the response is resolved to: it has to be cheap.
+    widest : percent to either side: an interval beyond determines nothing.
+    """
+    from flysid.model.step_response import step_response
+
+    together = on_grid(pair, counts, fastest_hz=fastest_hz)
+    period = 1.0 / min(pair.rate_hz, fastest_hz)
+    segments = tuple(
+        Segment(together.setpoint[run, None], together.measured[run, None])
+        for run in together.flown
+        if run.stop - run.start > taps
+    )
+    if not segments:
+        return Overshoot(why="too little flight without a pause")
+    unit = pair.loop.unit
+    data = Dataset(period, (Signal("setpoint", unit),), (Signal("measured", unit),), segments)
+    try:
+        found = step_response(data, horizon_s=0.6 * pair.search_s, most_taps=taps, rounds=2, anyway=True)
+    except DataError as error:
+        return Overshoot(why=error.message)
+    top = int(np.argmax(found.step))
+    beyond, reach = (100.0 * float(part) for part in (found.step[top] - 1.0, Z95 * found.error[top]))
+    if reach > widest:
+        return Overshoot(why=f"between {beyond - reach:.0f} and {beyond + reach:.0f} %")
+    return Overshoot(max(beyond, 0.0), (max(beyond - reach, 0.0), max(beyond + reach, 0.0)))
+
+
+def controller_limits(flight: LoggedFlight, counts: Counting) -> list[AtLimit]:
+    """Of the rate controllers of roll, pitch and yaw, as far as a log states output and limit."""
+    found = []
+    for k, axis in enumerate(AXES):
+        output = _output(flight, axis, k)
+        if output is None:
+            continue
+        column, limit = output
+        values = column.values[counts(column.time_s)]
+        if len(values):
+            found.append(
+                AtLimit(axis, column.address, float(np.mean(np.abs(values) >= limit * (1.0 - 1e-6))))
+            )
+    return found
+
+
+def resting_motors(flight: LoggedFlight, counts: Counting, *, least: float = 0.001) -> list[float]:
+    """Of every motor the share of the time in the air that its command is its minimum.
+
+    Parameters
+    ----------
+    least : share of the range up to which a command is the minimum.
+    """
+    flown = [motor.command.values[counts(motor.command.time_s)] for motor in read_motors(flight)]
+    return [float(np.mean(values <= least)) for values in flown if len(values)]
+
+
+def _output(flight: LoggedFlight, axis: str, place: int) -> tuple[Column, float] | None:
+    """A controller's output and its limit."""
+    if flight.has("main"):
+        name = "pidsum_limit_yaw" if axis == "yaw" else "pidsum_limit"
+        thousandths = flight.parameters.get(name)
+        if thousandths is None:
+            return None
+        output = flight.signal(recipe_of("betaflight-rate").signals[f"{axis}_pid_sum"])
+        return (output, 0.1 * thousandths) if output is not None else None
+    output = flight.quantity(
+        f"RATE.{axis[0].upper()}Out",
+        f"vehicle_torque_setpoint.xyz[{place}]",
+        f"actuator_controls_0.control[{place}]",
+    )
+    return (output, 1.0) if output is not None else None

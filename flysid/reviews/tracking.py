@@ -1,14 +1,15 @@
-"""Section "Tracking": how every loop follows its setpoint, what stands at its limit, and what oscillates."""
+"""Section "Tracking": how each loop follows its setpoint, saturates or oscillates."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
 from flysid.loops.judged import Judged
 from flysid.reviews.fact import Fact, Grade, Section, Shown
-from flysid.reviews.limits import limit, rate_lag_limit
+from flysid.reviews.figures import Row, absent, fact_of, limit, rate_lag_limit
 from flysid.reviews.logged import LoggedFlight
 from flysid.reviews.oscillation import FASTEST_HZ, Oscillation
 from flysid.reviews.pairs import LOOPS
@@ -27,18 +28,12 @@ def review(flight: LoggedFlight) -> Section:
     RecipeError : a stream is in the log under a unit of another kind.
     """
     if not flight.was_flown:
-        fact = Fact("tracking.rate", "how it follows", missing="the vehicle did not fly in this log")
+        fact = absent("tracking.rate", "the vehicle did not fly in this log")
         return Section("tracking", "Tracking", (fact,))
     tracked = track(flight)
     shown: tuple[Shown, ...] = (*motions(tracked), *chain(tracked), *modes(tracked))
-    return Section(
-        "tracking",
-        "Tracking",
-        tuple(_facts(tracked)),
-        tuple(findings(tracked)),
-        tuple(actions(tracked)),
-        shown,
-    )
+    found = tuple(findings(tracked)), tuple(actions(tracked))
+    return Section("tracking", "Tracking", tuple(_facts(tracked)), *found, shown)
 
 
 # ------------------------------------------------------------------------------------------- facts
@@ -50,54 +45,42 @@ def _facts(tracked: Tracked) -> Iterator[Fact]:
     yield from _absent(tracked)
     for axis, shaken in tracked.oscillations.items():
         yield from _oscillation_facts(axis, shaken)
-    yield from _limit_facts(tracked)
+    for held in tracked.controllers:
+        grade, key = limit("tracking.at_limit").grade(held.share), "tracking.controller_{axis}_at_limit"
+        yield fact_of(key, PERCENT * held.share, (held.address,), grade=grade, axis=held.axis)
     for judged in tracked.judged:
         yield from _margin_facts(judged)
 
 
 def _facts_of(followed: Followed, flight: LoggedFlight) -> Iterator[Fact]:
-    pair, lag = followed.pair, followed.lag
-    loop = pair.loop
-    what = f"{loop.title} {pair.axis}"
-    worst = int(
-        np.argmax(
-            np.abs(np.where(followed.rows.counts, followed.rows.measured - followed.rows.setpoint, 0.0))
-        )
-    )
-    yield Fact(
-        f"tracking.{followed.name}_rms",
-        f"{what}: error, root mean square",
-        followed.rms,
-        loop.unit,
-        fields=pair.fields,
-        at_s=float(followed.rows.time_s[worst]),
-    )
-    help_words = pair.remedy or remedy(flight, loop.key)
-    label = f"{what}: lag"
-    key = f"tracking.{followed.name}_lag"
+    pair, lag, rows = followed.pair, followed.lag, followed.rows
+    name, what = followed.name, f"{pair.loop.title} {pair.axis}"
+    worst = int(np.argmax(np.abs(np.where(rows.counts, rows.measured - rows.setpoint, 0.0))))
+    at_s = float(rows.time_s[worst])
+    error = fact_of("tracking.{pair}_rms", followed.rms, pair.fields, at_s=at_s, pair=name, what=what)
+    yield replace(error, unit=pair.loop.unit)
     if not lag.is_known or lag.interval is None:
-        needed = help_words if followed.is_slow else ""
-        yield Fact(key, label, missing=lag.why, remedy=needed, fields=pair.fields)
+        needed = (pair.remedy or remedy(flight, pair.loop.key)) if followed.is_slow else ""
+        yield absent("tracking.{pair}_lag", lag.why, needed, pair.fields, pair=name, what=what)
     else:
         low, high = (MS * edge for edge in lag.interval)
-        grade, note = Grade.PLAIN, f"it explains {PERCENT * lag.explained:.0f} % of the motion"
-        if loop.key == "rate":
-            bounds = rate_lag_limit(pair.axis)
-            grade = bounds.grade(low)
-            note += f"; {bounds.source}"
-        yield Fact(key, label, MS * lag.seconds, "ms", (low, high), grade, note, pair.fields)
-    if followed.overshoot is not None:
-        beyond = followed.overshoot
-        known = beyond.interval is not None
-        yield Fact(
-            f"tracking.{followed.name}_overshoot",
-            f"{what}: overshoot of a step",
-            beyond.percent if known else None,
-            "%",
-            beyond.interval,
-            missing=beyond.why,
-            fields=pair.fields,
+        bound = rate_lag_limit(pair.axis) if pair.loop.key == "rate" else Row()
+        share = f"it explains {PERCENT * lag.explained:.0f} % of the motion"
+        yield fact_of(
+            "tracking.{pair}_lag",
+            MS * lag.seconds,
+            pair.fields,
+            interval=(low, high),
+            note="; ".join(filter(None, (share, bound.source))),
+            grade=bound.grade(low),
+            pair=name,
+            what=what,
         )
+    beyond = followed.overshoot
+    if beyond is not None:
+        percent, interval = (None, None) if beyond.interval is None else (beyond.percent, beyond.interval)
+        key, why = "tracking.{pair}_overshoot", beyond.why
+        yield fact_of(key, percent, pair.fields, interval=interval, missing=why, pair=name, what=what)
 
 
 def _absent(tracked: Tracked) -> Iterator[Fact]:
@@ -106,73 +89,42 @@ def _absent(tracked: Tracked) -> Iterator[Fact]:
     for loop in LOOPS:
         needed = remedy(tracked.flight, loop.key)
         if loop.key not in held and needed:
-            yield Fact(
-                f"tracking.{loop.key}",
-                f"{loop.title}: how it follows",
-                missing="no setpoint of it is in the log while it flies",
-                remedy=needed,
-            )
+            missing = "no setpoint of it is in the log while it flies"
+            yield absent("tracking.{loop}", missing, needed, loop=loop.key, title=loop.title)
 
 
 def _oscillation_facts(axis: str, shaken: Oscillation) -> Iterator[Fact]:
-    fields = (shaken.address,)
+    fields, at_s, key = (shaken.address,), shaken.at_s, "tracking.oscillation_{axis}"
     share = f"in {PERCENT * shaken.share:.0f} % of the flight" if shaken.rms else ""
     grade = Grade.WATCH if shaken.rms else Grade.GOOD
-    key = f"tracking.oscillation_{axis}"
-    label = f"{axis}: oscillation by itself, root mean square"
-    yield Fact(key, label, shaken.rms, "deg/s", None, grade, share, fields, shaken.at_s)
-    if not shaken.rms:
-        return
-    label = f"{axis}: its frequency"
-    if shaken.is_unfolded:
-        yield Fact(f"{key}_frequency", label, shaken.frequency_hz, "Hz", fields=fields, at_s=shaken.at_s)
-    else:
+    yield fact_of(key, shaken.rms, fields, at_s=at_s, note=share, grade=grade, axis=axis)
+    if shaken.rms and shaken.is_unfolded:
+        yield fact_of(f"{key}_frequency", shaken.frequency_hz, fields, at_s=at_s, axis=axis)
+    elif shaken.rms:
         missing = f"it cannot be told from {shaken.rate_hz:.0f} Hz: {shaken.candidates}"
         faster = f"a gyro logged at {2.0 * FASTEST_HZ:.0f} Hz or more"
-        yield Fact(f"{key}_frequency", label, missing=missing, remedy=faster, fields=fields)
-
-
-def _limit_facts(tracked: Tracked) -> Iterator[Fact]:
-    for held in tracked.controllers:
-        yield Fact(
-            f"tracking.controller_{held.axis}_at_limit",
-            f"{held.axis}: rate controller at its limit",
-            PERCENT * held.share,
-            "%",
-            grade=limit("tracking.at_limit").grade(held.share),
-            fields=(held.address,),
-        )
+        yield absent(f"{key}_frequency", missing, faster, fields, axis=axis)
 
 
 def _margin_facts(judged: Judged) -> Iterator[Fact]:
-    stem = f"tracking.{judged.axis}"
     m = judged.margins
     if m is None:
-        yield Fact(f"{stem}_margins", f"{judged.axis}: margins", missing=judged.refused, remedy=judged.hint)
+        yield absent("tracking.{axis}_margins", judged.refused, judged.hint, axis=judged.axis)
         return
-    figures = (
-        ("crossover", "crossover", m.crossover_hz, "Hz"),
-        ("phase_margin", "phase margin", m.phase_deg, "deg"),
-        ("gain_margin", "gain margin", m.gain_db, "dB"),
-        ("delay_margin", "delay margin", m.delay_ms, "ms"),
-        ("sensitivity", "peak sensitivity Ms", m.ms, ""),
-        ("bandwidth", "bandwidth", m.bandwidth_hz, "Hz"),
-    )
-    for key, label, figure, unit in figures:
-        grade, note = Grade.PLAIN, ""
-        if key == "phase_margin" and figure.value is not None:
-            grade = limit("tracking.phase_margin").grade(figure.high)
-            note = limit("tracking.phase_margin").source
-        missing = ""
-        if figure.value is None:
-            missing = f"at least {figure.low:.1f} {unit}" if np.isfinite(figure.low) else figure.why
-        yield Fact(
-            f"{stem}_{key}",
-            f"{judged.axis}: {label}",
-            figure.value,
-            unit,
-            (figure.low, figure.high) if figure.value is not None else None,
-            grade,
-            note,
-            missing=missing,
-        )
+    figures = {
+        "crossover": m.crossover_hz,
+        "phase_margin": m.phase_deg,
+        "gain_margin": m.gain_db,
+        "delay_margin": m.delay_ms,
+        "sensitivity": m.ms,
+        "bandwidth": m.bandwidth_hz,
+    }
+    for name, figure in figures.items():
+        key = f"tracking.{{axis}}_{name}"
+        if figure.value is not None:
+            interval, grade = (figure.low, figure.high), limit(key).grade(figure.high)
+            yield fact_of(key, figure.value, interval=interval, grade=grade, axis=judged.axis)
+        else:
+            unit = limit(key).unit
+            least = f"at least {figure.low:.1f} {unit}" if np.isfinite(figure.low) else figure.why
+            yield replace(absent(key, least, axis=judged.axis), unit=unit)

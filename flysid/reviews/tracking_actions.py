@@ -16,7 +16,7 @@ from flysid.errors import DataError
 from flysid.loops.judged import Judged
 from flysid.loops.margins import Margins, margins
 from flysid.reviews.fact import Action, Grade
-from flysid.reviews.limits import limit
+from flysid.reviews.figures import PHASE_MARGIN, limit
 from flysid.reviews.rate_gains import scaled_gains
 from flysid.reviews.tracked import Tracked
 from flysid.reviews.tracking_findings import oscillating
@@ -62,7 +62,7 @@ def _widen(tracked: Tracked, judged: Judged) -> Iterator[Action]:
     now = judged.margins
     if now is None or now.phase_deg.value is None:
         return
-    if limit("tracking.phase_margin").grade(now.phase_deg.high) is not Grade.BAD:
+    if limit(PHASE_MARGIN).grade(now.phase_deg.high) is not Grade.BAD:
         return
     found = _largest(judged)
     if found is None:
@@ -97,6 +97,6 @@ def _largest(judged: Judged) -> tuple[float, Margins] | None:
         except DataError:
             return None
         phase = then.phase_deg.value
-        if phase is not None and np.isfinite(phase) and phase >= limit("tracking.phase_margin").watch:
+        if phase is not None and np.isfinite(phase) and phase >= limit(PHASE_MARGIN).watch:
             return factor, then
     return None

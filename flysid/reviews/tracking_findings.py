@@ -1,4 +1,4 @@
-"""What a pilot should know of how the vehicle follows: one short sentence each."""
+"""Findings about tracking, in one short sentence each."""
 
 from __future__ import annotations
 
@@ -7,12 +7,13 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from flysid.reviews.fact import OSCILLATION, Finding, Grade
-from flysid.reviews.limits import limit, rate_lag_limit
+from flysid.reviews.figures import PHASE_MARGIN, limit, rate_lag_limit
+from flysid.reviews.lines import capital
 from flysid.reviews.logged import LoggedFlight
 from flysid.reviews.oscillation import Oscillation
 from flysid.reviews.shaking import accelerometer_level
 from flysid.reviews.tracked import MS, PERCENT, Followed, Tracked
-from flysid.showing import significant
+from flysid.showing import list_words, significant
 
 LEVEL = ("roll", "pitch")
 ANGLE_GAINS = {
@@ -39,16 +40,6 @@ def _axes_in(finding: Finding) -> list[str]:
     return [axis for axis in ("roll", "pitch", "yaw") if axis in finding.text.lower()]
 
 
-def _joined(axes: Sequence[str]) -> str:
-    """ "roll, pitch and yaw"."""
-    *some, last = axes
-    return f"{', '.join(some)} and {last}" if some else last
-
-
-def _capital(text: str) -> str:
-    return text[:1].upper() + text[1:]
-
-
 # ------------------------------------------------------------------------------------ what is wrong
 
 
@@ -68,7 +59,7 @@ def _oscillating(tracked: Tracked) -> Iterator[Finding]:
         return
     worst_axis = max(shaken, key=lambda axis: shaken[axis].rms)
     worst = shaken[worst_axis]
-    where = f"in {_joined(list(shaken))}"
+    where = f"in {list_words(list(shaken))}"
     size = f"{significant(worst.rms, 2)} deg/s"
     gyro = f"{worst.rate_hz:.0f} Hz"
     words = f"Oscillates {where}, {size}"
@@ -138,10 +129,10 @@ def expected_lag_s(tracked: Tracked, followed: Followed) -> float | None:
 
 def _late_finding(found: Sequence[Followed], grade: Grade, noun: str, why: str) -> Finding:
     worst = max(found, key=lambda followed: followed.lag.seconds)
-    axes = _joined([followed.pair.axis for followed in found])
+    axes = list_words([followed.pair.axis for followed in found])
     verb = "follow" if len(found) > 1 else "follows"
     subject = f"{axes} {noun}{'s' if noun and len(found) > 1 else ''}".rstrip()
-    words = f"{_capital(subject)} {verb} {MS * worst.lag.seconds:.0f} ms late"
+    words = f"{capital(subject)} {verb} {MS * worst.lag.seconds:.0f} ms late"
     return Finding(words, grade, 0.7, f"tracking.{worst.name}_lag", why)
 
 
@@ -153,7 +144,7 @@ def _missing(tracked: Tracked, *, least_deg: float = 5.0, share: float = 0.5) ->
         moved = float(np.std(followed.rows.setpoint[followed.rows.counts]))
         if followed.rms >= share * moved:
             yield Finding(
-                f"{_capital(followed.pair.axis)} misses its setpoint by {significant(followed.rms, 2)} deg",
+                f"{capital(followed.pair.axis)} misses its setpoint by {significant(followed.rms, 2)} deg",
                 Grade.WATCH,
                 0.8,
                 f"tracking.{followed.name}_rms",
@@ -167,14 +158,14 @@ def _thin_margins(tracked: Tracked) -> Iterator[Finding]:
         phase = judged.margins.phase_deg if judged.margins is not None else None
         if phase is None or phase.value is None:
             continue
-        grade = limit("tracking.phase_margin").grade(phase.high)
+        grade = limit(PHASE_MARGIN).grade(phase.high)
         if grade is not Grade.GOOD:
             yield Finding(
-                f"{_capital(judged.axis)} has {phase.value:.0f} deg of phase margin",
+                f"{capital(judged.axis)} has {phase.value:.0f} deg of phase margin",
                 grade,
                 0.2,
                 f"tracking.{judged.axis}_phase_margin",
-                f"between {phase.low:.0f} and {phase.high:.0f} deg; {limit('tracking.phase_margin').source}",
+                f"between {phase.low:.0f} and {phase.high:.0f} deg; {limit(PHASE_MARGIN).source}",
             )
 
 

@@ -1,4 +1,4 @@
-"""The most telling seconds of every axis, the chain of loops, and how each mode followed."""
+"""Pictures and tables of tracking: each axis at its liveliest, all loops, and the error by mode."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The page of a vehicle: how far it can be trusted, what to fly next, its motors from above, every number."""
+"""The page of a vehicle: its errors on other flights, what to fly next, its motors, every number."""
 
 from __future__ import annotations
 
@@ -264,10 +264,10 @@ def _flights(vehicle: FittedVehicle) -> Iterator[Table]:
     """What of each flight was used, what it has of its own, and what was decided of all."""
     headings = ("flight", "used, s", "damaged, s", "wind, m/s", "gyro bias, deg/s", "force bias, m/s²")
     yield Table("Flights", headings, tuple(_flight_cells(flight) for flight in vehicle.flights))
-    said = [(flight.name, words) for flight in vehicle.flights for words in flight.damage]
-    said += [("all", words) for words in (*vehicle.close_pairs(), *vehicle.frames, *vehicle.notes)]
-    if said:
-        yield Table("What was found and decided", ("flight", "what"), tuple(said))
+    found = [(flight.name, words) for flight in vehicle.flights for words in flight.damage]
+    found += [("all", words) for words in (*vehicle.close_pairs(), *vehicle.frames, *vehicle.notes)]
+    if found:
+        yield Table("What was found and decided", ("flight", "what"), tuple(found))
 
 
 def _flight_cells(flight: FlightFacts) -> tuple[str, ...]:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
 from flysid.reviews.fact import OSCILLATION, Action, Fact, Finding, Grade, Section
-from flysid.reviews.gyro import UNIT, motors_hz
+from flysid.reviews.figures import absent, fact_of, limit
+from flysid.reviews.gyro import motors_hz
 from flysid.reviews.gyro_spectra import Shaking
-from flysid.reviews.limits import limit
 from flysid.reviews.logged import LoggedFlight
 from flysid.reviews.notches import propose_notch
 from flysid.reviews.shaking import accelerometer_clips, accelerometer_level
@@ -47,66 +48,45 @@ def _gyro_facts(shaking: Shaking) -> Iterator[Fact]:
     gyro = shaking.gyro
     if not shaking.windows:
         why = "the log holds no gyro" if not gyro.best else "the gyro was logged too little in the air"
-        yield Fact("vibration.gyro_rate", "rate of the logged gyro", missing=why, remedy=gyro.remedy)
+        yield absent("vibration.gyro_rate", why, gyro.remedy)
         return
     addresses = tuple(column.address for column in gyro.best.values())
     rate = max(windows.rate_hz for windows in shaking.windows.values())
     before = "before the filters" if gyro.best is gyro.raw else "behind the filters"
-    yield Fact(
-        "vibration.gyro_rate",
-        "rate of the logged gyro",
-        rate,
-        "Hz",
-        note=f"{before}; frequencies above {significant(rate / 2.0)} Hz show below it"
-        + (f"; {gyro.note}" if gyro.note else ""),
-        fields=addresses,
-        remedy=gyro.remedy,
-    )
+    folds = f"frequencies above {significant(rate / 2.0)} Hz show below it"
+    note = "; ".join(filter(None, (before, folds, gyro.note)))
+    yield replace(fact_of("vibration.gyro_rate", rate, addresses, note=note), remedy=gyro.remedy)
     yield from (_band(shaking, key, addresses) for key in BANDS_HZ)
     yield from _peak_facts(shaking, addresses)
     yield from _motor_facts(shaking)
 
 
-def _band(shaking: Shaking, key: str, addresses: tuple[str, ...]) -> Fact:
-    low, high = BANDS_HZ[key]
+def _band(shaking: Shaking, band: str, addresses: tuple[str, ...]) -> Fact:
+    low, high = BANDS_HZ[band]
     words = f"{low:g} to {high:g} Hz" if np.isfinite(high) else f"above {low:g} Hz"
-    label = f"gyro noise, {words}"
+    key = "vibration.gyro_{band}"
     found = {axis: w.rms(low, high) for axis, w in shaking.windows.items() if w.nyquist_hz > 1.25 * low}
     if not found:
-        return Fact(
-            f"vibration.gyro_{key}",
-            label,
-            missing="the gyro is logged too slowly",
-            remedy=shaking.gyro.remedy,
-        )
+        remedy = shaking.gyro.remedy
+        return absent(key, "the gyro is logged too slowly", remedy, band=band, words=words)
     axis = max(found, key=lambda name: found[name])
-    return Fact(
-        f"vibration.gyro_{key}", label, found[axis], UNIT, note=f"RMS, worst in {axis}", fields=addresses
-    )
+    return fact_of(key, found[axis], addresses, note=f"RMS, worst in {axis}", band=band, words=words)
 
 
 def _peak_facts(shaking: Shaking, addresses: tuple[str, ...]) -> Iterator[Fact]:
     strongest = shaking.strongest
     if strongest is None:
-        yield Fact("vibration.peak", "strongest peak", "none above the noise", fields=addresses)
+        yield fact_of("vibration.peak", "none above the noise", addresses)
         return
     axis, peak = strongest
-    address = addresses[list(shaking.windows).index(axis)]
+    fields = (addresses[list(shaking.windows).index(axis)],)
     notes = [f"{axis}, {peak.height_db:.0f} dB over the floor, Nyquist {significant(peak.nyquist_hz)} Hz"]
     notes += [peak.cause] if peak.cause else []
     notes += [f"its true frequency is {significant(peak.true_hz)} Hz"] if peak.true_hz else []
     notes += [_folded_words(peak)] if shaking.may_fold(peak) and peak.true_hz is None else []
-    yield Fact(
-        "vibration.peak",
-        "strongest peak",
-        peak.hz,
-        "Hz",
-        peak.interval,
-        note="; ".join(notes),
-        fields=(address,),
-    )
+    yield fact_of("vibration.peak", peak.hz, fields, interval=peak.interval, note="; ".join(notes))
     grade = limit("vibration.tone").grade(peak.rms) if _is_loud(shaking, axis, peak) else Grade.PLAIN
-    yield Fact("vibration.peak_rms", "strongest peak, RMS", peak.rms, UNIT, grade=grade, fields=(address,))
+    yield fact_of("vibration.peak_rms", peak.rms, fields, grade=grade)
 
 
 def _folded_words(peak: Peak) -> str:
@@ -121,39 +101,21 @@ def _is_loud(shaking: Shaking, axis: str, peak: Peak) -> bool:
 def _filter_facts(shaking: Shaking) -> Iterator[Fact]:
     chain = shaking.chain
     if chain is None or not (chain.steps or chain.unknown):
-        why = shaking.no_chain or "no filter is on"
-        yield Fact("vibration.filter_delay", "delay of the gyro's filters", missing=why)
+        yield absent("vibration.filter_delay", shaking.no_chain or "no filter is on", at="")
         return
     note = "; ".join(dict.fromkeys(step.words for step in chain.steps))
     if chain.unknown:
         note = f"without: {'; '.join(chain.unknown)}" + (f". {note}" if note else "")
-    yield Fact(
-        "vibration.filter_delay",
-        f"delay of the gyro's filters at {DELAY_HZ:g} Hz",
-        1000.0 * chain.delay_s(DELAY_HZ),
-        "ms",
-        note=note,
-    )
-    yield Fact(
-        "vibration.filter_phase",
-        f"phase that they cost at {PHASE_HZ:g} Hz",
-        chain.phase_deg(PHASE_HZ),
-        "deg",
-        note=note,
-    )
+    delay_ms, phase_deg = 1000.0 * chain.delay_s(DELAY_HZ), chain.phase_deg(PHASE_HZ)
+    yield fact_of("vibration.filter_delay", delay_ms, note=note, at=f" at {DELAY_HZ:g} Hz")
+    yield fact_of("vibration.filter_phase", phase_deg, note=note, at=f" at {PHASE_HZ:g} Hz")
     if shaking.is_raw and not chain.unknown:
         axis = max(shaking.windows, key=lambda name: shaking.windows[name].rms(MOTION_HZ))
         windows = shaking.windows[axis]
         noise = windows.hz >= MOTION_HZ
         left = chain.noise_left(windows.hz[noise], windows.mean[noise])
-        yield Fact(
-            "vibration.filter_noise",
-            "gyro noise behind the filters",
-            left,
-            UNIT,
-            note=f"RMS above {MOTION_HZ:g} Hz in {axis}; {significant(windows.rms(MOTION_HZ))} before them",
-            fields=(shaking.gyro.raw[axis].address,),
-        )
+        note = f"RMS above {MOTION_HZ:g} Hz in {axis}; {significant(windows.rms(MOTION_HZ))} before them"
+        yield fact_of("vibration.filter_noise", left, (shaking.gyro.raw[axis].address,), note=note)
 
 
 def _findings(shaking: Shaking, facts: tuple[Fact, ...]) -> Iterator[Finding]:
@@ -208,16 +170,12 @@ def _motor_facts(shaking: Shaking) -> Iterator[Fact]:
         return
     worst = shaking.worst_motor
     if worst is None:
-        yield Fact("vibration.worst_motor", "motor that shakes most", "none stands out")
+        yield fact_of("vibration.worst_motor", "none stands out")
         return
     number, axis, size = worst
-    yield Fact(
-        "vibration.worst_motor",
-        "motor that shakes most",
-        f"motor {number}",
-        note=f"{significant(size)} deg/s in {axis} at its own frequency, twice as much as any other at least",
-        grade=limit("vibration.tone").grade(size),
-    )
+    note = f"{significant(size)} deg/s in {axis} at its own frequency, twice as much as any other at least"
+    grade = limit("vibration.tone").grade(size)
+    yield fact_of("vibration.worst_motor", f"motor {number}", note=note, grade=grade)
 
 
 def _motor_finding(shaking: Shaking) -> Iterator[Finding]:
@@ -227,13 +185,9 @@ def _motor_finding(shaking: Shaking) -> Iterator[Finding]:
     number, axis, size = worst
     grade = limit("vibration.tone").grade(size)
     if grade.rank >= Grade.WATCH.rank:
-        yield Finding(
-            f"Motor {number} shakes {axis} by {significant(size)} deg/s",
-            grade,
-            0.9,
-            "vibration.worst_motor",
-            "at its own frequency: a propeller, a shaft or a bearing",
-        )
+        text = f"Motor {number} shakes {axis} by {significant(size)} deg/s"
+        more = "at its own frequency: a propeller, a shaft or a bearing"
+        yield Finding(text, grade, 0.9, "vibration.worst_motor", more)
 
 
 def _shares(shaking: Shaking, axis: str, peak: Peak) -> bool:

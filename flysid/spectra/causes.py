@@ -1,4 +1,4 @@
-"""What a peak comes from, where the log can show it: a tone that moves as a motor, or the throttle, does."""
+"""Causes of spectral peaks: a tone that moves with a motor, with the throttle, or stays in place."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The filters between a sensor and a controller, in their order, with the rate that each of them runs at."""
+"""The filters between sensor and controller in their order, each with the rate it runs at."""
 
 from __future__ import annotations
 

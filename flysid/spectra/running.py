@@ -1,4 +1,4 @@
-"""The loops over samples of filters: a signal whose filter may change, and one value at a time."""
+"""Compiled loops of filters over samples, with coefficients that may change on the way."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What chains of filters read: quantities over time of which the last value is in force."""
+"""Inputs of filter chains: quantities over time, each holding its last value."""
 
 from __future__ import annotations
 

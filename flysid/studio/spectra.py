@@ -6,9 +6,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from flysid.reviews.crossover import crossover_of
 from flysid.reviews.field_spectra import FieldSpectrum, field_spectra
-from flysid.reviews.filter_trial import try_filters
+from flysid.reviews.filter_trial import crossover_of, try_filters
 from flysid.reviews.logged import LoggedFlight
 from flysid.studio.flights import lake_of
 from flysid.studio.folders import Workspace

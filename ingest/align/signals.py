@@ -267,15 +267,16 @@ def load_source(source: Source, stream: str, unit: str, log: Log, *, resolved: b
         notes += (f"{stream}: rows without a {source.time}, left out: {untimed:,}",)
     yaw = _yaw_at(source.yaw, log, boots, t_ns) if source.yaw is not None else np.empty(0)
     values = np.empty(len(t_ns))
-    for boot in np.unique(boots):
-        rows = boots == boot
+    runs = np.flatnonzero(np.diff(boots, prepend=boots[:1] - 1))  # millions of rows are of few boots
+    of_boot = {int(boot): boots == boot for boot in np.unique(boots[runs])}
+    for rows in of_boot.values():
         seconds = (t_ns[rows] - t_ns[rows][0]) * 1e-9
         values[rows] = gain * transform.apply(columns[rows], seconds, yaw[rows] if len(yaw) else yaw)
         if transform.wraps:
             values[rows] = np.unwrap(values[rows], period=2 * np.pi * factor("rad", unit))
     values = source.scale * values + source.offset
     return Loaded(
-        boots={int(b): Samples(t_ns[boots == b], values[boots == b]) for b in np.unique(boots)},
+        boots={boot: Samples(t_ns[rows], values[rows]) for boot, rows in of_boot.items()},
         stream=stream,
         field="/".join(source.fields),
         resolution=_resolution(source, columns, values, gain) if resolved else 0.0,

@@ -123,6 +123,7 @@ class ClockedLog:
     damage : what could not be read of it, and what was lost before it was written.
     file : name of the log, where it is not the flight's id.
     read : every column that was read, by its address: what a page shows as evidence.
+    stamps : times of every stream as they were last read: its columns share them.
     crashed_s : when it crashed by its sensors, on the log's clock: see `crash.end_at_crash`.
 
     Examples
@@ -138,6 +139,7 @@ class ClockedLog:
     damage: Damage = Damage()  # noqa: RUF009 - frozen
     file: str = ""
     read: dict[str, Column] = field(default_factory=dict)
+    stamps: dict[str, FloatArray] = field(default_factory=dict)
     crashed_s: float = float("inf")
 
     @property
@@ -299,9 +301,19 @@ class ClockedLog:
             begin = self.clock.begins_ns.get(boot, 0)
             times.append(np.asarray(start + (samples.t_ns[finite] - begin) * 1e-9, dtype=np.float64))
             values.append(samples.x[finite])
-        column = Column(address, unit, np.concatenate(times), np.concatenate(values))
+        stamps = np.concatenate(times)
+        before = self.stamps.get(loaded.stream)
+        if before is not None and np.array_equal(before, stamps):
+            stamps = before
+        self.stamps[loaded.stream] = stamps
+        column = Column(address, unit, stamps, np.concatenate(values))
         self.read[address] = column
         return column
+
+    def forget(self) -> None:
+        """Keep no column that was read: whoever holds many logs has no room for all of theirs."""
+        self.read.clear()
+        self.stamps.clear()
 
     def stream(self, message: str) -> str:
         """The key of the one stream of a message; "" where there is none, or several things."""

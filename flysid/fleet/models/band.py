@@ -1,4 +1,4 @@
-"""Where a fleet's flights can tell a frequency response: the band in which output and input are coherent."""
+"""The band in which a fleet's flights determine a frequency response: output and input are coherent."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The page of a compared fleet: who has changed and how, all vehicles by channel, what was not judged."""
+"""The page of a compared fleet: which vehicles changed and how, and which were not judged."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""On which grid a fleet's channel is looked at: chosen once, where a few flights are coherent, then kept.
+"""The common grid of a fleet's channel: chosen once from a few coherent flights, then kept.
 
 The recipe's own rate is too fast for most channels: an ARX model at 50 Hz spends its lags on a fifth of a
 second. So the grid is `RATE_OVER_BAND` times as fast as the highest frequency at which output and input are

@@ -1,4 +1,4 @@
-"""What a flagged test means: how much more or less, how much later, since when; and what it takes."""
+"""Sentences for flagged tests: how much the response changed, since when, and how many flights it took."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Pass one: the triangles of a fleet's flights, each flight read once in its life for each recipe."""
+"""Pass one: compute the triangles of a fleet's flights; each flight is read once a recipe."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How far responses scatter from flight to flight: learned of the whole fleet, no vehicle has enough flights.
+"""Scatter of responses from flight to flight, pooled over the fleet: one vehicle has too few flights.
 
 Two flights of a vehicle tell next to nothing of their scatter, two hundred of a fleet do. What is pooled is
 the ratio K of the scatter between flights to what white residuals would give, as a matrix: a vehicle that

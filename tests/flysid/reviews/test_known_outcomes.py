@@ -14,7 +14,7 @@ from bench.faulty_sensors import fly
 from bench.review_faults import CARRIERS, Trial, write
 from flysid.ingest.lake.failures import failure_messages, plain_words
 from flysid.ingest.lake.motors import read_motors
-from flysid.reviews.thrust_loss import find_thrust_loss
+from flysid.reviews.motor_loss import find_thrust_loss
 from tests.command import call
 from tests.flysid.reviews.shared_logs import logged, needs_shared
 from tests.ingest.lake.test_stretches import log, stream

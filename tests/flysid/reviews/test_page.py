@@ -74,7 +74,6 @@ def some_review(name: str = "flight.ulg", *, sections: tuple[Section, ...] | Non
                 "power",
                 (Line("gyro", x, 1.0 + x), Line("raw", x, 2.0 + x, "r1")),
                 hidden_from=90.0,
-                log_y=True,
                 marks={50.0: "50 Hz"},
             ),
             HeatMap("Over throttle", "throttle", "Hz", x[:5], x[:7], np.arange(35.0).reshape(7, 5)),

@@ -5,12 +5,14 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 from click.testing import CliRunner
 
 import flysid
 from flysid.cli import root
 from flysid.errors import UsageError
+from tests.flysid.reviews.copter_log import copter_log, even
 
 SAMPLES = Path(__file__).resolve().parents[3] / "sample_logs"
 LOG = SAMPLES / "01-multisine-seed1.tlog"
@@ -67,3 +69,28 @@ def test_a_condition_is_looked_at_before_the_log_is_read() -> None:
 def test_a_file_that_is_not_there_is_no_verb() -> None:
     with pytest.raises(Exception, match="no verb and no file"):
         run("absent.bin")
+
+
+def test_own_limits_grade_the_figure(tmp_path: Path) -> None:
+    time_s = even(30.0, 10.0)
+    rates = {name: 0.5 * np.sin(time_s) for name in ("RDes", "R", "ROut")}
+    copter_log(tmp_path, {"RATE": (time_s, rates)})
+    log, key = tmp_path / "flight.bin", "controller_roll_at_limit"
+    words: tuple[list[str], ...] = ([], ["--limit", "tracking.at_limit=0,0.5"])
+    documents = [json.loads(run("review", log, "--json", *more)[1]) for more in words]
+    grades = [document["sections"]["tracking"]["facts"][key]["grade"] for document in documents]
+    assert grades == ["good", "watch"]
+
+
+@pytest.mark.parametrize(
+    ("limit", "message"),
+    [
+        ("power.motor_spred=1,2", "no figure 'power.motor_spred' has a limit"),
+        ("power.motor_spread", "is no limit"),
+        ("power.motor_spread=1", "is no limit"),
+        ("trust.flown=1,2", "no figure 'trust.flown' has a limit"),
+    ],
+)
+def test_a_limit_that_is_none_is_refused_before_a_log_is_read(limit: str, message: str) -> None:
+    with pytest.raises(UsageError, match=message):
+        run("review", "absent.bin", "--limit", limit)
