@@ -14,10 +14,10 @@ Samples are taken where the input is new: one that the log holds for five sample
 it is no more than an old number, and what the vehicle answers there looks like foresight. Of faster logs
 samples 20 ms apart are taken: a pilot and an outer loop need longer.
 
-A sample behind the loader's low-pass (`flysid.dataset.LOWPASS`) stands for what lies to both sides of it. Such
-an input is no stair: what it is between two samples follows from samples before and after, and counts as known.
-Near half the grid's rate the low-pass lets higher frequencies pass as lower ones, so later inputs count without
-what lies there. What is left of the output below the filter's own errors says nothing.
+A sample behind the loader's low-pass (`flysid.dataset.LOWPASS`) stands for what lies to both sides of it.
+Such an input is no stair: what it is between two samples follows from samples before and after, and counts as
+known. Near half the grid's rate the low-pass lets higher frequencies pass as lower ones, so later inputs count
+without what lies there. What is left of the output below the filter's own errors says nothing.
 """
 
 from __future__ import annotations
@@ -44,9 +44,9 @@ EVEN = 2.0 / 3.0
 HALFWAY = np.sinc(np.arange(-24.5, 25.0)) * np.kaiser(50, 5.0)
 """(50,) taps that give a smooth input half a sample earlier."""
 SLOW = 0.5 * np.sinc(0.5 * np.arange(-12.0, 13.0)) * np.kaiser(25, 5.0)
-"""(25,) taps of a low-pass that has faded where that of the loader falls to a half, at 0.4 of the grid's rate."""
+"""(25,) taps of a low-pass that has faded where the loader's falls to a half, at 0.4 of the grid's rate."""
 LEAK = 2e-3
-"""Of the output's spread: what the loader's low-pass, 54 dB down, leaves of frequencies that it should stop."""
+"""Of the output's spread: what the loader's low-pass, 54 dB down, leaves of what it should stop."""
 SMALLEST = 1e-6
 """Of the largest direction of the regressors: smaller ones do not count, and what they explain is left."""
 
@@ -125,7 +125,7 @@ def _later_inputs(
     Parameters
     ----------
     rows : of `_rows`, segment by segment.
-    floor : of the output's spread; where less than this cannot be told from the past, nothing is left to test.
+    floor : of the output's spread; where less than this cannot be told from the past, nothing is tested.
     """
     from scipy.special import fdtrc
 
