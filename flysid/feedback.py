@@ -15,9 +15,9 @@ it is no more than an old number, and what the vehicle answers there looks like 
 samples 20 ms apart are taken: a pilot and an outer loop need longer.
 
 A sample behind the loader's low-pass (`flysid.dataset.LOWPASS`) stands for what lies to both sides of it.
-Such an input is no stair: what it is between two samples follows from samples before and after, and counts as
-known. Near half the grid's rate the low-pass lets higher frequencies pass as lower ones, so later inputs count
-without what lies there. What is left of the output below the filter's own errors says nothing.
+Such an input is no stair: what it is between two samples follows from samples before and after, and counts
+as known. Near half the grid's rate the low-pass lets higher frequencies pass as lower ones, so later inputs
+count without what lies there. What is left of the output below the filter's own errors says nothing.
 """
 
 from __future__ import annotations
