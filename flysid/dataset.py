@@ -46,6 +46,8 @@ BEGAN = "began_utc_s"
 """Mark of a segment: when its flight began, seconds of UTC; only where the log knows."""
 JITTER = "jitter_s"
 """Mark of a segment: how far the stamps of its inputs scatter around an even rate, standard deviation."""
+LOWPASS = "lowpass_ratio"
+"""Mark of a segment that passed the loader's low-pass: how much faster its sources were; else absent."""
 
 
 @dataclass(frozen=True, eq=False)

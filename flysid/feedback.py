@@ -13,6 +13,11 @@ unseen.
 Samples are taken where the input is new: one that the log holds for five samples gives every fifth. Between,
 it is no more than an old number, and what the vehicle answers there looks like foresight. Of faster logs
 samples 20 ms apart are taken: a pilot and an outer loop need longer.
+
+A sample behind the loader's low-pass (`flysid.dataset.LOWPASS`) stands for what lies to both sides of it.
+Such an input is no stair: what it is between two samples follows from samples before and after, and counts
+as known. Near half the grid's rate the low-pass lets higher frequencies pass as lower ones, so later inputs
+count without what lies there. What is left of the output below the filter's own errors says nothing.
 """
 
 from __future__ import annotations
@@ -21,7 +26,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from flysid.dataset import Dataset, FloatArray
+from flysid.dataset import LOWPASS, Dataset, FloatArray
 
 BIASED = "Free-run fits (OE, TF, refined ARX) may be biased"
 REMEDY = (
@@ -36,6 +41,12 @@ MOST_ROWS = 50_000
 """Rows of the regression; more take memory and tell nothing new."""
 EVEN = 2.0 / 3.0
 """Share of the pauses between changes of an input that are of one length where the log holds its samples."""
+HALFWAY = np.sinc(np.arange(-24.5, 25.0)) * np.kaiser(50, 5.0)
+"""(50,) taps that give a smooth input half a sample earlier."""
+SLOW = 0.5 * np.sinc(0.5 * np.arange(-12.0, 13.0)) * np.kaiser(25, 5.0)
+"""(25,) taps of a low-pass that has faded where the loader's falls to a half, at 0.4 of the grid's rate."""
+LEAK = 2e-3
+"""Of the output's spread: what the loader's low-pass, 54 dB down, leaves of what it should stop."""
 SMALLEST = 1e-6
 """Of the largest direction of the regressors: smaller ones do not count, and what they explain is left."""
 
@@ -91,9 +102,12 @@ def feedback(data: Dataset) -> tuple[Feedback, ...]:
     dt_s = every * data.dt_s
     lags = _look_ahead(dt_s)
     names = tuple(s.name for s in data.inputs)
+    is_smooth = any(s.marks.get(LOWPASS) for s in data.segments)
     found = []
     for j, output in enumerate(data.outputs):
-        p, share = _later_inputs(_scale(data, j, every, ORDER + 6 * lags), lags)
+        signals = _scale(data, j, every, ORDER + 6 * lags)
+        rows = [_rows(y, u, lags, every, is_smooth=is_smooth) for y, u in signals]
+        p, share = _later_inputs(rows, lags, LEAK if is_smooth else SMALLEST)
         found.append(Feedback(output.name, names, p, share, lags * dt_s))
     return tuple(found)
 
@@ -103,13 +117,20 @@ def _look_ahead(dt_s: float, *, look_s: float = 1.0, fewest: int = 5, most: int 
     return int(np.clip(round(look_s / dt_s), fewest, most))
 
 
-def _later_inputs(signals: list[tuple[FloatArray, FloatArray]], lags: int) -> tuple[float, float]:
-    """(p of the F test, share of the variance) of later inputs in what an output's past does not tell."""
+def _later_inputs(
+    rows: list[tuple[FloatArray, FloatArray, FloatArray]], lags: int, floor: float
+) -> tuple[float, float]:
+    """(p of the F test, share of the variance) of later inputs in what an output's past does not tell.
+
+    Parameters
+    ----------
+    rows : of `_rows`, segment by segment.
+    floor : of the output's spread; where less than this cannot be told from the past, nothing is tested.
+    """
     from scipy.special import fdtrc
 
-    if not signals:
+    if not rows:
         return 1.0, 0.0
-    rows = [_rows(y, u, lags) for y, u in signals]
     target, before, after = (np.concatenate(parts)[:MOST_ROWS] for parts in zip(*rows, strict=True))
     known, kept = _basis(before)
     rest = target - known @ (known.T @ target)
@@ -117,7 +138,7 @@ def _later_inputs(signals: list[tuple[FloatArray, FloatArray]], lags: int) -> tu
     gain = float(np.sum((extra.T @ rest) ** 2))
     total = float(rest @ rest)
     freedom = len(target) - kept - added
-    if freedom < 2 * lags or not added or not total > SMALLEST**2 * len(target):
+    if freedom < 2 * lags or not added or not total > floor**2 * len(target):
         return 1.0, 0.0
     ratio = (gain / added) / max((total - gain) / freedom, 1e-300)
     # what chance explains on average is taken off the share
@@ -128,21 +149,22 @@ def _later_inputs(signals: list[tuple[FloatArray, FloatArray]], lags: int) -> tu
 def _scale(data: Dataset, output: int, every: int, fewest: int) -> list[tuple[FloatArray, FloatArray]]:
     """(N,) output and (N, n_u) inputs of segments of at least `fewest` rows, of mean 0 and variance 1.
 
-    As many as rows are kept, of one sample in `every`, where inputs are new.
+    As many as rows are kept, each from the first of `every` samples at which inputs are new.
     """
     parts = []
     left = MOST_ROWS
     for s in data.segments:
         first = _first_new(s.u, every)
-        part = np.column_stack([s.y[first::every, output], s.u[first::every]])
-        if len(part) >= fewest and left > 0:
+        part = np.column_stack([s.y[first:, output], s.u[first:]])
+        rows = -(-len(part) // every)
+        if rows >= fewest and left > 0:
             parts.append(part)
-            left -= len(part)
+            left -= rows
     if not parts:
         return []
-    signals = np.concatenate(parts)
-    spread = signals.std(axis=0)
-    scaled = [(part - signals.mean(axis=0)) / np.where(spread > 0.0, spread, 1.0) for part in parts]
+    taken = np.concatenate([part[::every] for part in parts])
+    mean, spread = taken.mean(axis=0), taken.std(axis=0)
+    scaled = [(part - mean) / np.where(spread > 0.0, spread, 1.0) for part in parts]
     return [(part[:, 0], part[:, 1:]) for part in scaled]
 
 
@@ -167,13 +189,26 @@ def _first_new(u: FloatArray, every: int) -> int:
     return int(np.bincount(new % every, minlength=every).argmax())
 
 
-def _rows(y: FloatArray, u: FloatArray, lags: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Output, what is known of it (a constant, its past, inputs up to the next), later inputs."""
-    at = np.arange(ORDER, len(y) - lags)
-    past = np.stack([y[at - k] for k in range(1, ORDER + 1)], axis=1)
-    driven = np.hstack([u[at - k] for k in range(-1, ORDER + 1)])
-    later = np.hstack([u[at + k] for k in range(2, lags + 1)])
-    return y[at], np.column_stack([np.ones(len(at)), past, driven]), later
+def _rows(
+    y: FloatArray, u: FloatArray, lags: int, every: int, *, is_smooth: bool
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Output, what is known of it (a constant, its past, inputs up to the next), later inputs.
+
+    Of one sample in `every`; of a smooth input those between are known, too.
+    """
+    at = np.arange(ORDER * every, len(y) - lags * every, every)
+    known = [np.ones((len(at), 1)), *(y[at - every * k, None] for k in range(1, ORDER + 1))]
+    known += [u[at + k] for k in range(-ORDER * every, every + 1, 1 if is_smooth else every)]
+    if is_smooth:
+        halfway = _filter(u, HALFWAY)
+        known += [halfway[at + k] for k in range(-1, every + 2)]
+        u = _filter(u, SLOW)
+    return y[at], np.hstack(known), np.hstack([u[at + every * k] for k in range(2, lags + 1)])
+
+
+def _filter(u: FloatArray, taps: FloatArray) -> FloatArray:
+    """(N, n_u) every column through taps that lie around each sample, or half a sample before it."""
+    return np.stack([np.convolve(column, taps, mode="same") for column in u.T], axis=1)
 
 
 def _basis(columns: FloatArray, size: float | None = None) -> tuple[FloatArray, int]:

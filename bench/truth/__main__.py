@@ -1,14 +1,18 @@
 """Printed figures held against the truth, on records drawn at random.
 
-`python -m bench.truth [RECORDS] [--journal FILE] [--by KIND] [--seed FIRST]`: plants of eight kinds, six
-kinds of noise, seven of logging, four of excitation, open or in a loop with a reference added at the plant's
-input. Every figure that `tf` and `step` print of them is scored: trials, intervals that hold the truth with
-the exact 95 % bounds of that share, their median width relative to the truth, refused though there is a
-truth, and printed though there is none ("false"). Seeds are fresh every run unless `--seed` names the first.
-`--bent`: plants with a saturation, a dead zone, a Hammerstein or a Wiener bend, scored against the best
-linear approximation at the sizes that were flown. With `--journal` every record is kept as it ends: the same
-command goes on where it stopped. `--by plant` (or noise, logging, excitation, loop) adds a table of the
-shares by kind.
+`python -m bench.truth [RECORDS] [--draw WHAT] [--journal FILE] [--by KIND] [--seed FIRST]`: plants of eight
+kinds, six kinds of noise, seven of logging, four of excitation, open or in a loop with a reference added at
+the plant's input. Every figure that `tf` and `step` print of them is scored: trials, intervals that hold the
+truth with the exact 95 % bounds of that share, their median width relative to the truth, refused though there
+is a truth, and printed though there is none ("false"). Seeds are fresh every run unless `--seed` names the
+first. With `--journal` every record is kept as it ends: the same command goes on where it stopped. `--by
+plant` (or noise, logging, excitation, loop, bend) adds a table of the shares by kind.
+
+`--draw` takes others: "stamps", outputs stamped late or by a clock of their own; "loops", PI and PID at the
+input or a setpoint, and a pilot that no reference shows; "bent", plants with a saturation, a dead zone, a
+Hammerstein or a Wiener bend, backlash, drag, dry friction, or a lag that depends on its speed, scored against
+the best linear approximation at the sizes that were flown; "gains", the loops of simulated PX4 and ArduPilot
+flights; "fit", verdicts of `fit` against 120 fresh flights, half a minute each.
 """
 
 from __future__ import annotations
@@ -23,10 +27,12 @@ from typing import Any
 import numpy as np
 from scipy.special import betaincinv
 
-from bench.truth.records import draw_record
+from bench.truth.records import DRAWS, draw_record
 from bench.truth.verbs import Score, scores
+from bench.truth.whole import score_fit, score_gains
 
 SEEDS = 2**40
+WHOLE = {"gains": score_gains, "fit": score_fit}
 
 
 def main() -> None:
@@ -37,7 +43,7 @@ def main() -> None:
     parser.add_argument(
         "--by", choices=["plant", "noise", "logging", "excitation", "loop", "bend"], help="a table by kind"
     )
-    parser.add_argument("--bent", action="store_true", help="nonlinear plants, in open loop")
+    parser.add_argument("--draw", choices=[*DRAWS, *WHOLE], default=DRAWS[0], help="what is drawn")
     parser.add_argument("--seed", type=int, help="the first of consecutive seeds")
     order = parser.parse_args()
     kept = read_journal(order.journal)
@@ -47,7 +53,7 @@ def main() -> None:
     for seed in range(first, first + order.records):
         if seed in done:
             continue
-        line = run(seed, bent=order.bent)
+        line = run(seed, order.draw)
         kept.append(line)
         if order.journal:
             with order.journal.open("a") as file:
@@ -57,10 +63,14 @@ def main() -> None:
         print("\n".join(["", *shares_by(kept, order.by)]))
 
 
-def run(seed: int, *, bent: bool) -> dict[str, Any]:
+def run(seed: int, draw: str) -> dict[str, Any]:
     """A line of the journal: seed, kinds, scores."""
-    record = draw_record(seed, bent=bent)
-    return {"seed": seed, "kinds": record.kinds, "scores": [s.to_dict() for s in scores(record)]}
+    if draw in WHOLE:
+        kinds, found = WHOLE[draw](seed)
+    else:
+        record = draw_record(seed, draw)
+        kinds, found = record.kinds, scores(record)
+    return {"seed": seed, "kinds": kinds, "scores": [s.to_dict() for s in found]}
 
 
 def read_journal(journal: Path | None) -> list[dict[str, Any]]:
@@ -109,9 +119,9 @@ def table(lines: Sequence[Mapping[str, Any]]) -> list[str]:
 
 def shares_by(lines: Sequence[Mapping[str, Any]], kind: str) -> list[str]:
     """Held of printed, figure by figure, for every kind."""
-    kinds = sorted({line["kinds"][kind] for line in lines})
+    kinds = sorted({line["kinds"].get(kind, "-") for line in lines})
     rows = [f"| figure | {' | '.join(kinds)} |", "| --- " * (len(kinds) + 1) + "|"]
-    parts = {k: _by_figure(line for line in lines if line["kinds"][kind] == k) for k in kinds}
+    parts = {k: _by_figure(line for line in lines if line["kinds"].get(kind, "-") == k) for k in kinds}
     for figure in _by_figure(lines):
         cells = []
         for k in kinds:

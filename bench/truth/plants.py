@@ -48,6 +48,10 @@ class Plant:
         tops = tuple(factor * top for top in self.transfer.numerators)
         return replace(self, transfer=replace(self.transfer, numerators=tops))
 
+    def delayed(self, late_s: float) -> Plant:
+        """The plant with that much more dead time."""
+        return replace(self, transfer=replace(self.transfer, dead_time_s=self.transfer.dead_time_s + late_s))
+
     def grid(self, dt_s: float) -> FloatArray:
         """(GRID,) rad/s from far below the plant's corner to the Nyquist frequency."""
         return np.geomspace(1e-3 * self.corner, 0.999 * np.pi / dt_s, GRID)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -11,11 +11,14 @@ import numpy as np
 import numpy.typing as npt
 from scipy.signal import lfilter
 
+from bench.truth.bends import MOVING, REALISATIONS, STATIC, bend, best_linear, moving_plant
+from bench.truth.laws import LOOPS, Law, draw_law, log_loop
 from bench.truth.plants import KINDS, Plant, draw_plant
 from flysid.dataset import Dataset, FloatArray, Segment
 from flysid.ingest.align.quick import dataset_from
 from flysid.ingest.synth.manoeuvres import chirp, pilot, random_phase_multisine
 from flysid.model.frequency.sampling import sample
+from flysid.model.polynomials import ComplexArray
 
 IntArray = npt.NDArray[np.int64]
 
@@ -23,9 +26,12 @@ FINE = 8
 """Steps of the simulation in one of the log."""
 NOISES = ("none", "white", "coloured", "drifting", "gusts", "outliers")
 LOGGINGS = ("plain", "quantised", "jitter", "gap", "slow", "event-logged", "merged")
+STAMPS = ("late stamps", "two clocks")
 EXCITATIONS = ("steps", "pilot", "chirp", "multisine")
-LOOPS = ("open", "added at the input")
-BENDS = ("saturation", "dead zone", "Hammerstein", "Wiener")
+DRAWS = ("linear", "stamps", "loops", "bent")
+"""Linear plants, open or with a gain around them; stamps that are off; more controllers; bent plants."""
+OFF_PPM = 40.0
+"""How far two clocks of a record run apart at most: two quartzes of 20 ppm each."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,32 +40,51 @@ class Record:
 
     Attributes
     ----------
-    plant : of a bent record the best linear approximation: what the response is, scaled by what the bend
-        leaves of it at these sizes (Bussgang, 1952).
+    plant : what the stamps of the record show of it. Of a bent record the best linear approximation: the
+        response scaled by what the bend leaves of it at these sizes (Bussgang, 1952).
     kinds : plant, noise, logging, excitation, loop, bend.
-    controller : gain of the loop from the output back to the input; 0 in open loop.
+    controller : from the output back to the input; None in open loop.
+    approximation : the response itself, of a plant whose bend has a memory; None of others.
     """
 
     seed: int
     plant: Plant
     data: Dataset
     kinds: dict[str, str]
-    controller: float
+    controller: Law | None
+    approximation: Callable[[FloatArray], ComplexArray] | None = None
+
+    @property
+    def reference(self) -> str:
+        """Where the reference that is logged enters; "" where none is."""
+        return self.controller.at if self.controller is not None else ""
+
+    def response(self, omega: FloatArray) -> ComplexArray:
+        """(F,) the truth of what is measured."""
+        if self.approximation is not None:
+            return self.approximation(omega)
+        return self.plant.response(omega, self.data.dt_s)
 
 
-def draw_record(seed: int, *, bent: bool = False) -> Record:
-    """The record of a seed; `bent`: of a nonlinear plant in open loop."""
+def draw_record(seed: int, draw: str = "linear") -> Record:
+    """The record of a seed, of one of DRAWS."""
     rng = np.random.default_rng(seed)
     kinds = {
         "plant": str(rng.choice(KINDS)),
         "noise": str(rng.choice(NOISES)),
         "logging": str(rng.choice(LOGGINGS)),
         "excitation": str(rng.choice(EXCITATIONS)),
-        "loop": str(rng.choice(LOOPS, p=[0.7, 0.3])),
+        "loop": str(rng.choice(("open", LOOPS[0]), p=[0.7, 0.3])),
         "bend": "none",
     }
-    if bent:
-        kinds |= {"loop": "open", "bend": str(rng.choice(BENDS))}
+    if draw == "stamps":
+        kinds |= {"loop": "open", "logging": str(rng.choice(STAMPS))}
+    elif draw == "loops":
+        kinds["loop"] = str(rng.choice(LOOPS))
+    elif draw == "bent":
+        kinds |= {"loop": "open", "bend": str(rng.choice(STATIC + MOVING))}
+    if kinds["bend"] in MOVING:
+        return _log_moving(rng, seed, kinds)
     plant = draw_plant(rng, kinds["plant"])
     if kinds["loop"] != "open":
         kinds["logging"] = "plain"
@@ -70,10 +95,32 @@ def draw_record(seed: int, *, bent: bool = False) -> Record:
     count = round(float(rng.uniform(60.0, 200.0)) * 2.0 * np.pi / plant.corner / 2.0 / dt_s)
     drive = _excite(rng, kinds["excitation"], plant, dt_s * np.arange(count, dtype=np.float64))
     if kinds["loop"] == "open":
-        data, left = _log_open(rng, plant, drive, dt_s, kinds)
-        return Record(seed, plant.scaled(left), data, kinds, 0.0)
-    gain = _controller(rng, plant, dt_s)
-    return Record(seed, plant, _log_loop(rng, plant, drive, dt_s, (gain, kinds["noise"])), kinds, gain)
+        late_s = dt_s * rng.uniform(0.0, 3.0) if kinds["logging"] == "late stamps" else 0.0
+        data, left = _log_open(rng, plant, drive, dt_s, kinds, late_s)
+        return Record(seed, plant.scaled(left).delayed(late_s), data, kinds, None)
+    law = draw_law(rng, kinds["loop"], plant, dt_s)
+    period = 2.0 * np.pi / plant.corner / dt_s
+    noise = float(rng.uniform(0.01, 0.15)) * _noise(rng, kinds["noise"], count, period)
+    return Record(seed, plant, log_loop(plant, law, drive, dt_s, noise), kinds, law)
+
+
+def _log_moving(rng: np.random.Generator, seed: int, kinds: dict[str, str]) -> Record:
+    """A plant whose bend has a memory, in a plain log; a chirp has no best linear approximation."""
+    kinds |= {"logging": "plain", "plant": "second order" if kinds["bend"] == "backlash" else "first order"}
+    if kinds["excitation"] == "chirp":
+        kinds["excitation"] = "multisine"
+    plant = draw_plant(rng, kinds["plant"])
+    dt_s = 2.0 * np.pi / plant.corner / rng.uniform(25, 60)
+    count = round(float(rng.uniform(30.0, 100.0)) * 2.0 * np.pi / plant.corner / dt_s)
+    time_s = dt_s * np.arange(count, dtype=np.float64)
+    drives = np.array([_excite(rng, kinds["excitation"], plant, time_s) for _ in range(1 + REALISATIONS)])
+    u = drives / drives.std(axis=1, keepdims=True)
+    respond = moving_plant(kinds["bend"], float(rng.random()), plant, dt_s / FINE)
+    clean = respond(np.repeat(u, FINE, axis=1))[:, ::FINE]
+    noise = _noise(rng, kinds["noise"], count, 2.0 * np.pi / plant.corner / dt_s)
+    y = clean[0] + float(rng.uniform(0.01, 0.15)) * clean[0].std() * noise
+    data = Dataset.from_arrays(u[0], y, dt_s, inputs=["u"], outputs=["y"])
+    return Record(seed, plant, data, kinds, None, best_linear(u[1:], clean[1:], dt_s))
 
 
 def _excite(rng: np.random.Generator, kind: str, plant: Plant, time_s: FloatArray) -> FloatArray:
@@ -108,20 +155,31 @@ def _noise(rng: np.random.Generator, kind: str, count: int, period: float) -> Fl
 
 
 def _log_open(
-    rng: np.random.Generator, plant: Plant, u: FloatArray, dt_s: float, kinds: dict[str, str]
+    rng: np.random.Generator,
+    plant: Plant,
+    u: FloatArray,
+    dt_s: float,
+    kinds: dict[str, str],
+    late_s: float,
 ) -> tuple[Dataset, float]:
-    """The record, and what a bend leaves of the response: 1 where there is none."""
+    """The record, and what a bend leaves of the response: 1 where there is none.
+
+    `late_s`: how much later than it was taken the output is stamped.
+    """
     a, (b,) = sample(plant.transfer, dt_s / FINE, "zero")
     changes, values = _changes(rng, u, kinds["logging"])
     held = values[np.searchsorted(changes, np.arange(FINE * len(u)), side="right") - 1]
     if kinds["bend"] == "Wiener":
-        fine, left = _bend(rng, kinds["bend"], np.asarray(lfilter(b, a, held)))
+        fine, left = bend(rng, kinds["bend"], np.asarray(lfilter(b, a, held)))
     else:
-        moved, left = _bend(rng, kinds["bend"], held)
+        moved, left = bend(rng, kinds["bend"], held)
         fine = np.asarray(lfilter(b, a, moved))
     at = FINE * np.arange(len(u), dtype=np.float64)
     if kinds["logging"] == "jitter":
         at += FINE * min(0.005 / dt_s, 0.5) * rng.uniform(-0.5, 0.5, len(u))
+    elif kinds["logging"] == "two clocks":
+        at *= 1.0 + 1e-6 * OFF_PPM * rng.uniform(-1.0, 1.0)
+    at -= FINE * late_s / dt_s
     clean = np.interp(at, np.arange(len(fine)), fine)
     period = 2.0 * np.pi / plant.corner / dt_s
     size = float(rng.uniform(0.01, 0.15)) * clean.std()
@@ -141,22 +199,6 @@ def _log_open(
         parts = tuple(_cut(whole, part, dt_s) for part in (slice(middle), slice(middle + skipped, None)))
         data = Dataset(dt_s, data.inputs, data.outputs, parts, data.name)
     return data, left
-
-
-def _bend(rng: np.random.Generator, kind: str, x: FloatArray) -> tuple[FloatArray, float]:
-    """A signal through a nonlinearity without memory, and the slope of the best line through it."""
-    if kind == "none":
-        return x, 1.0
-    size = max(float(x.std()), 1e-300)
-    share = float(rng.uniform(0.2, 1.0))
-    if kind == "saturation":
-        bent = np.clip(x, -2.0 * share * size, 2.0 * share * size)
-    elif kind == "dead zone":
-        bent = np.sign(x) * np.maximum(np.abs(x) - 0.5 * share * size, 0.0)
-    else:
-        bent = x + 0.3 * share * x**3 / size**2
-    middle = x - x.mean()
-    return np.asarray(bent), float(middle @ bent / (middle @ middle))
 
 
 def _changes(rng: np.random.Generator, u: FloatArray, logging: str) -> tuple[IntArray, FloatArray]:
@@ -190,32 +232,3 @@ def _read_table(columns: Mapping[str, tuple[FloatArray, FloatArray]]) -> Dataset
 def _cut(whole: Segment, part: slice, dt_s: float) -> Segment:
     start_ns = whole.t0_ns + round((part.start or 0) * dt_s * 1e9)
     return replace(whole, u=whole.u[part], y=whole.y[part], t0_ns=start_ns)
-
-
-def _controller(rng: np.random.Generator, plant: Plant, dt_s: float) -> float:
-    """A gain that leaves a gain margin of 2 to 5."""
-    omega = plant.grid(dt_s)
-    g = plant.response(omega, dt_s) * np.exp(-1j * omega * dt_s)
-    sign = np.sign(plant.transfer.numerators[0][-1])
-    phase = np.unwrap(np.angle(sign * g))
-    turned = np.flatnonzero(phase < -np.pi)
-    limit = 1.0 / abs(g[turned[0]]) if len(turned) else 5.0 / abs(g[0])
-    return float(sign * limit / rng.uniform(2.0, 5.0))
-
-
-def _log_loop(
-    rng: np.random.Generator, plant: Plant, drive: FloatArray, dt_s: float, how: tuple[float, str]
-) -> Dataset:
-    """u(k) = r(k) - controller y(k - 1): inputs u and r, output y."""
-    gain, noise = how
-    a, (b,) = sample(plant.transfer, dt_s, "zero")
-    back = gain * np.append(0.0, b)
-    size = max(len(a), len(back))
-    a = np.append(a, np.zeros(size - len(a)))
-    bottom = a + np.append(back, np.zeros(size - len(back)))
-    clean = np.asarray(lfilter(b, bottom, drive))
-    period = 2.0 * np.pi / plant.corner / dt_s
-    added = float(rng.uniform(0.01, 0.15)) * clean.std() * _noise(rng, noise, len(drive), period)
-    y = clean + np.asarray(lfilter(a, bottom, added))
-    u = drive - gain * np.append(0.0, y[:-1])
-    return Dataset.from_arrays(np.column_stack([u, drive]), y, dt_s, inputs=["u", "r"], outputs=["y"])

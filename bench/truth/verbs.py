@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass
 import numpy as np
 from scipy.signal import lfilter
 
+from bench.truth.laws import Law
 from bench.truth.plants import Plant
 from bench.truth.records import Record
 from flysid.dataset import FloatArray
@@ -56,14 +57,16 @@ class Score:
 def scores(record: Record) -> list[Score]:
     """Of every verb that answers within seconds; a verb that refuses the record gives one refusal."""
     found: list[Score] = []
-    names = ("r",) if record.controller else ()
-    at = "input" if record.controller else ""
+    at = record.reference
+    names = ("r",) if at else ()
     try:
         channel = identify_channel("x", record.data, TF(reference=names), at)
-        found += [*_transfer(record, channel), *_command(record, channel), *_loop(record, channel)]
+        found += [*_transfer(record, channel), *_claim_of_a_loop(record, channel)]
+        if record.approximation is None:
+            found += [*_command(record, channel), *_loop(record, channel)]
     except FlysidError:
         found.append(Score("tf", 0.0, None, None))
-    if not record.controller:
+    if record.controller is None and record.approximation is None:
         found += [*_step(record), *score_excitation(record)]
         found += _agreement(found)
     return found
@@ -104,12 +107,11 @@ def _transfer(record: Record, channel: ChannelTransfers) -> Iterator[Score]:
     yield Score("tf band", 1.0, *((1.0, 1.0) if band else (None, None)))
     if measured is None or band is None:
         return
-    dt_s = record.data.dt_s
     inside = np.flatnonzero((measured.omega >= band[0]) & (measured.omega <= band[1]))
     rng = np.random.default_rng(record.seed)
     picked = np.sort(rng.choice(inside, min(POINTS, len(inside)), replace=False))
     omega = measured.omega[picked]
-    true = np.log(record.plant.response(omega, dt_s))
+    true = np.log(record.response(omega))
     half = np.maximum(measured.half_width()[picked, 0], PRINTED)
     seen = np.log(measured.response[picked, 0]) - true
     g, db, deg = channel.response(0, 0, omega)
@@ -125,11 +127,21 @@ def _transfer(record: Record, channel: ChannelTransfers) -> Iterator[Score]:
         yield Score("tf model phase", 0.0, turned - own, turned + own)
         near = float(DB * abs(model[k].real) < NEAR_DB and np.degrees(abs(turned)) < NEAR_DEG)
         yield Score("tf model near", 1.0, near, near)
+    if record.approximation is not None:
+        return
     transfer = channel.model.transfer()
     gain = transfer.gain
     known = np.isfinite(gain.value) and not Z95 * gain.error > abs(gain.value)
     printed = known and transfer.carries_gain(band)
     yield Score("tf steady gain", record.plant.gain, *(gain.interval if printed else (None, None)))
+
+
+def _claim_of_a_loop(record: Record, channel: ChannelTransfers) -> Iterator[Score]:
+    """The sentence that a loop is closed: false of a record in open loop, right where a pilot closes it."""
+    if record.reference:
+        return
+    seen = (1.0, 1.0) if channel.is_looped(0) else (None, None)
+    yield Score("tf a loop is closed", None if record.controller is None else 1.0, *seen)
 
 
 def _command(record: Record, channel: ChannelTransfers) -> Iterator[Score]:
@@ -167,10 +179,10 @@ def command_truth(plant: Plant, dt_s: float) -> dict[str, float]:
     return found
 
 
-def loop_truth(plant: Plant, controller: float, dt_s: float) -> dict[str, float]:
+def loop_truth(plant: Plant, controller: Law, dt_s: float) -> dict[str, float]:
     """Crossover, margins, peak of S, bandwidth of disturbance rejection of the loop cut open."""
     omega = plant.grid(dt_s)
-    loop = controller * plant.response(omega, dt_s) * np.exp(-1j * omega * dt_s)
+    loop = controller.response(omega, dt_s) * plant.response(omega, dt_s) * np.exp(-1j * omega * dt_s)
     level = np.log(np.abs(loop))
     phase = np.unwrap(np.angle(loop))
     phase -= 2.0 * np.pi * np.round(phase[0] / 2.0 / np.pi)

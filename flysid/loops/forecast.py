@@ -26,11 +26,6 @@ STEP_RATE_HZ, STEP_LENGTH = 1000.0, 4096
 SHOWN_S = 1.0
 
 
-def _plain(own: Figure) -> dict[str, float] | None:
-    """JSON types only."""
-    return None if own.value is None else {"value": own.value, "low": own.low, "high": own.high}
-
-
 @dataclass(frozen=True)
 class StepFigures:
     """Of the answer to a step of the setpoint: s from a tenth to nine tenths, and how far it overshoots."""
@@ -67,7 +62,7 @@ class Side:
 
     def to_dict(self) -> dict[str, Any]:
         """JSON types only."""
-        figures = {name: _plain(own) for name, own in self.figures.items()}
+        figures = {name: own.to_dict() for name, own in self.figures.items()}
         response = {
             "db": (20.0 * np.log10(np.abs(self.response))).tolist(),
             "db_interval": self.db.tolist(),
@@ -75,8 +70,8 @@ class Side:
             "deg_interval": self.deg.tolist(),
         }
         step = {
-            "rise_s": _plain(self.step.rise_s),
-            "overshoot": _plain(self.step.overshoot),
+            "rise_s": self.step.rise_s.to_dict(),
+            "overshoot": self.step.overshoot.to_dict(),
             "answer": self.answer.tolist(),
         }
         rest = {"limited": self.limited, "unstable": self.unstable, "tracking_error": float(self.errors[0])}
@@ -134,8 +129,8 @@ class Forecast:
             "f_hz": self.f.tolist(),
             "before": self.before.to_dict(),
             "after": self.after.to_dict(),
-            "noise": _plain(self.noise),
-            "tracking": _plain(self.tracking),
+            "noise": self.noise.to_dict(),
+            "tracking": self.tracking.to_dict(),
             "better": self.better,
             "moved_db": self.moved_db,
             "known_to_db": self.known_to_db,

@@ -160,12 +160,7 @@ def _list_unknown(m: Margins) -> list[str]:
 
 
 def _plain_figures(m: Margins) -> dict[str, Any]:
-    return {name: _plain(value) for name, value in vars(m).items() if isinstance(value, Figure)}
-
-
-def _plain(figure: Figure) -> dict[str, Any]:
-    told = asdict(figure)
-    return {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in told.items()}
+    return {name: value.to_dict() for name, value in vars(m).items() if isinstance(value, Figure)}
 
 
 @dataclass(frozen=True)

@@ -51,6 +51,13 @@ class Figure:
             return f"not determined: {self.why}"
         return f"{self.value:{form}}{unit} [{self.low:{form}}, {self.high:{form}}]"
 
+    def to_dict(self) -> dict[str, float | str | None]:
+        """JSON types only: an end that is open, and all of what is not known, is None."""
+        value, low, high = (
+            x if x is not None and np.isfinite(x) else None for x in (self.value, self.low, self.high)
+        )
+        return {"value": value, "low": low, "high": high, "why": self.why}
+
 
 @dataclass(frozen=True)
 class Margins:

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from flysid.dataset import BEGAN, JITTER, Dataset, Segment, Signal
+from flysid.dataset import BEGAN, JITTER, LOWPASS, Dataset, Segment, Signal
 from flysid.datasetfile import write_dataset
 from flysid.errors import DataError, RecipeError
 from flysid.extras import Extra, extra
@@ -367,6 +367,7 @@ class _Boot:
         if len(u) == 0 or not (np.isfinite(u).all() and np.isfinite(y).all()):
             return None
         marks = {**self._marks(u), **self.labels.marks(span)}
+        marks |= {LOWPASS: float(ratio)} if ratio > 1 else {}
         marks |= {"vehicle": self.vehicle} if self.vehicle else {}
         marks |= {BEGAN: self.began_utc_ns * 1e-9} if self.began_utc_ns is not None else {}
         return Segment(u, y, t0_ns=int(coarse[trimmed]), flight=self.name, marks=marks)

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from flysid.dataset import Dataset, FloatArray
+from flysid.dataset import LOWPASS, Dataset, FloatArray
 from flysid.feedback import feedback
+from flysid.ingest.align.resample import lowpass
 from flysid.model.oe import OE
 from flysid.validate.compare_models import compare
 from flysid.validate.diagnose.cautions import cautions
@@ -111,6 +114,35 @@ def test_a_pilot_is_recognised_in_a_log_that_holds_the_stick(first: int) -> None
 def held(u: FloatArray, samples: int) -> FloatArray:
     """What a log holds of a signal (N,) that it gets every so many samples."""
     return np.repeat(u[::samples], samples)[: len(u)]
+
+
+def low_passed(seed: int, gain: float, *, late: int = 8, ratio: int = 2, every: int = 2) -> Dataset:
+    """A lag of 0.1 s, 100 samples a second behind the loader's low-pass, on a grid of 50 Hz.
+
+    Commands come every so many samples, white, less `gain` times the output of `late` samples before. The
+    output drifts and has noise of its own.
+    """
+    rng = np.random.default_rng(seed)
+    count = 100 * 60
+    drift = lfilter([0.02], [1.0, -0.98], rng.standard_normal(count))
+    command, grain = rng.standard_normal((2, count))
+    u, x, y = (np.zeros(count) for _ in range(3))
+    for k in range(count):
+        x[k] = 0.905 * x[k - 1] + 0.095 * u[k - 1]
+        y[k] = x[k] + (3.0 if gain else 0.02) * drift[k] + 0.005 * grain[k]
+        u[k] = u[k - 1] if k % every else command[k] - gain * y[k - late]
+    coarse = [np.convolve(s, lowpass(ratio), mode="valid")[::ratio] for s in (u, y)]
+    data = Dataset.from_arrays(*coarse, ratio / 100.0)
+    return data.with_segments([replace(s, marks={LOWPASS: float(ratio)}) for s in data.segments])
+
+
+def test_a_low_pass_that_looks_ahead_is_no_feedback() -> None:
+    """White commands at the grid's rate showed a reaction of 30 to 70 % where there was little noise."""
+    assert not feedback(low_passed(0, 0.0))[0].closed
+
+
+def test_a_loop_is_seen_through_the_low_pass() -> None:
+    assert feedback(low_passed(1, 2.0))[0].closed
 
 
 def test_of_a_fast_log_samples_are_taken_apart() -> None:

@@ -126,17 +126,6 @@ def _point(g: complex, width: float) -> str:
     return f"{gain}, {np.degrees(np.angle(g)):.0f} +- {significant(np.degrees(width), 1)} degrees"
 
 
-def parting(coherent: Band | None, band: Band) -> str:
-    """What ends a band beside the coherence; "" where nothing does."""
-    if coherent is None or coherent == band:
-        return ""
-    low, high = coherent
-    return (
-        f" and the model follows the measurement (coherent from {low:.3g} to {high:.3g} rad/s, but beyond "
-        f"the band the two part by more than {NEAR_DB:g} dB or {NEAR_DEG:g} degrees)"
-    )
-
-
 def transfer_figures(transfer: ContinuousTransfer, band: Band | None) -> dict[str, Any]:
     """Gain and modes with 95 % intervals, JSON types; None for what a trusted band does not carry."""
 

@@ -46,10 +46,11 @@ from flysid.validate.compare.metrics import scores
 from flysid.validate.compare.trials import FREE_RUN, run_trials
 from flysid.validate.runs.fitone import nothing_done
 from flysid.validate.transfers.agreement import (
+    NEAR_DB,
+    NEAR_DEG,
     agree,
     cautions_beside,
     measured_document,
-    parting,
     transfer_figures,
 )
 
@@ -128,10 +129,12 @@ class ChannelTransfers:
                 return "no band can be trusted: model and measurement part everywhere; try other orders"
             where = "at too few frequencies" if highest > GOOD_COHERENCE else "nowhere"
             return f"{of or 'the coherence'} is above {GOOD_COHERENCE:g} {where} (at most {highest:.2f})"
+        is_narrowed = measured.band(source) != band
+        follows = f" and the model within {NEAR_DB:g} dB and {NEAR_DEG:g} degrees" if is_narrowed else ""
         return (
             f"trust it from {band[0]:.3g} to {band[1]:.3g} rad/s "
             f"({band[0] / 2 / np.pi:.2g} to {band[1] / 2 / np.pi:.2g} Hz), where "
-            f"{of or 'the coherence'} is above {GOOD_COHERENCE:g}{parting(measured.band(source), band)}"
+            f"{of or 'the coherence'} is above {GOOD_COHERENCE:g}{follows}"
         )
 
     def is_looped(self, output: int) -> bool:

@@ -222,7 +222,8 @@ def test_a_band_ends_where_model_and_measurement_part() -> None:
         assert "model and measurement part everywhere" in text
     else:
         assert band[1] < 0.8 * coherent[1]
-        assert "the model follows the measurement (coherent from" in text
+        assert "and the model within 1 dB and 7.57 degrees" in text
+        assert text.count("rad/s (") == 1
 
 
 def test_no_figure_is_printed_outside_its_band() -> None:
