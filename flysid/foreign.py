@@ -1,6 +1,7 @@
-"""Paths that stand in documents: runs, manifests, models, lists of jobs. A document may be a stranger's.
+"""Documents that may be a stranger's: runs, manifests, models, vehicles, designs, lists of jobs.
 
-Whatever joins a folder and a name out of a document does it here: no document leads out of its folder.
+Whatever joins a folder and a name out of a document does it here: no document leads out of its folder. What
+a document of flysid's holds is read, and brought into the types that it is meant for, here as well.
 """
 
 from __future__ import annotations
@@ -8,8 +9,16 @@ from __future__ import annotations
 import os
 import stat
 from pathlib import Path, PurePosixPath, PureWindowsPath
+from typing import Any, TypeVar
+
+import msgspec
 
 from flysid.errors import StoreError
+from flysid.files import remedy_unread, why_unread
+
+T = TypeVar("T")
+LARGEST_BYTES = 256 << 20
+"""Of a document; a model with all of its rules takes a thousandth of it."""
 
 
 def inner_path(folder: Path, name: object, document: str | Path) -> Path:
@@ -66,3 +75,50 @@ def _why_not_inside(path: Path, folder: Path) -> str:
     except (FileNotFoundError, NotADirectoryError):
         return ""
     return "" if stat.S_ISREG(mode) or stat.S_ISDIR(mode) else "is a device, a pipe or a socket"
+
+
+def read_object(path: Path, what: str, hint: str) -> dict[str, Any]:
+    """The JSON object in a file.
+
+    Parameters
+    ----------
+    what : it is, for the words of an error: "a flysid model".
+    hint : what to try where it is none.
+
+    Raises
+    ------
+    StoreError : it cannot be read, is no file or too large, is not JSON (which has neither NaN nor infinity),
+        or no object.
+    """
+    try:
+        mode = path.stat()
+        if stat.S_ISREG(mode.st_mode) and mode.st_size <= LARGEST_BYTES:
+            return msgspec.json.decode(path.read_bytes(), type=dict[str, Any])
+        fault = f": {mode.st_size:,} bytes" if stat.S_ISREG(mode.st_mode) else ": no file"
+    except OSError as error:
+        raise StoreError(
+            f"cannot be read: {why_unread(error)}", path=path, hint=remedy_unread(error)
+        ) from error
+    except msgspec.ValidationError:
+        fault = ""
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
+        fault = ": not JSON"
+    raise StoreError(f"not {what}{fault}", path=path, hint=hint)
+
+
+def shaped(body: object, shape: type[T]) -> T:
+    """What was read as JSON as the type that it is meant for, lists as tuples, every entry checked.
+
+    Raises
+    ------
+    ValueError : an entry is missing or of another type; says which.
+
+    Examples
+    --------
+    >>> shaped([1, 2.5], tuple[float, ...])
+    (1.0, 2.5)
+    """
+    try:
+        return msgspec.convert(body, shape)
+    except (msgspec.ValidationError, OverflowError, RecursionError) as error:
+        raise ValueError(str(error)) from error

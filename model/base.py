@@ -21,7 +21,6 @@ The table of structures is `flysid.model.structures`.
 from __future__ import annotations
 
 import json
-import math
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -32,7 +31,7 @@ import numpy as np
 
 from flysid.dataset import Dataset, FloatArray, Signal
 from flysid.errors import StoreError
-from flysid.files import remedy_unread, why_unread
+from flysid.foreign import read_object
 from flysid.model.structures import all_structures
 from flysid.version import check_version
 
@@ -200,7 +199,7 @@ def load(path: str | Path) -> Fitted:
     'arx'
     """
     path = Path(path)
-    document = _read_document(path)
+    document = read_object(path, "a flysid model", "give a file that save() wrote")
     if document.get("format") != MODEL_FORMAT:
         raise StoreError("not a flysid model", path=path, hint="give a file that save() wrote")
     check_version(document.get("version"), MODEL_VERSION, "model file", path)
@@ -226,35 +225,6 @@ def _fault(error: Exception) -> str:
     if isinstance(error, KeyError):
         return f"it has no {error}"
     return str(error) if isinstance(error, ValueError) else "a value is not of the type that it should be"
-
-
-def _read_document(path: Path) -> dict[str, Any]:
-    """The JSON of a model file, without NaN and infinities, which JSON does not have."""
-    try:
-        size = path.stat().st_size
-        if size > MAX_FILE_BYTES:
-            raise StoreError(f"not a flysid model: {size:,} bytes", path=path)
-        document = json.loads(path.read_text("utf-8"), parse_constant=_refuse, parse_float=_finite)
-    except OSError as error:
-        raise StoreError(
-            f"cannot be read: {why_unread(error)}", path=path, hint=remedy_unread(error)
-        ) from error
-    except (UnicodeDecodeError, ValueError, RecursionError) as error:
-        raise StoreError(
-            "not a flysid model: not JSON", path=path, hint="give a file that save() wrote"
-        ) from error
-    if not isinstance(document, dict):
-        raise StoreError("not a flysid model", path=path, hint="give a file that save() wrote")
-    return document
-
-
-def _refuse(text: str) -> float:
-    raise ValueError(f"{text} is not JSON")
-
-
-def _finite(text: str) -> float:
-    value = float(text)
-    return value if math.isfinite(value) else _refuse(text)
 
 
 def try_out(model: Fitted, *, samples: int = 100) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import random
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 from flysid.errors import FormatError
 from flysid.ingest.formats.base import Limits, collect
@@ -22,6 +22,7 @@ MARKS: Mapping[str, tuple[bytes, ...]] = {
     "tlog": (b"\xfd\x09\0\0", b"\xfe\x1c"),
     "ulog": (b"\x08\0D\0\0", b"\x2f\x73\x13\x20\x25\x0c\xbb\x12"),
 }
+Garbage = Callable[[str, int, random.Random], bytes]
 MARK_EVERY = 16
 SECONDS_A_MB = 0.05
 
@@ -35,12 +36,19 @@ def marked(name: str, size: int, rng: random.Random) -> bytes:
     return bytes(out)
 
 
-def seconds_a_mb(name: str, size: int, rng: random.Random) -> float:
-    """Processor seconds a megabyte of marked garbage inside a sound log, the best of two readings."""
+def runs_of(name: str, size: int, rng: random.Random) -> bytes:  # noqa: ARG001 - as `marked`
+    """Each mark of the format, and each of its letters, over and over."""
+    marks = MARKS[name]
+    every = [*marks, *(bytes([letter]) for letter in sorted(set(b"".join(marks))))]
+    return b"".join((mark * size)[: size // len(every)] for mark in every)
+
+
+def seconds_a_mb(name: str, size: int, rng: random.Random, garbage: Garbage = marked) -> float:
+    """Processor seconds a megabyte of garbage inside a sound log, the best of two readings."""
     sound = sample(name)
     middle = len(sound) // 2
     times = []
-    for blob in (sound, sound[:middle] + marked(name, size, rng) + sound[middle:]) * 2:
+    for blob in (sound, sound[:middle] + garbage(name, size, rng) + sound[middle:]) * 2:
         began = time.process_time()
         with contextlib.suppress(FormatError):
             collect(memoryview(blob), "log", FORMATS[name], Limits())

@@ -55,7 +55,7 @@ def write_vehicle(
     Raises
     ------
     UsageError : the file exists; mass or arm is not above zero; the target has no such vehicle.
-    DataError, FormatError : no vehicle is there.
+    StoreError : no vehicle is in the file.
     """
     from flysid.export.vehicles.body import ARM_M, MASS_KG
     from flysid.files import write_atomically, writing_to

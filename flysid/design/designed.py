@@ -17,6 +17,7 @@ from flysid.design.gain_search import Bounds
 from flysid.design.law import TUNED, Gains, LoopParts
 from flysid.design.loopfigures import Laws, figures
 from flysid.errors import StoreError, UsageError
+from flysid.foreign import inner_path, read_object, shaped
 from flysid.showing import counted
 
 FORMAT = "flysid-design"
@@ -225,43 +226,28 @@ def open_design(path: Path) -> tuple[Axis, ...]:
     ------
     UsageError : no such file, or a design of rate loops. StoreError : no design, or damaged.
     """
-    file = path / FILE if path.is_dir() else path
+    file = inner_path(path, FILE, path) if path.is_dir() else path
     if not file.is_file():
         raise UsageError("no such design", path=file, hint="make one: flysid design RUN -o DIR")
+    body = read_object(file, "a design", "design again")
+    if body.get("format") == RATE_FORMAT:
+        raise UsageError(
+            "a design of rate loops, and only position loops are flown",
+            path=file,
+            hint="what it would do on the flights: flysid predict LOG --file new.txt, or new.param",
+        )
+    if (body.get("format"), body.get("version")) != (FORMAT, VERSION):
+        raise StoreError("not a design of this version of flysid", path=file)
     try:
-        body = json.loads(file.read_text("utf-8"))
-        if body["format"] == RATE_FORMAT:
-            raise UsageError(
-                "a design of rate loops, and only position loops are flown",
-                path=file,
-                hint="what it would do on the flights: flysid predict LOG --file new.txt, or new.param",
-            )
-        if body["format"] != FORMAT or body["version"] != VERSION:
-            raise StoreError("not a design of this version of flysid", path=file)
-        return tuple(_axis(entry) for entry in body["axes"])
-    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+        return shaped(_with_infinity(body.get("axes")), tuple[Axis, ...])
+    except ValueError as error:
         raise StoreError(f"the design is damaged: {error}", path=file, hint="design again") from error
 
 
-def _axis(body: Mapping[str, Any]) -> Axis:
-    meanings = {
-        name: DesignMeaning(bool(told["stable"]), **{k: _pair(v) for k, v in told.items() if k != "stable"})
-        for name, told in body["meanings"].items()
-    }
-    return Axis(
-        **{
-            **body,
-            "units": tuple(body["units"]),
-            "laws": {name: Gains.from_dict(gains) for name, gains in body["laws"].items()},
-            "meanings": meanings,
-            "bounds": Bounds(**body["bounds"]),
-            "plants": tuple(body["plants"]),
-            "band_hz": _pair(body["band_hz"]),
-            "notes": tuple(body["notes"]),
-        }
-    )
-
-
-def _pair(values: list[float | None]) -> tuple[float, float]:
-    low, high = (math.inf if v is None else float(v) for v in values)
-    return low, high
+def _with_infinity(value: Any) -> Any:
+    """The numbers that `_plain` has left out."""
+    if isinstance(value, dict):
+        return {k: _with_infinity(v) for k, v in value.items()}
+    if isinstance(value, list):
+        return [_with_infinity(v) for v in value]
+    return math.inf if value is None else value

@@ -10,7 +10,6 @@ still while the input is at its limit and the error would drive it further.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields, replace
 
 import numpy as np
@@ -68,11 +67,6 @@ class Gains:
     def to_dict(self) -> dict[str, float]:
         """JSON types only."""
         return asdict(self)
-
-    @classmethod
-    def from_dict(cls, document: Mapping[str, float]) -> Gains:
-        """What `to_dict` gave."""
-        return cls(**{name: float(value) for name, value in document.items()})
 
 
 def keeping(cut_hz: npt.ArrayLike, dt_s: float) -> FloatArray:

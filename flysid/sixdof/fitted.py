@@ -11,8 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from flysid.errors import DataError, FormatError, UsageError
+from flysid.errors import DataError, StoreError, UsageError
 from flysid.files import write_atomically, writing_to
+from flysid.foreign import inner_path, read_object, shaped
 from flysid.showing import counted, fold
 from flysid.sixdof import layout
 from flysid.sixdof.actuators import shares
@@ -22,6 +23,7 @@ from flysid.stretch import FloatArray
 
 FORMAT = "flysid vehicle"
 VERSION = 1
+HINT = "flysid vehicle LOG... -o DIR writes one"
 MOST_MOTORS = 32
 """More in a file is a mistake."""
 
@@ -230,11 +232,9 @@ class FittedVehicle:
         """
         try:
             return cls._read(document)
-        except (KeyError, TypeError, ValueError, IndexError) as error:
+        except (KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError) as error:
             what = f"no {error}" if isinstance(error, KeyError) else str(error)
-            raise DataError(
-                f"not a vehicle: {what}", hint="flysid vehicle LOG -o vehicle writes one"
-            ) from None
+            raise DataError(f"not a vehicle: {what}", hint=HINT) from None
 
     @classmethod
     def _read(cls, document: Mapping[str, Any]) -> FittedVehicle:
@@ -257,7 +257,7 @@ class FittedVehicle:
             raise ValueError(f"{layout.numbers(motors)[worst].name} is {theta[worst]:g}")
         volts = document["reference_v"]
         flown = document.get("flown_v")
-        return cls(
+        found = cls(
             theta=theta,
             covariance=covariance,
             inside=inside,
@@ -267,11 +267,20 @@ class FittedVehicle:
             reference_v=float("nan") if volts is None else float(volts),
             dt_s=float(document["dt_s"]),
             method=str(document["method"]),
-            flights=tuple(_flight(row) for row in document["flights"]),
-            frames=tuple(map(str, document["frames"])),
-            notes=tuple(map(str, document["notes"])),
-            flown_v=None if flown is None else (float(flown[0]), float(flown[1])),
+            flights=shaped(document["flights"], tuple[FlightFacts, ...]),
+            frames=shaped(document["frames"], tuple[str, ...]),
+            notes=shaped(document["notes"], tuple[str, ...]),
+            flown_v=None if flown is None else shaped(flown, tuple[float, float]),
         )
+        if not (np.isfinite(found.zero) and np.isfinite(found.full) and found.full != 0.0):
+            raise ValueError(f"commands from {found.zero:g} over {found.full:g}")
+        if not 0.0 < found.dt_s < np.inf:
+            raise ValueError(f"a sample time of {found.dt_s:g} s")
+        if found.reference_v <= 0.0:
+            raise ValueError(f"a reference of {found.reference_v:g} V")
+        if not set(found.held) <= set(range(size)):
+            raise ValueError(f"{motors} motors have {size} numbers")
+        return found
 
     def save(self, path: str | Path) -> None:
         """Write `to_dict` to a file; WriteError where that fails."""
@@ -281,28 +290,12 @@ class FittedVehicle:
             write_atomically(target, text.encode())
 
 
-def _flight(row: Mapping[str, Any]) -> FlightFacts:
-    def numbers(key: str) -> Any:
-        return None if row[key] is None else tuple(float(x) for x in row[key])
-
-    return FlightFacts(
-        str(row["name"]),
-        float(row["seconds"]),
-        numbers("wind"),
-        numbers("gyro_bias"),
-        numbers("force_bias"),
-        tuple(map(str, row["damage"])),
-        None if row.get("lost_s") is None else float(row["lost_s"]),
-    )
-
-
 def load_vehicle(path: str | Path) -> FittedVehicle:
     """The vehicle of a file, or of the folder that `flysid vehicle -o` wrote.
 
     Raises
     ------
-    FormatError : the file cannot be read, or is no JSON.
-    DataError : it holds no vehicle.
+    UsageError : no such file. StoreError : it cannot be read, or holds no vehicle.
 
     Examples
     --------
@@ -310,22 +303,15 @@ def load_vehicle(path: str | Path) -> FittedVehicle:
     >>> vehicle.motors
     4
     """
-    place = Path(path)
-    place = place / FILE if place.is_dir() else place
+    given = Path(path)
+    place = inner_path(given, FILE, given) if given.is_dir() else given
+    if not place.is_file():
+        raise UsageError("no vehicle here", path=place, hint=HINT)
+    document = read_object(place, "a vehicle", HINT)
     try:
-        document = json.loads(place.read_text("utf-8"))
-    except OSError as error:
-        reason = error.strerror or "cannot be read"
-        raise FormatError(
-            f"no vehicle here: {reason[0].lower()}{reason[1:]}",
-            path=place,
-            hint="make one: flysid vehicle LOG... -o DIR",
-        ) from None
-    except ValueError as error:
-        raise FormatError(f"no vehicle can be read: {error}", path=place) from None
-    if not isinstance(document, dict):
-        raise DataError("not a vehicle: no JSON object", path=place)
-    return FittedVehicle.from_dict(document)
+        return FittedVehicle.from_dict(document)
+    except DataError as error:
+        raise StoreError(error.message, path=place, hint=error.hint) from error
 
 
 FILE = "vehicle.json"

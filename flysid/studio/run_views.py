@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-from flysid.errors import FlysidError, StoreError
+from flysid.errors import FlysidError
 from flysid.extras import Extra, Missing, extra
+from flysid.foreign import read_object
 from flysid.studio.folders import NotThere, Workspace
 from flysid.validate.compare.trials import FREE_RUN
 from flysid.validate.runs.history import RunChannel, run_channels
@@ -119,10 +119,4 @@ def _channel(channel: RunChannel, free: dict[str, Any]) -> dict[str, Any]:
 
 def _document(folder: Path, name: str) -> dict[str, Any] | None:
     path = run_file(folder, name)
-    if not path.is_file():
-        return None
-    try:
-        document: dict[str, Any] = json.loads(path.read_text("utf-8"))
-    except (OSError, ValueError, RecursionError) as error:
-        raise StoreError("damaged", path=path) from error
-    return document
+    return read_object(path, "a document of a run", "fit it again") if path.is_file() else None

@@ -7,6 +7,7 @@ import os
 import shutil
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -16,6 +17,7 @@ from flysid.foreign import inner_path, why_outside
 from flysid.manifest import read_manifest
 from flysid.validate.runs.run import open_run
 from tests.command import call
+from tests.flysid.test_public_names import a_vehicle
 from tests.released_files import released
 
 SECRET = "root:x:0:0"
@@ -138,6 +140,81 @@ def test_no_verb_follows_a_document_out_of_its_folder(
     assert said in done.stderr
     assert SECRET not in done.stdout + done.stderr
     assert not any((place / target).exists() for target in ("page", "out", "x.csv", "x.html", "new"))
+
+
+DEEP = "[" * 100_000 + "]" * 100_000
+
+
+@pytest.mark.parametrize(
+    ("where", "text", "said"),
+    [
+        (("settings",), '"../../secret"', "Expected `object`, got `str` - at `$.settings`"),
+        (("channels", 0, "models"), '"=1+1"', "got `str` - at `$.channels[0].models`"),
+        (("channels", 0, "aligned"), "[3]", "got `int` - at `$.channels[0].aligned[0]`"),
+        (("channels", 0, "fit_seconds"), '{"ts": "nan"}', "got `str` - at `$.channels[0].fit_seconds"),
+        (("channels", 0, "name"), "NaN", "not a flysid run: not JSON"),
+        (("versions",), DEEP, "not a flysid run: not JSON"),
+    ],
+)
+def test_an_entry_of_another_type_is_named(
+    place: Path, where: tuple[str | int, ...], text: str, said: str
+) -> None:
+    path = place / "run" / "run.json"
+    path.write_text(spoilt(json.loads(path.read_text()), where, text))
+    done = call("validate", "run", "--data", "data", "-o", "page", cwd=place)
+    assert done.returncode == 2
+    assert said in done.stderr
+    assert "run.json" in done.stderr
+
+
+def spoilt(body: Any, where: tuple[str | int, ...], text: str) -> str:
+    """A document with this text in the place of one of its entries."""
+    at = body
+    for key in where[:-1]:
+        at = at[key]
+    at[where[-1]] = "the place"
+    return json.dumps(body).replace('"the place"', text)
+
+
+@pytest.mark.parametrize(
+    ("where", "text", "said"),
+    [
+        (("held",), "[]", "not a vehicle"),
+        (("held",), '{"99": "why"}', "not a vehicle: 4 motors have 34 numbers"),
+        (("held",), DEEP, "not a vehicle: not JSON"),
+        (("flown_v",), f"[1, {10**400}]", "not a vehicle"),
+        (("notes",), '"one"', "not a vehicle: Expected `array`, got `str`"),
+        (("command_full",), "0", "not a vehicle: commands from 0 over 0"),
+        (("reference_v",), "0", "not a vehicle: a reference of 0 V"),
+        (("dt_s",), "-1", "not a vehicle: a sample time of -1 s"),
+        (("command_zero",), "Infinity", "not a vehicle: not JSON"),
+    ],
+)
+def test_a_vehicle_of_a_stranger_is_checked_before_it_is_used(
+    tmp_path: Path, where: tuple[str | int, ...], text: str, said: str
+) -> None:
+    (tmp_path / "vehicle.json").write_text(spoilt(a_vehicle().to_dict(), where, text))
+    done = call("export", "vehicle.json", "--to", "c", "-o", "new.h", cwd=tmp_path)
+    assert done.returncode == 2
+    assert said in done.stderr
+    assert not (tmp_path / "new.h").exists()
+
+
+@pytest.mark.parametrize("verb", [("export", "folder", "--to", "c"), ("fly", "folder")])
+def test_vehicles_and_designs_that_are_links_or_pipes_are_refused(
+    tmp_path: Path, verb: tuple[str, ...]
+) -> None:
+    (tmp_path / "folder").mkdir()
+    for name in ("vehicle.json", "design.json"):
+        (tmp_path / name).write_text(SECRET)
+        (tmp_path / "folder" / name).symlink_to(f"../{name}")
+    done = call(*verb, cwd=tmp_path)
+    assert "is a link that leads out of the folder" in done.stderr
+    for name in ("vehicle.json", "design.json"):
+        (tmp_path / "folder" / name).unlink()
+        os.mkfifo(tmp_path / "folder" / name)
+    done = call(*verb, cwd=tmp_path)
+    assert (done.returncode, "a device, a pipe or a socket" in done.stderr) == (2, True)
 
 
 def test_a_device_in_a_run_ends_at_once(place: Path) -> None:

@@ -40,13 +40,13 @@ def place(tmp_path_factory: pytest.TempPathFactory, train: flysid.Dataset) -> Pa
     segment = train.segments[0]
     rows = np.column_stack([0.1 * np.arange(len(segment)), segment.u, segment.y])
     np.savetxt(folder / "steps.csv", rows, delimiter=",", header="time,u,y", comments="", fmt="%.6f")
-    _vehicle().save(folder / "vehicle.json")
+    a_vehicle().save(folder / "vehicle.json")
     log = str(ROOT / "sample_logs/01-steps-seed2.tlog")
     CliRunner().invoke(root, ["ingest", log, "-q", "-o", str(folder / "data")], standalone_mode=False)
     return folder
 
 
-def _vehicle() -> FittedVehicle:
+def a_vehicle() -> FittedVehicle:
     """A vehicle with four motors, of which nothing was determined."""
     theta = np.clip(np.zeros(layout.count(4)), *layout.limits(4))
     size = len(theta)

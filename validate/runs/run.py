@@ -23,14 +23,12 @@ from typing import Any, Literal
 from flysid.dataset import Dataset
 from flysid.datasetfile import DatasetFile, open_dataset
 from flysid.errors import StoreError, UsageError
-from flysid.files import remedy_unread, why_unread
-from flysid.foreign import inner_path
+from flysid.foreign import inner_path, read_object, shaped
 from flysid.ingest.align.doubts import Doubt
 from flysid.ingest.align.recipe import Recipe, load_recipe
 from flysid.ingest.lake.chosen_flights import Selection
 from flysid.ingest.lake.lake import Lake
 from flysid.ingest.lake.lake import open as open_lake
-from flysid.ingest.lake.stretches import Stretches
 from flysid.manifest import DATA_FILE
 from flysid.manifest import RUN_FILE as RUN_FILE
 from flysid.model.base import Fitted, load
@@ -275,20 +273,13 @@ def open_run(folder: str | Path) -> Run:
     path = run_file(folder, RUN_FILE)
     if not path.exists():
         raise StoreError(f"not a run: it has no {RUN_FILE}", path=folder, hint=_meant_by(folder))
-    try:
-        body = json.loads(path.read_text("utf-8"))
-    except OSError as error:
-        raise StoreError(
-            f"{RUN_FILE} cannot be read: {why_unread(error)}", path=folder, hint=remedy_unread(error)
-        ) from error
-    except (ValueError, RecursionError) as error:
-        raise StoreError("the run is damaged: not JSON", path=path, hint="fit it again") from error
-    if not isinstance(body, dict) or body.get("format") != RUN_FORMAT:
+    body = read_object(path, "a flysid run", "fit it again")
+    if body.get("format") != RUN_FORMAT:
         raise StoreError("not a flysid run", path=path)
     check_version(body.get("version"), RUN_VERSION, "run", path)
     try:
-        return _run_from(folder, body)
-    except (KeyError, TypeError, AttributeError) as error:
+        return shaped({**body, "folder": folder}, Run)
+    except ValueError as error:
         raise StoreError(f"the run is damaged: {error}", path=path, hint="fit it again") from error
 
 
@@ -300,39 +291,6 @@ def _meant_by(folder: Path) -> str:
     if below:
         return f"did you mean {' or '.join(map(repr, below))}?"
     return "make one with 'flysid fit DATA --recipe R -o RUN'"
-
-
-def _run_from(folder: Path, body: Mapping[str, Any]) -> Run:
-    settings = dict(body["settings"])
-    for name in ("antecedents", "channels", "models", "held"):
-        settings[name] = tuple(settings.get(name, ()))
-    if "selection" in settings:
-        settings["selection"] = _selection_from(settings["selection"])
-    return Run(
-        folder=folder,
-        data=str(body["data"]),
-        recipe=str(body["recipe"]),
-        flights=tuple(body["flights"]),
-        settings=FitSettings(**settings),
-        channels=tuple(_channel_from(c) for c in body["channels"]),
-        skipped=dict(body["skipped"]),
-        versions=dict(body["versions"]),
-        interrupted=bool(body.get("interrupted", False)),
-    )
-
-
-def _selection_from(body: Mapping[str, Any]) -> Selection:
-    parts = dict(body["stretches"])
-    stretches = Stretches(**{**parts, **{n: tuple(parts.get(n, ())) for n in ("modes", "without")}})
-    lists = {name: tuple(body[name]) for name in ("flights", "exclude")}
-    return Selection(**{**body, **lists, "stretches": stretches})
-
-
-def _channel_from(body: Mapping[str, Any]) -> ChannelRun:
-    lists = {name: tuple(body.get(name, ())) for name in (*SENTENCES, "missing")}
-    doubts = tuple(Doubt(**d) for d in body.get("doubts", ()))
-    folds = tuple(FoldRun(**f) for f in body.get("folds", ()))
-    return ChannelRun(**{**body, **lists, "doubts": doubts, "folds": folds})
 
 
 def held_out(run: Run, data: str | Path | None = None) -> list[HeldOut]:

@@ -95,7 +95,7 @@ class Walker:
         width = layout.program.encoding.shape[1]
         self._history = np.zeros((5, width), dtype=np.int64)
         self._scratch = np.zeros((4, width), dtype=np.int64)
-        self._found = np.zeros(2, dtype=np.int64)
+        self._found = np.zeros(3, dtype=np.int64)
         self._batch_bytes = batch_bytes
         self._tables = _tables(layout.program.size, batch_bytes)
         self.rejected = 0

@@ -9,7 +9,7 @@ be wrong, and headers inside count that lead to its end, or to two messages in a
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -138,26 +138,31 @@ def _chain(data: memoryview, at: int, end: int, ids: Ids) -> Iterator[int]:
         at += int(ids.lengths[data[at + 2]])
 
 
-def is_several(data: memoryview, span: tuple[int, int], heads: IntArray, ids: Ids, near: Neighbours) -> bool:
+def is_several(
+    data: memoryview, span: tuple[int, int], heads: IntArray, ids: Ids, near: Callable[[], Neighbours]
+) -> bool:
     """Whether the bytes of one message are really several.
 
     Parameters
     ----------
     span : where it begins and ends.
     heads : where headers stand inside it.
-    near : the times around it.
+    near : finds the times around it, where they are needed.
     """
     start, end = span
     is_doubtful = data[start + 2] in ids.doubtful
     own_ns = stated_ns(data, start, ids)
-    if not is_doubtful and (own_ns is None or not near.contradict(own_ns)):
+    if not is_doubtful and own_ns is None:
+        return False
+    around = near()
+    if not is_doubtful and own_ns is not None and not around.contradict(own_ns):
         return False
     for at in heads.tolist():
         inner = list(_chain(data, at, end, ids))
         reaches = bool(inner) and inner[-1] + int(ids.lengths[data[inner[-1] + 2]]) == end
         if is_doubtful and (reaches or len(inner) > 1):
             return True
-        if reaches and _are_in_order(data, inner, ids, near):
+        if reaches and _are_in_order(data, inner, ids, around):
             return True
     return False
 

@@ -367,11 +367,21 @@ def _judged(
     crc_at = at + raw[at + 1] + np.where(is_v2, 10, 6)
     ends = crc_at + 2 + np.where(is_v2, SIGNATURE_BYTES * raw[at + 2].astype(np.int64), 0)
     seed = np.where(number < len(crc_extra), crc_extra[np.minimum(number, len(crc_extra) - 1)], UNKNOWN)
-    whole = (ends <= size) & (seed != UNKNOWN)
+    whole = (ends <= size) & (seed != UNKNOWN) & ~_are_of_one_byte(raw, at, ends)
     at = at[whole]
     ends = ends[whole]
     holds = crc_holds(raw, at, crc_at[whole], seed[whole])
     return list(zip(at.tolist(), ends.tolist(), holds.tolist(), strict=True))
+
+
+def _are_of_one_byte(raw: ByteArray, starts: IntArray, ends: IntArray) -> npt.NDArray[np.bool_]:
+    """Which spans hold one byte over and over: no frames, and a megabyte of FE is a million of them."""
+    if not len(starts):
+        return np.zeros(0, dtype=np.bool_)
+    some = raw[starts[0] : ends.max()]
+    changes = np.append(np.flatnonzero(some[1:] != some[:-1]) + starts[0] + 1, len(raw))
+    found: npt.NDArray[np.bool_] = changes[np.searchsorted(changes, starts, side="right")] >= ends
+    return found
 
 
 def read_header(buffer: Buffer, q: int) -> Header | None:

@@ -36,6 +36,8 @@ from flysid.ingest.formats.mavlink.reader import AUTOPILOT_INVALID, vehicle_fact
 from flysid.ingest.formats.messages.json_schema import as_numbers
 
 MAX_LINE_BYTES = 1 << 20
+MOST_FIELDS = 255  # of a message: the bytes that it may have
+MOST_ROWS = 1 << 16  # of a part: a line without most of its fields is short, a row of its table is not
 MAX_NS = 1 << 62
 HEADS = (TIME, BOOT, RECEIVED)
 BAD_DATA = "BAD_DATA"  # what mavlogdump prints for bytes that it could not read
@@ -191,7 +193,10 @@ def _parts(reader: _Reader, messages: list[_Message]) -> Iterator[StreamPart]:
     for source, rows in groups.items():
         picked = np.array(rows, dtype=np.int64)
         times = reader.time.times(source, picked, clocked.get(source))
-        yield _part(reader, source, [messages[row] for row in rows], times, arrival[picked])
+        for at in range(0, len(rows), MOST_ROWS):
+            some = slice(at, at + MOST_ROWS)
+            chosen = [messages[row] for row in rows[some]]
+            yield _part(reader, source, chosen, (times[0][some], times[1][some]), arrival[picked[some]])
 
 
 def _note_vehicle(reader: _Reader, message: _Message) -> None:
@@ -254,7 +259,8 @@ def _note_format(reader: _Reader, data: Mapping[str, Any]) -> None:
     name, letters, columns = (data.get(key) for key in ("Name", "Format", "Columns"))
     if isinstance(name, str) and isinstance(letters, str) and isinstance(columns, str):
         kinds = {
-            column: _kind_of(letter) for column, letter in zip(columns.split(","), letters, strict=False)
+            column: _kind_of(letter)
+            for column, letter in zip(columns.split(","), letters[:MOST_FIELDS], strict=False)
         }
         reader.formats.setdefault(name, kinds)
         number, length = (data.get(key) for key in ("Type", "Length"))
@@ -349,7 +355,8 @@ def _guesses(messages: list[_Message]) -> dict[str, pa.DataType]:
     values: dict[str, list[object]] = {}
     for message in messages:
         for name, value in message.data.items():
-            values.setdefault(name, []).append(value)
+            if name in values or len(values) < MOST_FIELDS:
+                values.setdefault(name, []).append(value)
     return {name: _guess([v for v in told if v is not None]) for name, told in values.items()}
 
 

@@ -245,9 +245,17 @@ def _whole(data: Bytes, places: Index, limit: int, registry: Registry) -> list[i
     is_message = (data[places] == Opcode.MESSAGE) & (places + HEAD_BYTES + 2 <= limit)
     number = numbers(data, np.where(is_message, places + HEAD_BYTES, 0), "<u2")
     is_lost = is_message & (registry.bound[number] < 0)
-    whole = is_magic | ((ends <= limit) & ~is_lost)
+    whole = is_magic | ((ends <= limit) & ~is_lost & _leads_on(data, ends, limit))
     places = places[whole]
     return (places[_strings_fit(data, places, ends[whole], limit)]).tolist()  # type: ignore[no-any-return]
+
+
+def _leads_on(data: Bytes, ends: Index, limit: int) -> NDArray[np.bool_]:
+    """Whether a record could begin at `ends`: its length is below 2^40. Or the magic, or the file ends."""
+    at = np.where((ends >= 0) & (ends + HEAD_BYTES <= limit), ends, 0)
+    high = data[at + 6] | data[at + 7] | data[at + 8]
+    found: NDArray[np.bool_] = (ends + HEAD_BYTES > limit) | (data[at] == MAGIC[0]) | (high == 0)
+    return found
 
 
 def _strings_fit(data: Bytes, places: Index, ends: Index, limit: int) -> NDArray[np.bool_]:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import io
 import json
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -22,9 +23,13 @@ from flysid.ingest.formats.common.arrow_arrays import strings
 from flysid.ingest.formats.common.gather import Bytes, Index
 from flysid.ingest.formats.common.odd_cells import OddCells
 from flysid.ingest.formats.common.table_numbers import PLAIN, floats
+from flysid.ingest.formats.messages.definitions import DefinitionError
 
 MAX_DEPTH = 32
 MAX_PROPERTIES = 20_000
+MOST_CELLS = 1 << 24
+"""Of a batch: six times as many as its bytes can state, so that most of a wide table may be empty."""
+_NAME = re.compile(rb'"((?:[^"\\]|\\.)*)"\s*:')
 
 JSON_TYPES: Mapping[str, pa.DataType] = {
     "number": pa.float64(),
@@ -153,6 +158,7 @@ def _read_lines(data: Bytes, at: Index, size: Index, layout: JsonLayout) -> pa.T
             for p, s in zip(at.tolist(), size.tolist(), strict=True)
         ]
     )
+    _check_size(len(at), _count_names(lines, len(at), layout))
     options = arrow_json.ParseOptions(
         explicit_schema=layout.schema, unexpected_field_behavior="infer" if layout.schema is None else "error"
     )
@@ -164,6 +170,20 @@ def _read_lines(data: Bytes, at: Index, size: Index, layout: JsonLayout) -> pa.T
     if table.num_rows != len(at) or any(_has_times(f.type) for f in table.schema):
         return None
     return table
+
+
+def _count_names(lines: bytes, messages: int, layout: JsonLayout) -> int:
+    """How many columns the messages may become; they are counted where there could be too many."""
+    if layout.schema is not None:
+        return len(layout.schema)
+    stated = lines.count(b":")
+    return stated if messages * stated <= MOST_CELLS else len(set(_NAME.findall(lines)))
+
+
+def _check_size(messages: int, names: int) -> None:
+    """Raise DefinitionError where fields that change from message to message make too wide a table."""
+    if messages * names > MOST_CELLS:
+        raise DefinitionError(f"{names:,} fields in {messages:,} messages, most of them in few")
 
 
 def _has_times(kind: pa.DataType) -> bool:
@@ -189,7 +209,10 @@ def _from_objects(
     columns: dict[str, list[Any]] = {}
     for number, item in enumerate(objects):
         for path, value in _leaves(item, "", 0):
-            columns.setdefault(path, [None] * len(objects))[number] = value
+            if path not in columns:
+                _check_size(len(objects), len(columns) + 1)
+                columns[path] = [None] * len(objects)
+            columns[path][number] = value
     declared = {} if layout.schema is None else _dotted(layout.schema)
     arrays = {}
     for path, values in columns.items():

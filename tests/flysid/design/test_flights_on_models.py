@@ -269,6 +269,7 @@ def test_options_of_runs_are_refused_without_one(folder: Path) -> None:
         ({"channel": "lateral"}, "no channel 'lateral'"),
         ({"dt_s": 0.05}, "rates of run and design differ: 50 Hz and 20 Hz"),
         ({"input": "tilt"}, "signals of run and design differ"),
+        ({"channel": -1e308}, "the design is damaged: Expected `str`, got `float` - at `$[0].channel`"),
     ],
 )
 def test_a_design_of_another_channel_is_refused(
