@@ -10,7 +10,7 @@ from __future__ import annotations
 import sys
 import time
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -203,9 +203,11 @@ def flown(
     return u, np.array(y)
 
 
-def drawn(rng: np.random.Generator) -> tuple[str, Dataset, dict[float, Dataset]]:
-    """A kind, a record of it, and by their reach flights without noise that no model sees."""
-    name = str(rng.choice(list(KINDS)))
+def drawn(
+    rng: np.random.Generator, kinds: Sequence[str] = tuple(KINDS), reaches: Sequence[float] = REACHES
+) -> tuple[str, Dataset, dict[float, Dataset]]:
+    """One of the kinds, a record of it, and by their reach flights without noise that no model sees."""
+    name = str(rng.choice(list(kinds)))
     plant = KINDS[name](rng)
     flights = int(rng.integers(1, 7))
     samples = int(rng.integers(250, 700)) if flights > 2 else int(rng.integers(600, 1500))
@@ -224,7 +226,7 @@ def drawn(rng: np.random.Generator) -> tuple[str, Dataset, dict[float, Dataset]]
     whole = partial(Dataset, plant.dt_s, inputs, outputs, name="channel")
     fresh = {
         reach: whole(segments=tuple(Segment(*flown(plant, rng, samples, reach)) for _ in range(2)))
-        for reach in REACHES
+        for reach in reaches
     }
     return (
         f"{name}, {flights} x {samples}, noise {noise:g}, wind {wind:g}",

@@ -4,6 +4,8 @@
 `python -m bench.polynarx plants [NAME...]`: the plants of `bench.ts_plants`, two seeds, beside ARX.
 `python -m bench.polynarx many SEED...`: plants of five inputs and two outputs whose working point drifts,
 under slow disturbances: linear, bent inputs, products; the second half of each record, beside ARX.
+`python -m bench.polynarx beyond SEED...`: plants that bend, drawn as in `bench.last_gates`; unseen flights
+up to three times as excited as the training, nonlinear terms as they are and along their tangents.
 `python -m bench.polynarx coverage [runs]`: 95 % intervals of the coefficients of a speed with square drag.
 `python -m bench.polynarx time`: CPU seconds of both channels of `bench.fit_seconds px4` and `ardupilot`.
 Defaults everywhere; CPU seconds are those of a machine that may be busy.
@@ -14,6 +16,7 @@ from __future__ import annotations
 import sys
 import tempfile
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +24,7 @@ import numpy as np
 from bench.accuracy import line
 from bench.accuracy_data import CASES
 from bench.harness import LOGS
+from bench.last_gates import drawn
 from bench.ts_experiment import off
 from bench.ts_plants import PLANTS
 from flysid.dataset import Dataset, FloatArray, Signal
@@ -29,10 +33,14 @@ from flysid.ingest.lake.finding import find_logs
 from flysid.ingest.lake.lake import open as open_lake
 from flysid.model.arx import ARX
 from flysid.model.base import Estimator
+from flysid.model.narx.fitted_polynomial import FittedPolyNARX
 from flysid.model.polynarx import PolyNARX
+from flysid.model.selection import free_run_errors
 from flysid.model.start import run_from_window, start_window
 
 MODELS: dict[str, Estimator] = {"ARX": ARX(), "polynarx": PolyNARX()}
+BENT = ("titration", "velocity with drag", "rotor rig")
+REACHES = (1.0, 1.5, 2.0, 3.0)
 TRUTH = {"v(k-1)": 0.98, "u(k-1)": 0.05, "|v(k-1)| v(k-1)": -0.03}
 
 
@@ -104,6 +112,29 @@ def many(seeds: list[str]) -> None:
             print(f"{kind:8s} {seed}  {'   '.join(cells)}", flush=True)
 
 
+def beyond(seeds: list[str]) -> None:
+    """Free-run errors on unseen flights, in those of ARX, by the scale of the excitation; the worst."""
+    worst: dict[tuple[float, str], float] = {}
+    for seed in seeds:
+        for number, kind in enumerate(BENT):
+            name, train, fresh = drawn(np.random.default_rng([int(seed), number]), (kind,), REACHES)
+            model = PolyNARX().fit(train)
+            if not isinstance(model, FittedPolyNARX):
+                print(f"{seed} {name}: linear", flush=True)
+                continue
+            models = {"as they are": replace(model, seen=None), "tangents": model}
+            cells = []
+            for reach, flights in fresh.items():
+                errors = free_run_errors({"ARX": ARX().fit(train), **models}, flights)
+                own = np.sqrt(errors.pop("ARX").mean())
+                ratios = {title: float(np.sqrt(e.mean()) / own) for title, e in errors.items()}
+                worst |= {(reach, t): max(r, worst.get((reach, t), 0.0)) for t, r in ratios.items()}
+                cells.append(f"x{reach:g}: " + " ".join(f"{r:.2f}" for r in ratios.values()))
+            print(f"{seed} {name}: {', '.join(cells)}", flush=True)
+    for (reach, title), ratio in worst.items():
+        print(f"worst at x{reach:g}, {title}: {ratio:.2f} times ARX")
+
+
 def dragged(seed: int, rows: int = 1500, noise: float = 0.03) -> Dataset:
     """A speed that square drag brakes, under random steps, measured with white noise."""
     rng = np.random.default_rng(seed)
@@ -160,6 +191,8 @@ def main(words: list[str]) -> int:
             plants(names)
         case ["many", *seeds]:
             many(seeds)
+        case ["beyond", *seeds]:
+            beyond(seeds)
         case ["coverage", *count]:
             coverage(int(count[0]) if count else 100)
         case ["time"]:

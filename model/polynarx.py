@@ -39,6 +39,7 @@ from flysid.model.shared import fit_key, once
 from flysid.model.threads import on_one_thread
 from flysid.showing import counted
 
+STRAIGHT_ON = "Where signals leave the range of training, nonlinear terms go on along their tangents."
 LAGS = 2
 """Of the smallest plant that has a speed of its own: a mass, a spring and a damper."""
 
@@ -106,8 +107,11 @@ class PolyNARX(Settings):
             if all(term.is_linear for term in one.chosen.terms):
                 return _linear_alone(bases[0], "no term helps on held-out data.", one.notes)
             model = finish(one.search, one.chosen)
-            if model is not None and not shortfall(model, {"ARX": bases[0]}, train, 0.0):
-                return replace(model, notes=(*one.notes, *model.meanings()))
+            if model is None:
+                continue
+            model = model.held_to(train)
+            if not shortfall(model, {"ARX": bases[0]}, train, 0.0):
+                return replace(model, notes=(*one.notes, *model.meanings(), STRAIGHT_ON))
         why = "no model with nonlinear terms is better both on held-out data and over all training data."
         return _linear_alone(bases[0], why, best.notes)
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from flysid.export.program import Operation, Place, Program, Worked
+from flysid.export.program import Place, Program, Worked
 from flysid.model.narx.fitted_polynomial import FittedPolyNARX
-from flysid.model.narx.polynomial_terms import Factor
+from flysid.model.narx.polynomial_terms import Factor, Form
 from flysid.model.rules.kernel import Lags
 from flysid.showing import counted
 
@@ -15,25 +15,33 @@ def polynomial_program(model: FittedPolyNARX) -> Program:
     """One regressor a term, in the model's order: sums are rounded as its free run rounds them."""
     n_y = len(model.outputs)
     units = model.units
+    terms, coefficients = model.everywhere
     worked: dict[Worked, Place] = {}
 
-    def told(operation: Operation, a: Place, b: Place = (-1, 0)) -> Place:
-        return worked.setdefault(Worked(operation, a, b), (len(units.scale) + len(worked), 0))
+    def placed(what: Worked) -> Place:
+        return worked.setdefault(what, (len(units.scale) + len(worked), 0))
 
-    def value_of(factor: Factor) -> Place:
+    def formed(place: Place, form: Form) -> Place:
+        return place if form == "plain" else placed(Worked(form, place))
+
+    def value_of(factor: Factor, is_free: bool) -> Place:
         place = (factor.column, factor.lag)
         if factor.change:
-            place = told("change", place, (factor.column, factor.lag + 1))
-        return place if factor.form == "plain" else told(factor.form, place)
+            place = placed(Worked("change", place, (factor.column, factor.lag + 1)))
+        whole = formed(place, factor.form)
+        if is_free or model.seen is None or factor.form == "sign":
+            return whole
+        inside = formed(placed(Worked("held", place, (-1, 0), *model.seen.of_factor(factor))), factor.form)
+        return placed(Worked("change", whole, inside)) if factor.excess else inside
 
     regressors: list[Place] = []
-    for term in model.terms:
-        place, *others = [value_of(f) for f in term.factors] or [(-1, 0)]
+    for term in terms:
+        place, *others = [value_of(f, term.is_linear) for f in term.factors] or [(-1, 0)]
         for other in others:
-            place = told("product", place, other)
+            place = placed(Worked("product", place, other))
         regressors.append(place)
-    theta = np.zeros((1, n_y, len(model.terms)))
-    theta[0, [t.equation for t in model.terms], range(len(model.terms))] = model.theta
+    theta = np.zeros((1, n_y, len(terms)))
+    theta[0, [t.equation for t in terms], range(len(terms))] = coefficients
     columns, lags = np.array(regressors, dtype=np.int64).T
     none = np.zeros(0, dtype=np.int64)
     return Program(

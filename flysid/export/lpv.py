@@ -223,7 +223,7 @@ def _cells(program: Program, size: int, n_u: int) -> FloatArray:
         cell = program.cell(column, lag)
         rows[cell, place] = 1.0 / program.scale[column]
         rows[cell, -1] = -program.shift[column] / program.scale[column]
-    for _, to, a, b in program.working:
+    for _, to, a, b, *_ in program.working:
         rows[to] = rows[a] - rows[b]
     return rows
 

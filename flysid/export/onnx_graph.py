@@ -221,7 +221,10 @@ def _work(graph: Graph, program: Program, cells: Name, place: dict[int, int]) ->
             return worked[cell]
         return graph.add("Gather", cells, graph.places([place[cell]]), axis=1)
 
-    for operation, to, a, b in program.working:
+    for operation, to, a, b, low, high in program.working:
+        if operation == "held":
+            worked[to] = graph.limited(column(a), graph.numbers(low), graph.numbers(high))
+            continue
         both = operation in ("change", "product")
         parts = [column(cell) for cell in ((a, b) if both else (a,))]
         worked[to] = graph.add(_OPERATIONS[operation], *parts)

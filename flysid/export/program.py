@@ -29,7 +29,7 @@ BOUND = 1e30
 """Of a state: far beyond any output's limits, finite in float32."""
 Shape = Literal["gaussian", "triangle", "trapezoid"]
 Conjunction = Literal["product", "minimum"]
-Operation = Literal["change", "magnitude", "sign", "product"]
+Operation = Literal["change", "magnitude", "sign", "product", "held"]
 Place = tuple[int, int]
 """A column and a lag."""
 
@@ -79,11 +79,16 @@ class Memberships:
 
 
 class Worked(NamedTuple):
-    """What a step works out of two other values before it looks at regressors: a - b, |a|, sign(a), a b."""
+    """What a step works out of two other values before it looks at regressors.
+
+    That is a - b, |a|, sign(a), a b, or a held between `low` and `high`.
+    """
 
     operation: Operation
     a: Place
     b: Place = (-1, 0)
+    low: float = 0.0
+    high: float = 0.0
 
 
 class AffinePast(NamedTuple):
@@ -226,11 +231,11 @@ class Program:
         return np.array([self.cell(int(c), int(lag)) for c, lag in pairs], dtype=np.int64)
 
     @cached_property
-    def working(self) -> tuple[tuple[Operation, int, int, int], ...]:
-        """What is worked out: the operation, and the cells of the result, of a, and of b."""
+    def working(self) -> tuple[tuple[Operation, int, int, int, float, float], ...]:
+        """What is worked out: the operation, the cells of the result, of a, and of b, and the limits."""
         first = len(self.signals)
         return tuple(
-            (w.operation, self.cell(first + i, 0), self.cell(*w.a), self.cell(*w.b))
+            (w.operation, self.cell(first + i, 0), self.cell(*w.a), self.cell(*w.b), w.low, w.high)
             for i, w in enumerate(self.worked)
         )
 

@@ -199,6 +199,7 @@ _FORMS: dict[Operation, str] = {
     "magnitude": "{abs}({a})",
     "sign": "{sign}({a})",
     "product": "{a} * {b}",
+    "held": "_limited({a}, {low}, {high})",
 }
 
 
@@ -209,7 +210,9 @@ def _workings(program: Program) -> list[dict[str, str]]:
             "form": _FORMS[operation],
             "a": f"cell[{a}]",
             "b": f"cell[{b}]",
+            "low": repr(low),
+            "high": repr(high),
             "words": value_name(program, (first + number, 0)),
         }
-        for number, (operation, _, a, b) in enumerate(program.working)
+        for number, (operation, _, a, b, low, high) in enumerate(program.working)
     ]

@@ -14,7 +14,7 @@ from flysid.export.program import Program
 from flysid.model.arguments import as_columns
 
 SHAPES = ("gaussian", "triangle", "trapezoid")
-OPERATIONS = ("change", "magnitude", "sign", "product")
+OPERATIONS = ("change", "magnitude", "sign", "product", "held")
 _CONSTANTS = (0.0, 0.5, 1.0, 1.5, 2.0, -40.0, -1e30)
 
 
@@ -23,6 +23,7 @@ class _Tables(NamedTuple):
 
     at: npt.NDArray[np.int64]
     working: npt.NDArray[np.int64]
+    ranges: npt.NDArray[Any]
     z_at: npt.NDArray[np.int64]
     z_minus: npt.NDArray[np.int64]
     newest: npt.NDArray[np.int64]
@@ -81,7 +82,8 @@ def _tables(program: Program, kind: type) -> _Tables:
 
     return _Tables(
         program.regressors,
-        np.array([(OPERATIONS.index(o), *cells) for o, *cells in program.working], np.int64).reshape(-1, 4),
+        np.array([(OPERATIONS.index(w[0]), *w[1:4]) for w in program.working], np.int64).reshape(-1, 4),
+        numbers(np.array([w[4:] for w in program.working]).reshape(-1, 2)),
         places(lags.z_column, lags.z_lag),
         places(lags.z_column, lags.z_minus),
         np.array(program.newest, dtype=np.int64),
@@ -126,15 +128,18 @@ def _run(u, y, v, t, shape, least):  # type: ignore[no-untyped-def]
     for k in range(u.shape[0]):
         for j in range(n_u):
             v[t.newest[n + j]] = (u[k, j] - t.shift[n + j]) / t.scale[n + j]
-        for operation, to, a, b in t.working:
+        for w in range(t.working.shape[0]):
+            operation, to, a, b = t.working[w]
             if operation == 0:
                 v[to] = v[a] - v[b]
             elif operation == 1:
                 v[to] = abs(v[a])
             elif operation == 2:
                 v[to] = one if v[a] > zero else (-one if v[a] < zero else zero)
-            else:
+            elif operation == 3:
                 v[to] = v[a] * v[b]
+            else:
+                v[to] = _limit(v[a], t.ranges[w, 0], t.ranges[w, 1])
         for j in range(n_z):
             value = v[t.z_at[j]]
             if t.z_minus[j] >= 0:

@@ -43,6 +43,8 @@ def value_name(program: Program, place: Place) -> str:
         return f"|{a}|"
     if worked.operation == "sign":
         return f"sign({a})"
+    if worked.operation == "held":
+        return f"{a} inside its range"
     b = value_name(program, worked.b)
     return f"({a} - {b})" if worked.operation == "change" else f"{a} {b}"
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -21,7 +21,9 @@ from flysid.model.narx.free_run_kernel import MOST_FACTORS, TermTable, free_run,
 from flysid.model.narx.polynomial_terms import (
     FORMS,
     Factor,
+    SeenRange,
     Term,
+    continued,
     depth_of,
     meaning,
     table_of,
@@ -90,6 +92,7 @@ class FittedPolyNARX(FreeRuns):
     n_init : the deepest lag.
     output_limits : the training range, widened by its width on both sides; the recursion is held there.
     flight_offsets : what flights had beside the model in training; None where all had the same.
+    seen : range of all signals in training; nonlinear terms go on straight beyond it. None: as they are.
     """
 
     dt_s: float
@@ -102,6 +105,7 @@ class FittedPolyNARX(FreeRuns):
     units: Units
     notes: tuple[str, ...] = ()
     flight_offsets: OwnConstants | None = None
+    seen: SeenRange | None = None
 
     structure = "polynarx"
 
@@ -116,9 +120,14 @@ class FittedPolyNARX(FreeRuns):
         return len(self.terms)
 
     @cached_property
+    def everywhere(self) -> tuple[tuple[Term, ...], FloatArray]:
+        """Terms and coefficients, and those that act beyond the range of training alone."""
+        return (self.terms, self.theta) if self.seen is None else continued(self.terms, self.theta)
+
+    @cached_property
     def table(self) -> TermTable:
-        """The terms as compiled code takes them."""
-        return table_of(self.terms)
+        """The terms of `everywhere` as compiled code takes them."""
+        return table_of(self.everywhere[0], self.seen)
 
     @cached_property
     def limits(self) -> FloatArray:
@@ -150,7 +159,7 @@ class FittedPolyNARX(FreeRuns):
 
     def _run(self, u: FloatArray, y0: FloatArray) -> FloatArray:
         W = self.units.joined(u, y0)
-        free_run(W, self.n_init, self.table, self.theta, self.limits)
+        free_run(W, self.n_init, self.table, self.everywhere[1], self.limits)
         out = np.clip(self.units.outputs(W), *self.output_limits)
         out[: len(y0)] = y0
         return out
@@ -164,8 +173,19 @@ class FittedPolyNARX(FreeRuns):
         """
         u, y = as_record(self, u, y, k)
         W = self.units.joined(u, y)
-        W[:, : len(self.outputs)] = steps_ahead(W, self.n_init, k, self.table, self.theta, self.limits)
+        W[:, : len(self.outputs)] = steps_ahead(
+            W, self.n_init, k, self.table, self.everywhere[1], self.limits
+        )
         return np.clip(self.units.outputs(W), *self.output_limits)
+
+    def held_to(self, train: Dataset) -> FittedPolyNARX:
+        """The model whose nonlinear terms go on straight beyond what it and its training data ever were.
+
+        Its free runs over these data stay as they are, to the bit.
+        """
+        usable = [s for s in train.segments if len(s) > self.n_init]
+        runs = [self.units.joined(s.u, y) for s in usable for y in (s.y, self.free_run(s))]
+        return replace(self, seen=SeenRange.of(runs)) if runs else self
 
     def rules(self) -> tuple[Rule, ...]:
         """One rule that always holds; gain and slowest time constant are those of small signals.
@@ -290,6 +310,7 @@ class FittedPolyNARX(FreeRuns):
             "origin": self.units.origin.tolist(),
             "scale": self.units.scale.tolist(),
             "notes": list(self.notes),
+            **({} if self.seen is None else {"seen": np.array(self.seen.ends).tolist()}),
             **own_constants.as_document(self.flight_offsets),
         }
 
@@ -322,7 +343,23 @@ def from_dict(document: Mapping[str, Any]) -> FittedPolyNARX:
         units=Units(array_of(document, "origin", len(scale)), scale, len(outputs)),
         notes=tuple(str(note) for note in document["notes"]),
         flight_offsets=own_constants.from_document(document, len(outputs)),
+        seen=_seen(document, len(scale)),
     )
+
+
+def _seen(document: Mapping[str, Any], signals: int) -> SeenRange | None:
+    """None of a file that is older than these ranges.
+
+    Raises
+    ------
+    ValueError : a range that zero is not in.
+    """
+    if "seen" not in document:
+        return None
+    values, changes = array_of(document, "seen", 2, 2, signals)
+    if (np.stack([values[0], changes[0]]) > 0.0).any() or (np.stack([values[1], changes[1]]) < 0.0).any():
+        raise ValueError("a range of training without zero")
+    return SeenRange(values, changes)
 
 
 def _term(row: Mapping[str, Any], n_y: int, n_u: int) -> Term:

@@ -6,9 +6,12 @@ sign. An output is the sum of its terms,
 
     y_i(k) = sum_t theta_t phi_t(k),    S(k) = dy(k)/dp = dphi/dp + sum_l (df/dy(k-l)) S(k-l)
 
-The recursion of S is exact but where a sign changes. It costs one pass, for terms of coefficient 0 too: what
-the free run would gain by them is known before any of them is tried. Outputs are held at their limits inside
-the recursion: no polynomial runs away, and whoever fits one is told where it would have.
+A factor may be held inside a range (`TermTable.low`, `high`), or stand for what its value has beyond it:
+together these let a product go on along its tangents where signals leave the range of training
+(`polynomial_terms.continued`). The recursion of S is exact but where a sign changes or a range ends. It costs
+one pass, for terms of coefficient 0 too: what the free run would gain by them is known before any of them is
+tried. Outputs are held at their limits inside the recursion: no polynomial runs away, and whoever fits one is
+told where it would have.
 """
 
 from __future__ import annotations
@@ -36,6 +39,8 @@ class TermTable(NamedTuple):
     column, lag : (T, 3) of every factor; column -1: none. A term without factors is the constant 1.
     change : (T, 3) 1: the difference to the sample before.
     form : (T, 3) 0 as it is, 1 magnitude, 2 sign.
+    low, high : (T, 3) a factor's signal is held inside; a sign is that of the signal itself.
+    excess : (T, 3) 1: the factor is what its signal has beyond what is held, 0 inside the range.
     """
 
     equation: IntArray
@@ -43,6 +48,9 @@ class TermTable(NamedTuple):
     lag: IntArray
     change: IntArray
     form: IntArray
+    low: FloatArray
+    high: FloatArray
+    excess: IntArray
 
 
 @njit(cache=True, error_model="numpy")
@@ -81,15 +89,20 @@ def sweep(W, rows, terms, theta, limits, S):  # type: ignore[no-untyped-def]
                 s = W[k - terms.lag[t, m], c]
                 if terms.change[t, m] == 1:
                     s -= W[k - terms.lag[t, m] - 1, c]
+                low = terms.low[t, m]
+                high = terms.high[t, m]
+                inside = low if s < low else (high if s > high else s)
                 side = 1.0 if s > 0.0 else (-1.0 if s < 0.0 else 0.0)
                 if terms.form[t, m] == PLAIN:
-                    f[m] = s
+                    f[m] = s - inside if terms.excess[t, m] == 1 else inside
                     slope[m] = 1.0
                 elif terms.form[t, m] == MAGNITUDE:
-                    f[m] = abs(s)
+                    f[m] = abs(s) - abs(inside) if terms.excess[t, m] == 1 else abs(inside)
                     slope[m] = side
                 else:
                     f[m] = side
+                if (s == inside) == (terms.excess[t, m] == 1):
+                    slope[m] = 0.0
                 product *= f[m]
             phi[t] = product
             value[i] += theta[t] * product
@@ -109,12 +122,12 @@ def sweep(W, rows, terms, theta, limits, S):  # type: ignore[no-untyped-def]
         at = deep + k - rows[0]
         for i in range(n_y):
             # NaN becomes the low limit
-            inside = min(value[i], limits[1, i]) if value[i] > limits[0, i] else limits[0, i]
-            W[k, i] = inside
-            held += inside != value[i]
+            limited = min(value[i], limits[1, i]) if value[i] > limits[0, i] else limits[0, i]
+            W[k, i] = limited
+            held += limited != value[i]
             for p in range(size):
                 S[at, i, p] = 0.0
-            if size == 0 or inside != value[i]:  # nothing moves what is held
+            if size == 0 or limited != value[i]:  # nothing moves what is held
                 continue
             for d in range(deep):
                 for j in range(n_y):
@@ -146,8 +159,14 @@ def products(terms: TermTable, past: Callable[[int, int], FloatArray], rows: int
         s = past(column, lag)
         if terms.change[t, m]:
             s = s - past(column, lag + 1)
+        inside = np.clip(s, terms.low[t, m], terms.high[t, m])
         form = terms.form[t, m]
-        out[:, t] *= s if form == PLAIN else np.abs(s) if form == MAGNITUDE else np.sign(s)
+        if form == SIGN:
+            out[:, t] *= np.sign(s)
+            continue
+        if form == MAGNITUDE:
+            s, inside = np.abs(s), np.abs(inside)
+        out[:, t] *= s - inside if terms.excess[t, m] else inside
     return out
 
 

@@ -3,13 +3,16 @@
 A factor is a signal some samples ago, or its change since the sample before (a position's velocity), as it
 is, its magnitude or its sign. Products of up to three make drag (|v| v), dry friction (sign v), a spring that
 hardens (y^3), an input whose effect depends on the state (y u).
+
+Where signals leave the range of training, a product goes on along its tangents (`continued`): a power that
+was fitted inside means nothing far outside, and its slope at the edge is the last that was seen.
 """
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations_with_replacement
 from typing import Literal, get_args
 
@@ -17,6 +20,7 @@ import numpy as np
 
 from flysid.dataset import FloatArray, Signal
 from flysid.model.narx.free_run_kernel import MOST_FACTORS, TermTable
+from flysid.model.polynomials import VANISHING
 from flysid.model.regressors import lagged_name
 from flysid.showing import significant
 
@@ -32,12 +36,14 @@ class Factor:
     ----------
     column : outputs first, then inputs.
     change : its difference to the sample before, instead of itself.
+    excess : what it has beyond the range of training, instead of what it has inside; see `continued`.
     """
 
     column: int
     lag: int
     change: bool = False
     form: Form = "plain"
+    excess: bool = False
 
     @property
     def depth(self) -> int:
@@ -58,18 +64,82 @@ class Term:
         return not self.factors or (len(self.factors) == 1 and self.factors[0].form == "plain")
 
 
-def table_of(terms: Sequence[Term]) -> TermTable:
-    """The terms as compiled code takes them."""
+@dataclass(frozen=True, eq=False)
+class SeenRange:
+    """What the signals were in training, normalised; zero, about which terms are written, is always inside.
+
+    Attributes
+    ----------
+    values, changes : (2, n) lowest and highest value, and change from sample to sample, of every signal.
+    """
+
+    values: FloatArray
+    changes: FloatArray
+
+    @classmethod
+    def of(cls, runs: Sequence[FloatArray]) -> SeenRange:
+        """That of runs (N, n), one at least, normalised."""
+        return cls(_ends(runs), _ends([np.diff(W, axis=0) for W in runs]))
+
+    @property
+    def ends(self) -> tuple[FloatArray, FloatArray]:
+        """Values, then changes."""
+        return self.values, self.changes
+
+    def of_factor(self, factor: Factor) -> tuple[float, float]:
+        """Lowest and highest value of the factor's signal, or of its change."""
+        low, high = (self.changes if factor.change else self.values)[:, factor.column]
+        return float(low), float(high)
+
+
+def _ends(runs: Sequence[FloatArray]) -> FloatArray:
+    """Widened by what rounding adds: numbers that are scaled there and back differ in their last digit."""
+    whole = np.concatenate(runs)
+    return (1.0 + VANISHING) * np.stack([whole.min(axis=0, initial=0.0), whole.max(axis=0, initial=0.0)])
+
+
+def table_of(terms: Sequence[Term], seen: SeenRange | None = None) -> TermTable:
+    """The terms as compiled code takes them.
+
+    Parameters
+    ----------
+    seen : factors of nonlinear terms are held inside; None: they are not.
+    """
     shape = (len(terms), MOST_FACTORS)
     column = np.full(shape, -1, dtype=np.int64)
-    lag, change, form = (np.zeros(shape, dtype=np.int64) for _ in range(3))
+    lag, change, form, excess = (np.zeros(shape, dtype=np.int64) for _ in range(4))
+    low, high = np.full(shape, -np.inf), np.full(shape, np.inf)
     for t, term in enumerate(terms):
         for m, factor in enumerate(term.factors):
             column[t, m] = factor.column
             lag[t, m] = factor.lag
             change[t, m] = factor.change
             form[t, m] = FORMS.index(factor.form)
-    return TermTable(np.array([t.equation for t in terms], dtype=np.int64), column, lag, change, form)
+            excess[t, m] = factor.excess
+            if seen is not None and not term.is_linear and factor.form != "sign":
+                low[t, m], high[t, m] = seen.of_factor(factor)
+    equation = np.array([t.equation for t in terms], dtype=np.int64)
+    return TermTable(equation, column, lag, change, form, low, high, excess)
+
+
+def continued(terms: Sequence[Term], theta: FloatArray) -> tuple[tuple[Term, ...], FloatArray]:
+    """Terms and coefficients of a model whose factors are held, and of their tangents beyond.
+
+    A product of held factors f_m, each of which its signal exceeds by d_m, goes on as
+
+        f_1 f_2 f_3 + d_1 f_2 f_3 + f_1 d_2 f_3 + f_1 f_2 d_3
+
+    A sign has no slope. Inside the range all d_m are zero, and the products are what they were.
+    """
+    further: dict[Term, float] = {}
+    for term, value in zip(terms, theta.tolist(), strict=True):
+        for m, factor in enumerate(term.factors):
+            if term.is_linear or factor.form == "sign":
+                continue
+            beyond = replace(factor, excess=True)
+            tangent = Term(term.equation, (*term.factors[:m], *term.factors[m + 1 :], beyond))
+            further[tangent] = further.get(tangent, 0.0) + value
+    return (*terms, *further), np.concatenate([theta, list(further.values())])
 
 
 def depth_of(terms: Sequence[Term], columns: int | None = None) -> int:

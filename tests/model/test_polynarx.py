@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,7 +14,16 @@ from flysid.errors import UsageError
 from flysid.model.arx import ARX
 from flysid.model.base import Fitted
 from flysid.model.narx.fitted_polynomial import FittedPolyNARX, Units, from_dict
-from flysid.model.narx.polynomial_terms import Factor, Term, depth_of, meaning, table_of, term_name
+from flysid.model.narx.polynomial_terms import (
+    Factor,
+    SeenRange,
+    Term,
+    continued,
+    depth_of,
+    meaning,
+    table_of,
+    term_name,
+)
 from flysid.model.narx.simulation_fit import TermFit
 from flysid.model.narx.term_search import linear_terms, spread
 from flysid.model.polynarx import PolyNARX
@@ -78,12 +88,16 @@ def test_deep_lags_are_searched_on_long_pieces() -> None:
     assert len(spread(dragged(13_000), 6000, 20).segments) > 1
 
 
-def problem(runs: tuple[FloatArray, ...], terms: list[Term]) -> TermFit:
+def problem(runs: tuple[FloatArray, ...], terms: list[Term], seen: SeenRange | None = None) -> TermFit:
     limits = np.array([[-9.0, -9.0], [9.0, 9.0]])
-    return TermFit(runs, table_of(terms), limits, depth_of(terms), depth_of(terms, 2))
+    return TermFit(runs, table_of(terms, seen), limits, depth_of(terms), depth_of(terms, 2))
 
 
-def test_sensitivities_equal_differences_of_the_free_run() -> None:
+NARROW = SeenRange(*(0.05 * np.array([[-1.0] * 3, [1.0] * 3]) for _ in range(2)))
+
+
+@pytest.mark.parametrize("seen", [None, NARROW])
+def test_sensitivities_equal_differences_of_the_free_run(seen: SeenRange | None) -> None:
     rng = np.random.default_rng(1)
     runs = tuple(rng.uniform(-1.0, 1.0, (40, 3)) for _ in range(2))
     change = Factor(1, 1, change=True)
@@ -96,8 +110,11 @@ def test_sensitivities_equal_differences_of_the_free_run() -> None:
         Term(1, ()),
         Term(1, (SPEED, SPEED)),
     ]
-    error = problem(runs, terms)
     theta = np.array([0.6, 0.3, -0.2, -0.3, 0.2, 0.1, 0.0])
+    if seen is not None:
+        held, theta = continued(terms, theta)
+        terms = list(held)
+    error = problem(runs, terms, seen)
     p = np.concatenate([theta, error.measured_starts + 0.1])
     cost, matrix, gradient = error.normal_equations(p)
     assert cost == pytest.approx(error.cost(p))
@@ -112,6 +129,46 @@ def test_a_polynomial_that_runs_away_is_held_and_told_of() -> None:
     runs = (np.full((50, 3), 1.5),)
     error = problem(runs, terms)
     assert error.cost(np.array([1.1, 0.5, 0.1, *error.measured_starts])) == np.inf
+
+
+def beyond(model: FittedPolyNARX, row: list[float]) -> float:
+    """What the model makes of one row, which is v and u, in one step."""
+    return float(model.simulate(np.array([[row[1]], [0.0]]), np.array([[row[0]]]))[1, 0])
+
+
+def test_beyond_its_training_a_polynomial_goes_on_along_its_tangents() -> None:
+    """By hand: of v^2 |u| what v = 2, u = -3 make, where v was in -1 to 1 and u in -1 to 2."""
+    terms = (Term(0, (SPEED,)), Term(0, (SPEED, SPEED, Factor(1, 1, form="magnitude"))))
+    plain = replace(
+        small(),
+        output_limits=np.array([[-99.0], [99.0]]),
+        terms=terms,
+        theta=np.array([0.5, 0.1]),
+        covariance=np.zeros((2, 2)),
+        units=Units(np.zeros(2), np.ones(2), 1),
+        seen=None,
+    )
+    seen = SeenRange(np.array([[-1.0, -1.0], [1.0, 2.0]]), np.zeros((2, 2)))
+    held = replace(plain, seen=seen)
+    assert beyond(plain, [2.0, -3.0]) == pytest.approx(0.5 * 2.0 + 0.1 * 4.0 * 3.0)
+    edge, along_v, along_u = 1.0, 2.0 * 1.0, 1.0 * 2.0
+    assert beyond(held, [2.0, -3.0]) == pytest.approx(0.5 * 2.0 + 0.1 * (edge + along_v + along_u))
+    for row in ([1.0, 2.0], [-1.0, -1.0], [0.3, -0.7]):
+        assert beyond(held, row) == beyond(plain, row)
+    u, y = np.array([[-3.0], [0.0]]), np.array([[2.0], [0.0]])
+    assert held.predict(u, y)[1, 0] == beyond(held, [2.0, -3.0])
+    copy = from_dict(json.loads(json.dumps(held.to_dict())))
+    assert beyond(copy, [2.0, -3.0]) == beyond(held, [2.0, -3.0])
+
+
+def test_inside_its_training_range_a_polynomial_computes_what_its_terms_say_to_the_bit() -> None:
+    model = small()
+    free = replace(model, seen=None)
+    (segment,) = data(drag=0.5, noise=0.002).segments[:1]
+    assert model.seen is not None
+    assert np.array_equal(model.free_run(segment), free.free_run(segment))
+    far = replace(segment, u=4.0 * segment.u)
+    assert not np.array_equal(model.free_run(far), free.free_run(far))
 
 
 def test_gains_find_the_term_that_is_missing() -> None:
@@ -197,6 +254,8 @@ def test_terms_have_names() -> None:
         {"terms": [{"equation": 0, "factors": [[0, 1, False, "plain"]] * 4}]},
         {"scale": [0.0, 1.0]},
         {"covariance": [[1.0]]},
+        {"seen": [[[0.1, 0.0], [1.0, 1.0]], [[0.0, 0.0], [1.0, 1.0]]]},
+        {"seen": [[[-1.0, -1.0], [1.0, 1.0]]]},
     ],
 )
 def test_a_forged_file_is_refused(damage: dict[str, object]) -> None:

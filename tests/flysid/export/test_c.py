@@ -22,7 +22,7 @@ from flysid.model.freerun import Difference
 from flysid.model.linear.difference_equation import FittedLinear
 from flysid.model.multirotor import FittedMultirotor, Kind, Multirotor
 from flysid.model.narx.fitted_polynomial import FittedPolyNARX, Units
-from flysid.model.narx.polynomial_terms import Factor, Term
+from flysid.model.narx.polynomial_terms import Factor, SeenRange, Term
 from flysid.model.oe import OE
 from flysid.model.rotorcraft.rotor_axis import CURVE, DAMPING, DELAY, LAG
 from flysid.model.static_ts import StaticTS
@@ -57,7 +57,10 @@ def curved(kind: Kind, delay_rows: float = 1.3) -> FittedMultirotor:
 
 
 def bent() -> FittedPolyNARX:
-    """Drag, dry friction, a hardening spring, an input that acts more at speed; about a mean."""
+    """Drag, dry friction, a hardening spring, an input that acts more at speed; about a mean.
+
+    It was trained in a narrow range, so that runs go along its tangents.
+    """
     template = fitted("polynarx, two inputs and outputs")
     assert isinstance(template, FittedPolyNARX)
     y = Factor(0, 1)
@@ -72,7 +75,8 @@ def bent() -> FittedPolyNARX:
     theta = np.array([0.9, 0.3, -0.01, 0.1, 0.02, -0.02, -0.2, 0.05, 0.8, 0.1, 0.03, -0.1])
     units = Units(np.array([0.0, 0.3, 0.1, 0.0]), np.array([0.7, 0.4, 1.1, 0.9]), 2)
     unknown = np.full((len(terms), len(terms)), np.nan)
-    return replace(template, terms=terms, theta=theta, covariance=unknown, units=units)
+    seen = SeenRange(np.outer([-0.4, 0.5], np.ones(4)), np.outer([-0.1, 0.05], np.ones(4)))
+    return replace(template, terms=terms, theta=theta, covariance=unknown, units=units, seen=seen)
 
 
 def linear(a: list[float], b: list[float], *, dt_s: float = 0.02, limit: float = 1e6) -> FittedLinear:
