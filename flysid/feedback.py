@@ -22,6 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from flysid.dataset import Dataset, FloatArray
+from flysid.lagged import lagged_gram
 
 BIASED = "Free-run fits (OE, TF, refined ARX) may be biased"
 REMEDY = (
@@ -33,11 +34,11 @@ ORDER = 20
 GRID_S = 0.02
 """Samples are not taken closer together."""
 MOST_ROWS = 50_000
-"""Rows of the regression; more take memory and tell nothing new."""
+"""Rows of the regression; more tell nothing new."""
 EVEN = 2.0 / 3.0
 """Share of the pauses between changes of an input that are of one length where the log holds its samples."""
 SMALLEST = 1e-6
-"""Of the largest direction of the regressors: smaller ones do not count, and what they explain is left."""
+"""Of the regressors' size: smaller directions do not count, and what they explain is left."""
 
 
 @dataclass(frozen=True)
@@ -90,10 +91,12 @@ def feedback(data: Dataset) -> tuple[Feedback, ...]:
     every = max(int(GRID_S / data.dt_s + 1e-6), _held([s.u for s in data.segments]))
     dt_s = every * data.dt_s
     lags = _look_ahead(dt_s)
+    parts = _scale(data, every, ORDER + 6 * lags)
+    gram = lagged_gram(enumerate(parts), ORDER + lags)
     names = tuple(s.name for s in data.inputs)
     found = []
     for j, output in enumerate(data.outputs):
-        p, share = _later_inputs(_scale(data, j, every, ORDER + 6 * lags), lags)
+        p, share = _later_inputs(gram, _columns(data, j, lags), lags) if parts else (1.0, 0.0)
         found.append(Feedback(output.name, names, p, share, lags * dt_s))
     return tuple(found)
 
@@ -103,21 +106,34 @@ def _look_ahead(dt_s: float, *, look_s: float = 1.0, fewest: int = 5, most: int 
     return int(np.clip(round(look_s / dt_s), fewest, most))
 
 
-def _later_inputs(signals: list[tuple[FloatArray, FloatArray]], lags: int) -> tuple[float, float]:
+def _columns(data: Dataset, output: int, lags: int) -> tuple[list[int], list[int], int]:
+    """Of the Gram: a constant, an output's past and inputs up to the next; later inputs; the output."""
+    step = ORDER + lags + 1
+    now = output * step + lags
+    inputs = [(len(data.outputs) + i) * step + lags for i in range(len(data.inputs))]
+    driven = [at + k for at in inputs for k in range(-1, ORDER + 1)]
+    later = [at - k for at in inputs for k in range(2, lags + 1)]
+    return [-1, *range(now + 1, now + 1 + ORDER), *driven], later, now
+
+
+def _later_inputs(
+    gram: FloatArray, columns: tuple[list[int], list[int], int], lags: int
+) -> tuple[float, float]:
     """(p of the F test, share of the variance) of later inputs in what an output's past does not tell."""
     from scipy.special import fdtrc
 
-    if not signals:
-        return 1.0, 0.0
-    rows = [_rows(y, u, lags) for y, u in signals]
-    target, before, after = (np.concatenate(parts)[:MOST_ROWS] for parts in zip(*rows, strict=True))
-    known, kept = _basis(before)
-    rest = target - known @ (known.T @ target)
-    extra, added = _basis(after - known @ (known.T @ after), float(np.linalg.norm(after)))
-    gain = float(np.sum((extra.T @ rest) ** 2))
-    total = float(rest @ rest)
-    freedom = len(target) - kept - added
-    if freedom < 2 * lags or not added or not total > SMALLEST**2 * len(target):
+    before, after, target = columns
+    rows = float(gram[-1, -1])
+    others = [*after, target]
+    inner = gram[np.ix_(before, before)]
+    known = _orthonormal(inner, gram[np.ix_(before, others)], float(np.trace(inner)))
+    rest = gram[np.ix_(others, others)] - known.T @ known
+    extra = _orthonormal(rest[:-1, :-1], rest[:-1, -1:], float(gram.diagonal()[after].sum()))
+    gain = float(np.sum(extra**2))
+    total = float(rest[-1, -1])
+    added = len(extra)
+    freedom = rows - len(known) - added
+    if freedom < 2 * lags or not added or not total > SMALLEST**2 * rows:
         return 1.0, 0.0
     ratio = (gain / added) / max((total - gain) / freedom, 1e-300)
     # what chance explains on average is taken off the share
@@ -125,8 +141,23 @@ def _later_inputs(signals: list[tuple[FloatArray, FloatArray]], lags: int) -> tu
     return float(fdtrc(added, freedom, ratio)), share
 
 
-def _scale(data: Dataset, output: int, every: int, fewest: int) -> list[tuple[FloatArray, FloatArray]]:
-    """(N,) output and (N, n_u) inputs of segments of at least `fewest` rows, of mean 0 and variance 1.
+def _orthonormal(gram: FloatArray, products: FloatArray, size: float) -> FloatArray:
+    """(rank, m) products of columns, made orthonormal, with m others; directions below SMALLEST do not count.
+
+    Parameters
+    ----------
+    gram, products : (n, n) of the columns with each other; (n, m) with the others.
+    size : sum of squares that SMALLEST is relative to.
+    """
+    from scipy.linalg.lapack import dpstrf, dtrtrs
+
+    triangle, order, rank, _ = dpstrf(gram, tol=SMALLEST**2 * size)
+    found: FloatArray = dtrtrs(triangle[:rank, :rank], products[order[:rank] - 1], trans=1)[0]
+    return found
+
+
+def _scale(data: Dataset, every: int, fewest: int) -> list[FloatArray]:
+    """(n_y + n_u, N) outputs and inputs of segments of at least `fewest` rows, of mean 0 and variance 1.
 
     As many as rows are kept, of one sample in `every`, where inputs are new.
     """
@@ -134,16 +165,16 @@ def _scale(data: Dataset, output: int, every: int, fewest: int) -> list[tuple[Fl
     left = MOST_ROWS
     for s in data.segments:
         first = _first_new(s.u, every)
-        part = np.column_stack([s.y[first::every, output], s.u[first::every]])
-        if len(part) >= fewest and left > 0:
+        part = np.hstack([s.y[first::every], s.u[first::every]])[:left].T
+        if part.shape[1] >= fewest:
             parts.append(part)
-            left -= len(part)
+            left -= part.shape[1]
     if not parts:
         return []
-    signals = np.concatenate(parts)
-    spread = signals.std(axis=0)
-    scaled = [(part - signals.mean(axis=0)) / np.where(spread > 0.0, spread, 1.0) for part in parts]
-    return [(part[:, 0], part[:, 1:]) for part in scaled]
+    signals = np.concatenate(parts, axis=1)
+    mean = signals.mean(axis=1)[:, None]
+    spread = signals.std(axis=1)[:, None]
+    return [np.ascontiguousarray((part - mean) / np.where(spread > 0.0, spread, 1.0)) for part in parts]
 
 
 def _held(inputs: list[FloatArray]) -> int:
@@ -165,20 +196,3 @@ def _first_new(u: FloatArray, every: int) -> int:
     """The first of every so many samples at which most inputs (N, n_u) are new."""
     new = np.flatnonzero((np.diff(u, axis=0) != 0.0).any(axis=1)) + 1
     return int(np.bincount(new % every, minlength=every).argmax())
-
-
-def _rows(y: FloatArray, u: FloatArray, lags: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Output, what is known of it (a constant, its past, inputs up to the next), later inputs."""
-    at = np.arange(ORDER, len(y) - lags)
-    past = np.stack([y[at - k] for k in range(1, ORDER + 1)], axis=1)
-    driven = np.hstack([u[at - k] for k in range(-1, ORDER + 1)])
-    later = np.hstack([u[at + k] for k in range(2, lags + 1)])
-    return y[at], np.column_stack([np.ones(len(at)), past, driven]), later
-
-
-def _basis(columns: FloatArray, size: float | None = None) -> tuple[FloatArray, int]:
-    """Orthonormal basis of the columns' range, and its dimension; directions below SMALLEST do not count."""
-    q, r = np.linalg.qr(columns)  # first, as columns are long: of the triangle the decomposition is cheap
-    left, sigma, _ = np.linalg.svd(r, full_matrices=False)
-    rank = int(np.count_nonzero(sigma > SMALLEST * (sigma[0] if size is None else size)))
-    return q @ left[:, :rank], rank
