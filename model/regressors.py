@@ -14,9 +14,8 @@ import numpy as np
 
 from flysid.dataset import Dataset, FloatArray, Segment, Signal
 from flysid.errors import UsageError
+from flysid.lagged import CHUNK_ROWS as CHUNK_ROWS
 from flysid.model.arguments import none_longer
-
-CHUNK_ROWS = 16_384
 
 
 @dataclass(frozen=True)

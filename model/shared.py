@@ -1,60 +1,19 @@
 """Fits that several ask for are done once: the baseline, its rivals and the rules start from the same.
 
 Within `sharing()` a fit is remembered by its settings and by what its data hold, not by which objects they
-are; when the scope ends, all is forgotten.
+are.
 """
 
 from __future__ import annotations
 
-import functools
 import hashlib
-from collections.abc import Callable, Hashable, Iterator
-from contextlib import contextmanager
-from contextvars import ContextVar
-from typing import Any, ParamSpec, TypeVar
+from collections.abc import Hashable
 
 import numpy as np
 
 from flysid.dataset import Dataset
-
-P = ParamSpec("P")
-R = TypeVar("R")
-
-_known: ContextVar[dict[Hashable, Any] | None] = ContextVar("fits", default=None)
-
-
-@contextmanager
-def sharing() -> Iterator[None]:
-    """The scope in which fits are shared; a scope within a scope is part of it."""
-    if _known.get() is not None:
-        yield
-        return
-    token = _known.set({})
-    try:
-        yield
-    finally:
-        _known.reset(token)
-
-
-def once(key: Callable[..., Hashable | None]) -> Callable[[Callable[P, R]], Callable[P, R]]:
-    """A function whose answer is remembered by `key` of its arguments; None: it is not."""
-
-    def remembering(function: Callable[P, R]) -> Callable[P, R]:
-        @functools.wraps(function)
-        def asked(*args: P.args, **kwargs: P.kwargs) -> R:
-            known = _known.get()
-            at = None if known is None else key(*args, **kwargs)
-            if known is None or at is None:
-                return function(*args, **kwargs)
-            whole = (function.__module__, function.__qualname__, at)
-            if whole not in known:
-                known[whole] = function(*args, **kwargs)
-            answer: R = known[whole]
-            return answer
-
-        return asked
-
-    return remembering
+from flysid.sharing import once as once
+from flysid.sharing import sharing as sharing
 
 
 def fit_key(settings: object, train: object, validation: object = None) -> Hashable | None:

@@ -170,6 +170,27 @@ class OutputError:
         need = self.start_row() + 2 * self.orders.na + 1
         return (r for r in self.records if len(r.y) >= need)
 
+    def thinned(self, rows: int, *, pieces: int = 4, least: float = 4.0) -> OutputError:
+        """The same problem on about so many rows from all over the records.
+
+        Parameters
+        ----------
+        pieces : about so many in all, shared out by length, and at least one of every record.
+        least : the problem stays as it is where it has no more than so many times the rows.
+        """
+        known = list(self.usable())
+        total = sum(len(r.y) for r in known)
+        if total <= least * rows:
+            return self
+        found: list[Record] = []
+        for record in known:
+            width = len(record.y) // max(1, round(pieces * len(record.y) / total))
+            size = width * rows // total
+            for begin in range((width - size) // 2, len(record.y) - size, width):
+                found.append(Record(record.u[begin : begin + size], record.y[begin : begin + size]))
+        thin = replace(self, records=tuple(found))
+        return thin if len(list(thin.usable())) == len(found) else self
+
     def errors(self, theta: FloatArray) -> list[FloatArray]:
         """Simulation errors of every usable record, initial states fitted."""
         transfer = to_transfer(theta, self.orders)

@@ -12,14 +12,12 @@ import inspect
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import nullcontext
 from contextvars import ContextVar
-from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
+from typing import Any, ParamSpec, TypeVar
 
 import numpy as np
 
+from flysid.blas import one_thread
 from flysid.errors import FitError, UsageError
-
-if TYPE_CHECKING:
-    from threadpoolctl import ThreadpoolController
 
 _limited = ContextVar("limited", default=False)
 P = ParamSpec("P")
@@ -50,7 +48,7 @@ def on_one_thread(fit: Callable[P, R]) -> Callable[P, R]:
         for data in given:
             _refuse_arrays(data)
         within = _limited.get()
-        limits = nullcontext() if within else _blas().limit(limits=1)
+        limits = nullcontext() if within else one_thread()
         with limits, np.errstate(over="ignore", invalid="ignore"):
             token = _limited.set(True)
             try:
@@ -61,15 +59,6 @@ def on_one_thread(fit: Callable[P, R]) -> Callable[P, R]:
                 _limited.reset(token)
 
     return limited
-
-
-@functools.cache
-def _blas() -> ThreadpoolController:
-    """NumPy's and SciPy's; found once: to look through all that is loaded takes longer than a small fit."""
-    import scipy.linalg  # noqa: F401 - brings its own
-    from threadpoolctl import ThreadpoolController
-
-    return ThreadpoolController().select(user_api="blas")
 
 
 def _remedy(given: Sequence[Any]) -> str:

@@ -277,7 +277,7 @@ def watch_vehicle(folder: Path, log: Path, recipe: str, *, fail: bool, as_json: 
 
     Raises
     ------
-    UsageError : no such log; another number of motors. DataError, FormatError : no vehicle, or nothing flies.
+    UsageError : no such log; another number of motors. StoreError : no vehicle. DataError : nothing flies.
     """
     from flysid.ingest.align.recipe import load_recipe
     from flysid.ingest.align.signals import FlightLog

@@ -57,7 +57,12 @@ def dataset(flights: Iterable[Flight | Log], recipe: Recipe | str | Path, channe
 
 
 def align(
-    flights: Iterable[Flight | Log], recipe: Recipe | str | Path, channel: str, *, may_stand: bool = False
+    flights: Iterable[Flight | Log],
+    recipe: Recipe | str | Path,
+    channel: str,
+    *,
+    may_stand: bool = False,
+    doubted: bool = True,
 ) -> Aligned:
     """Bring the signals of one channel of many flights onto one grid.
 
@@ -67,6 +72,7 @@ def align(
     recipe : a recipe, or the name or path of one.
     channel : a channel of the recipe.
     may_stand : an input or output that never changes is no reason to refuse the flights.
+    doubted : reasons to doubt models of the dataset are looked for.
 
     Raises
     ------
@@ -88,6 +94,8 @@ def align(
     )
     if not may_stand:
         check_excitation(aligned)
+    if not doubted:
+        return Aligned(aligned, report)
     found = extra(Extra.DOUBTS, partial(doubts, aligned, job.recipe.channel(channel)), (), channel)
     return Aligned(aligned, replace(report, doubts=found))
 

@@ -174,13 +174,10 @@ def _band(best: Sequence[BestInput]) -> Iterator[Doubt]:
 
 def _best_input(data: Dataset, output: int, moves: Sequence[Excitation]) -> BestInput:
     """The input that explains most of an output."""
-    found = []
-    for i, signal in enumerate(data.inputs):
-        seen = spectrum(data, i, output)
-        share = share_explained(data, moves[i], i, output)
-        name = data.outputs[output].name
-        found.append(BestInput(name, signal.name, share, moves[i].band_hz, seen.band_hz()))
-    return max(found, key=lambda f: f.share.value)
+    shares = [share_explained(data, own, i, output) for i, own in enumerate(moves)]
+    best = max(range(len(shares)), key=lambda i: shares[i].value)
+    names = data.outputs[output].name, data.inputs[best].name
+    return BestInput(*names, shares[best], moves[best].band_hz, spectrum(data, best, output).band_hz())
 
 
 def _few(names: list[str], *, most: int = 4) -> str:

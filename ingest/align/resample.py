@@ -128,10 +128,11 @@ def spans_between_gaps(
     """
     if len(t_ns) == 0:
         return []
-    paused = np.diff(t_ns) > max_gap_ns
+    cuts = np.flatnonzero(np.diff(t_ns) > max_gap_ns)
     if late_ns is not None and len(late_ns):
-        paused &= ~np.isin(t_ns[:-1], late_ns)
-    cuts = np.flatnonzero(paused)
+        late = np.sort(late_ns)
+        known = np.minimum(np.searchsorted(late, t_ns[cuts]), len(late) - 1)
+        cuts = cuts[late[known] != t_ns[cuts]]
     firsts = np.append(0, cuts + 1)
     lasts = np.append(cuts, len(t_ns) - 1)
     tail = int(min(after_ns, FOREVER))

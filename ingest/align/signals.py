@@ -8,7 +8,7 @@ does `where = { I = 0 }`. Units come from the log's own metadata; where it state
 from __future__ import annotations
 
 import difflib
-from collections.abc import Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -47,6 +47,7 @@ from flysid.ingest.align.values import (
 from flysid.ingest.formats.common.arrow_arrays import numeric
 from flysid.ingest.formats.common.units import factor, is_known
 from flysid.ingest.formats.keyed import key_fields
+from flysid.sharing import once
 from flysid.showing import one_of
 from flysid.stretch import FloatArray
 
@@ -246,6 +247,12 @@ def load_signal(name: str, spec: SignalSpec, log: Log) -> Loaded:
         raise RecipeError(f"signal {name!r}: {error.message}", path=log.name, hint=error.hint) from error
 
 
+def _ask(source: Source, stream: str, unit: str, log: Log, *, resolved: bool = True) -> Hashable:
+    """Of a log that outlives the scope of `sharing`."""
+    return repr(source), stream, unit, id(log), resolved
+
+
+@once(_ask)
 def load_source(source: Source, stream: str, unit: str, log: Log, *, resolved: bool = True) -> Loaded:
     """The samples of one source, converted to `unit`, sign and scale applied; boots kept apart.
 

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from flysid.blas import one_thread
 from flysid.dataset import Dataset
 from flysid.errors import DataError
 from flysid.ingest.excitation.delay_fits import ARX_ORDERS, Piece, predictors, searched_free_runs
@@ -135,8 +136,6 @@ def estimate_delay(
     ------
     DataError : the segments are too short, or the input or output does not move.
     """
-    from threadpoolctl import threadpool_limits
-
     last = max(2, round(max_delay_s / data.dt_s))
     pieces = _pieces(data, column, output, min_length=2 * (last + sum(ARX_ORDERS)))
     lag_s, r = cross_correlation(data, column, output, max(2 * max_delay_s, 1.0))
@@ -144,9 +143,7 @@ def estimate_delay(
     feedback = bool(lag_s[at] < -0.5 * data.dt_s)
     samples = sum(len(y) for _, y in pieces)
     slack = 8.0 / samples if feedback else 4.0 / np.sqrt(samples)
-    with threadpool_limits(
-        limits=1, user_api="blas"
-    ):  # on matrices of a few rows, threads only wait for each other
+    with one_thread():
         fits = predictors(pieces, last) if feedback else searched_free_runs(pieces, last, slack)
     best = min(fits, key=lambda nk: fits[nk].error)
     close = [nk for nk, fit in fits.items() if fit.error <= fits[best].error * (1.0 + slack)]

@@ -20,6 +20,7 @@ import numpy as np
 
 from flysid.dataset import FloatArray
 from flysid.filters import apply_filter
+from flysid.lagged import lagged_gram
 
 Piece: TypeAlias = tuple[FloatArray, FloatArray]  # input and output of one segment, without their means
 
@@ -273,29 +274,18 @@ def predictors(pieces: Sequence[Piece], last: int) -> dict[int, Fit]:
     """ARX of high order with every dead time up to `last`, all over the same samples."""
     na, nb = ARX_ORDERS
     first = max(na, last + nb - 1)
-    own_y = np.zeros((na + 1, na + 1))
-    own_u = np.zeros((last + nb, nb))
-    crossed = np.zeros((last + nb, na + 1))
-    for u, y in pieces:
-        past = np.lib.stride_tricks.sliding_window_view(y, na + 1)[first - na :, ::-1]
-        own_y += past.T @ past
-        own_u += _band(u, last + nb, nb, first)
-        for i in range(last + nb):
-            crossed[i] += u[first - i : len(u) - i] @ past
-    rows = sum(len(y) - first for _, y in pieces)
+    gram = lagged_gram(((i, np.stack([y, u])) for i, (u, y) in enumerate(pieces)), first)
+    rows = round(float(gram[-1, -1]))
+    past = np.arange(1, na + 1)
     fits: dict[int, Fit] = {}
     for nk in range(last + 1):
-        taps = slice(nk, nk + nb)
-        lags = np.arange(nb)
-        band = own_u[taps]
-        inputs = band[np.minimum.outer(lags, lags), np.abs(np.subtract.outer(lags, lags))]
-        mixed = -crossed[taps, 1:]
-        gram = np.block([[own_y[1:, 1:], mixed.T], [mixed, inputs]])
-        right = np.concatenate([-own_y[1:, 0], crossed[taps, 0]])
-        theta = _solve(gram, right, 1e-12)
-        error = max(0.0, float(own_y[0, 0]) - float(theta @ (2 * right - gram @ theta))) / max(rows, 1)
+        columns = np.concatenate([past, first + 1 + nk + np.arange(nb)])
+        own = gram[np.ix_(columns, columns)]
+        right = gram[columns, 0]
+        theta = _solve(own, right, 1e-12)
+        error = max(0.0, float(gram[0, 0]) - float(theta @ (2 * right - own @ theta))) / max(rows, 1)
         zeros = np.concatenate([np.zeros(nk), theta[na:]])
-        fits[nk] = Fit(error, zeros, np.concatenate([[1.0], theta[:na]]))
+        fits[nk] = Fit(error, zeros, np.concatenate([[1.0], -theta[:na]]))
     return fits
 
 

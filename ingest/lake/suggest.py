@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from typing import Any, Literal
 
+from flysid.blas import one_thread
 from flysid.dataset import Dataset
 from flysid.errors import DataError, RecipeError
 from flysid.extras import Extra, extra
@@ -20,13 +21,13 @@ from flysid.ingest.excitation.enough import MIN_DURATION_S, too_short_alone
 from flysid.ingest.excitation.excitation import (
     GOOD_COHERENCE,
     Excitation,
-    Spectrum,
     excitation,
     is_narrow,
     spectrum,
 )
 from flysid.ingest.excitation.share import Share, share_explained
-from flysid.progress import tell
+from flysid.progress import part, tell
+from flysid.sharing import sharing
 
 Verdict = Literal["good", "closed loop", "weak", "too slow", "too quiet", "too short", "excluded"]
 ALONE = "fly steps or doublets on this axis alone, in calm air"
@@ -81,12 +82,8 @@ def suggest(logs: Iterable[Log], recipes: Sequence[str | Recipe] | None = None) 
     known = list(logs)
     found: list[Suggestion] = []
     for i, log in enumerate(known):
-        served = [(r, channel) for r in chosen for channel in r.channels if serves(log, r, channel)]
-        for j, (recipe, channel) in enumerate(served):
-            share = (i + j / len(served)) / len(known)
-            tell(f"checking {recipe.name}, {channel}", log=log.name, share=share)
-            make = partial(_suggest_channel, log, recipe, channel)
-            found += extra(Extra.SUGGESTION, make, (), f"{channel} of {log.name}")
+        with part(i / len(known), (i + 1) / len(known), log=log.name), sharing(), one_thread():
+            found += _suggest_log(log, chosen)
     return found
 
 
@@ -96,17 +93,29 @@ def unbounded(found: Suggestion) -> bool:
     return found.delay_high_s is not None and found.delay_high_s >= LONGEST_S - 0.5 * step
 
 
+def _suggest_log(log: Log, recipes: Sequence[Recipe]) -> Iterator[Suggestion]:
+    served = [(r, channel) for r in recipes for channel in r.channels if serves(log, r, channel)]
+    for j, (recipe, channel) in enumerate(served):
+        tell(f"checking {recipe.name}, {channel}", share=j / len(served))
+        make = partial(_suggest_channel, log, recipe, channel)
+        yield from extra(Extra.SUGGESTION, make, (), f"{channel} of {log.name}")
+
+
 def _suggest_channel(log: Log, recipe: Recipe, channel: str) -> list[Suggestion]:
     try:
-        aligned = align([log], recipe, channel)
+        aligned = align([log], recipe, channel, doubted=False)
     except (DataError, RecipeError) as error:
         return [_refuse(log, recipe, channel, error)]
     notes = tuple(note for flight in aligned.report.flights for note in flight.notes)
     data = aligned.dataset
     found: list[Suggestion] = []
+    moves = [excitation(data, i) for i in range(len(data.inputs))]
     for j, loop in enumerate(feedback(data)):
-        pairs = [_assess(log, recipe, data, (i, j), loop) for i in range(len(data.inputs))]
-        found.append(replace(max(pairs, key=lambda s: s.coherence), notes=notes))
+        shares = [share_explained(data, own, i, j) for i, own in enumerate(moves)]
+        # dead times and spectra cost most, and one input is shown
+        best = max(range(len(shares)), key=lambda i: shares[i].value)
+        suggestion = _assess(log, recipe, data, (best, j), (moves[best], shares[best], loop))
+        found.append(replace(suggestion, notes=notes))
     return found
 
 
@@ -126,15 +135,20 @@ def _refuse(log: Log, recipe: Recipe, channel: str, error: DataError | RecipeErr
     return Suggestion(log.name, recipe.name, channel, *names, verdict=verdict, advice=words + hint)
 
 
-def _assess(log: Log, recipe: Recipe, data: Dataset, pair: tuple[int, int], loop: Feedback) -> Suggestion:
-    """One pair of input and output; `loop`: whether the output is answered."""
+def _assess(
+    log: Log,
+    recipe: Recipe,
+    data: Dataset,
+    pair: tuple[int, int],
+    known: tuple[Excitation, Share, Feedback],
+) -> Suggestion:
+    """One pair of input and output; `known`: how the input moves, what it explains, its loop."""
     column, output = pair
+    moves, share, loop = known
     spec = recipe.channel(data.name)
-    moves = excitation(data, column)
-    seen = spectrum(data, column, output)
-    delay = _delay(data, column, output)
-    share = share_explained(data, moves, *pair)
-    verdict, advice = _verdict(data, spec, column, (moves, seen, share))
+    band = spectrum(data, column, output).band_hz()
+    verdict, advice = _verdict(data, spec, column, (moves, band, share))
+    delay = None if band is None and verdict != "good" else _delay(data, column, output)
     through = [name for name in spec.reference if name != data.inputs[column].name]
     if verdict == "good" and (loop.closed or through):
         advice = "; ".join(filter(None, (_through(through), advice)))
@@ -154,7 +168,7 @@ def _assess(log: Log, recipe: Recipe, data: Dataset, pair: tuple[int, int], loop
         input_rms=moves.rms,
         input_unit=data.inputs[column].unit,
         coherence=share.value,
-        band_hz=seen.band_hz(),
+        band_hz=band,
         delay_s=None if delay is None else delay.delay_s,
         delay_low_s=None if delay is None else delay.low_s,
         delay_high_s=None if delay is None else delay.high_s,
@@ -180,10 +194,13 @@ def _delay(data: Dataset, column: int, output: int) -> Delay | None:
 
 
 def _verdict(
-    data: Dataset, spec: ChannelSpec, column: int, found: tuple[Excitation, Spectrum, Share]
+    data: Dataset,
+    spec: ChannelSpec,
+    column: int,
+    found: tuple[Excitation, tuple[float, float] | None, Share],
 ) -> tuple[Verdict, str]:
     """In this order: nothing moved, too short, too slow, not explained or in a narrow band, good."""
-    moves, seen, share = found
+    moves, band, share = found
     name = data.inputs[column].name
     unit = data.inputs[column].unit
     rate = 1.0 / data.dt_s
@@ -199,7 +216,6 @@ def _verdict(
         remedy = f"; {spec.remedy}" if spec.remedy else ""
         slow = f"logged at {rate:.3g} Hz, seen up to {rate / 2:.2g} Hz; this needs {spec.min_rate_hz:.3g} Hz"
         return "too slow", slow + remedy
-    band = seen.band_hz()
     if share.high < GOOD_COHERENCE:
         return "weak", f"{share.words} of the output's power follows {name}; {ALONE}"
     if share.value < GOOD_COHERENCE and share.low > 0.0:

@@ -21,7 +21,7 @@ FOLDS = 3
 FOLDED_ROWS = 5_000
 SEARCH_ROWS = 12_000
 CHOICE_ROWS = 200_000
-"""Samples, the first of a dataset on disk, that orders and delays are chosen on."""
+"""Samples that orders and delays are chosen on: pieces of long data in memory, the first of those on disk."""
 EXACT = 1e-6
 """Simulation error, in standard deviations of the output, that counts as none for starts and delays."""
 

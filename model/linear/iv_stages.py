@@ -14,9 +14,9 @@ import numpy as np
 
 from flysid.dataset import FloatArray
 from flysid.errors import FitError
+from flysid.lagged import lagged_gram
 from flysid.model.arguments import none_longer
 from flysid.model.freerun import Difference
-from flysid.model.gram import lagged_gram
 from flysid.model.linear.data import SEARCH_ROWS, Parts, as_tuple, shorten
 from flysid.model.linear.difference_equation import FittedLinear
 from flysid.model.linear.free_runner import free_runner

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from flysid.dataset import FloatArray
+from flysid.lagged import lagged_gram
 from flysid.model.arguments import none_longer
-from flysid.model.gram import LeastSquares, Triangle, lagged_gram, lagged_triangle, residuals_of, solve
+from flysid.model.gram import LeastSquares, Triangle, lagged_triangle, residuals_of, solve
 from flysid.model.regressors import LagTerms, RegressorTransform
 from flysid.model.stream import Source, blocks_of, windows
 

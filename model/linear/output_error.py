@@ -16,13 +16,13 @@ from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, FitError
 from flysid.model.freerun import Difference
 from flysid.model.linear.data import (
+    CHOICE_ROWS,
     EXACT,
     FOLDED_ROWS,
     SEARCH_ROWS,
     Parts,
     judging_window,
     records,
-    shorten,
 )
 from flysid.model.linear.difference_equation import FittedLinear
 from flysid.model.linear.free_runner import free_runner
@@ -79,7 +79,7 @@ def widen(options: Sequence[int], delay: int, most: int) -> list[int]:
 
 
 def fit_output(problem: OutputError) -> OneOutput:
-    """Start and refine.
+    """Start and refine; of long records first a part, from which all of them need a step or two.
 
     Raises
     ------
@@ -91,8 +91,10 @@ def fit_output(problem: OutputError) -> OneOutput:
             f"no segment has the {problem.start_row() + 2 * problem.orders.na + 1} samples these orders need",
             hint="choose smaller orders or delays, or bring longer segments",
         )
-    start = find_start(problem)
-    found = problem.refine(start.theta, max_iterations=40)
+    thin = problem.thinned(SEARCH_ROWS)
+    found = thin.refine(find_start(thin).theta, max_iterations=40)
+    if thin is not problem:
+        found = problem.refine(found.theta, max_iterations=40)
     return OneOutput(problem, found.theta, found.cost)
 
 
@@ -107,8 +109,7 @@ def find_delays(data: Dataset, output: int, probe: OutputOrders) -> tuple[int, .
     ----------
     probe : the orders to try delays with. Its own delays are tried too, with their neighbours.
     """
-    small = shorten(data, SEARCH_ROWS)
-    parts = records(small, output)
+    parts = OutputError(records(data, output), probe).thinned(SEARCH_ROWS, least=1.0).records
     rows = sum(len(r.y) for r in parts)
     longest = max(len(r.y) for r in parts)
     nk = [1] * len(probe.nb)
@@ -359,10 +360,10 @@ def _said(tried: Sequence[_Tried], chosen: int, left_out: Sequence[int]) -> str:
 
 
 def _fit(parts: Parts, orders: Sequence[OutputOrders], before: Sequence[OneOutput]) -> list[OneOutput]:
-    """Every output on the fitting part; never worse than the fits of lower orders (`before`, or none)."""
+    """Every output on the fitting part, or much of it; never worse than of lower orders (`before`, or none)."""
     fits = []
     for i, own in enumerate(orders):
-        fit = fit_output(OutputError(records(parts.fit, i), own))
+        fit = fit_output(OutputError(records(parts.fit, i), own).thinned(CHOICE_ROWS))
         lower = before[i] if before else None
         if lower is not None and fit.cost > lower.cost and lower.problem.orders.nk == own.nk:
             nested = fit.problem.refine(raise_order(lower.transfer, own), max_iterations=40)
@@ -394,7 +395,7 @@ def refit(parts: Parts, fits: Sequence[OneOutput]) -> list[OneOutput]:
 
     Short data have more than one minimum: there a fresh start is tried, too.
     """
-    if parts.fit is parts.whole:
+    if all(sum(len(r.y) for r in f.problem.records) == len(parts.whole) for f in fits):
         return list(fits)
     again = []
     for i, fit in enumerate(fits):

@@ -1,4 +1,6 @@
 import json
+from collections import Counter
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -10,9 +12,11 @@ from click.testing import CliRunner
 from flysid.cli import root
 from flysid.cli.pooled_suggestions import pool, pooled_advice
 from flysid.cli.suggestions import advice, next_command, short_names
+from flysid.dataset import Dataset
 from flysid.flight import ClockMap, Damage, Flight, Source
 from flysid.ingest.align.recipe import load_recipe, parse_recipe, shipped_recipes
 from flysid.ingest.align.signals import FlightLog
+from flysid.ingest.excitation.delay import Delay, estimate_delay
 from flysid.ingest.excitation.enough import least_hz
 from flysid.ingest.lake.suggest import Suggestion, suggest
 from flysid.ingest.lake.survey import StreamCount, Survey, verdict
@@ -247,3 +251,36 @@ def test_progress_counts_channels_within_a_flight() -> None:
     with listening(lambda step: shares.append(step.share)):
         suggest(logs, [parse_recipe(RECIPE_DOCUMENT | {"channels": channels})])
     assert shares == [0.0, 0.25, 0.5, 0.75]
+
+
+def test_a_flight_is_read_once_and_dead_times_are_sought_of_what_is_shown(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Two channels of the same two inputs: twice the columns would be read, and four dead times sought."""
+    y = lag(U, 5) + 0.02 * RNG.normal(size=len(U))
+    tables = {"CMD": table(T, u=U, v=np.roll(U, 700)), "STATE": table(T, y=y, z=-y)}
+    flight = Flight(Source("f", "tlog", 1, "0" * 64), tables)
+    document = RECIPE_DOCUMENT["signals"]
+    signals = {
+        name: document[like] | {"sources": [document[like]["sources"][0] | {"field": name}]}
+        for name, like in (("u", "u"), ("v", "u"), ("y", "y"), ("z", "y"))
+    }
+    channels = {out: {"inputs": ["u", "v"], "outputs": [out]} for out in ("y", "z")}
+    recipe = parse_recipe({"name": "r", "signals": signals, "channels": channels})
+    read: Counter[str] = Counter()
+    sought: list[int] = []
+
+    class Counting(FlightLog):
+        def table(self, stream: str, columns: Sequence[str]) -> Any:
+            read[f"{stream} {columns[-1]}"] += 1
+            return super().table(stream, columns)
+
+    def seek(data: Dataset, column: int, output: int) -> Delay:
+        sought.append(column)
+        return estimate_delay(data, column, output)
+
+    monkeypatch.setattr("flysid.ingest.lake.suggest.estimate_delay", seek)
+    found = suggest([Counting(flight)], [recipe])
+    assert [(s.channel, s.input, s.verdict) for s in found] == [("y", "u", "good"), ("z", "u", "good")]
+    assert read == {"CMD u": 1, "CMD v": 1, "STATE y": 1, "STATE z": 1}
+    assert sought == [0, 0]

@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 
 from flysid.dataset import FloatArray
 from flysid.errors import DataError
-from flysid.model.gram import lagged_gram, lagged_triangle, reduce_data, solve
+from flysid.lagged import lagged_gram
+from flysid.model.gram import lagged_triangle, reduce_data, solve
 from flysid.model.stream import Block, windows
 
 

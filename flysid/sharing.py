@@ -1,0 +1,51 @@
+"""What several ask for is done once: within `sharing()` an answer is remembered by what was asked.
+
+When the scope ends, all is forgotten.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Hashable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from typing import Any, ParamSpec, TypeVar
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+_known: ContextVar[dict[Hashable, Any] | None] = ContextVar("answers", default=None)
+
+
+@contextmanager
+def sharing() -> Iterator[None]:
+    """The scope in which answers are shared; a scope within a scope is part of it."""
+    if _known.get() is not None:
+        yield
+        return
+    token = _known.set({})
+    try:
+        yield
+    finally:
+        _known.reset(token)
+
+
+def once(key: Callable[..., Hashable | None]) -> Callable[[Callable[P, R]], Callable[P, R]]:
+    """A function whose answer is remembered by `key` of its arguments; None: it is not."""
+
+    def remembering(function: Callable[P, R]) -> Callable[P, R]:
+        @functools.wraps(function)
+        def asked(*args: P.args, **kwargs: P.kwargs) -> R:
+            known = _known.get()
+            at = None if known is None else key(*args, **kwargs)
+            if known is None or at is None:
+                return function(*args, **kwargs)
+            whole = (function.__module__, function.__qualname__, at)
+            if whole not in known:
+                known[whole] = function(*args, **kwargs)
+            answer: R = known[whole]
+            return answer
+
+        return asked
+
+    return remembering
