@@ -30,11 +30,6 @@ def pytest_collection() -> Generator[None, object, object]:
         gc.enable()
 
 
-def pytest_sessionfinish() -> None:
-    """Who asks the collector what refers to an object, as Hypothesis does, is told of all again."""
-    gc.unfreeze()
-
-
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     """A drawn test is made as often as `tests.drawn.draws` says."""
     if "fresh_seed" in metafunc.fixturenames and draws() > 1:

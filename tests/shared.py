@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import os
+import pickle
 from collections.abc import Callable
 from pathlib import Path
+from typing import TypeVar
 
 import pytest
 from filelock import FileLock
+
+T = TypeVar("T")
 
 
 def make_once(factory: pytest.TempPathFactory, name: str, make: Callable[[Path], None]) -> Path:
@@ -24,3 +28,14 @@ def make_once(factory: pytest.TempPathFactory, name: str, make: Callable[[Path],
             make(folder)
             ready.touch()
     return folder
+
+
+def find_once(factory: pytest.TempPathFactory, name: str, find: Callable[[], T]) -> T:
+    """What `find` returns, found by the first worker that wants it; every worker gets a copy of its own."""
+
+    def write(to: Path) -> None:
+        (to / "found").write_bytes(pickle.dumps(find()))
+
+    folder = make_once(factory, name, write)
+    found: T = pickle.loads((folder / "found").read_bytes())
+    return found

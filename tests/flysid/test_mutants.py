@@ -16,7 +16,11 @@ from soak.reach import Mentions, Place, Reach
 from soak.row_27_mutants import Bench, Record, Trial, measure, run_tests
 
 ROOT = Path(__file__).resolve().parents[2]
-SITES = find_sites(ROOT)
+
+
+@pytest.fixture(scope="module")
+def sites() -> list[list[Mutant]]:
+    return find_sites(ROOT)
 
 
 def news(text: str) -> set[tuple[str, str]]:
@@ -37,8 +41,8 @@ def differing(one: ast.AST, other: ast.AST) -> int:
     return count
 
 
-def test_a_change_changes_one_node_and_compiles() -> None:
-    for mutant in draw(SITES, 1, 100):
+def test_a_change_changes_one_node_and_compiles(sites: list[list[Mutant]]) -> None:
+    for mutant in draw(sites, 1, 100):
         source = (ROOT / mutant.place.path).read_bytes()
         new = mutant.apply(source)
         compile(new, mutant.place.path, "exec")
@@ -121,12 +125,12 @@ def test_where_something_is_drawn_comparisons_count() -> None:
     assert {kind for kind, _ in news(around)} == {"sign"}
 
 
-def test_a_seed_draws_the_same_and_no_site_twice() -> None:
-    drawn = draw(SITES, 7, 500)
-    assert drawn == draw(SITES, 7, 500)
-    assert drawn != draw(SITES, 8, 500)
+def test_a_seed_draws_the_same_and_no_site_twice(sites: list[list[Mutant]]) -> None:
+    drawn = draw(sites, 7, 500)
+    assert drawn == draw(sites, 7, 500)
+    assert drawn != draw(sites, 8, 500)
     assert len({(m.place.path, m.start, m.end) for m in drawn}) == 500
-    assert len({m.key for m in draw(SITES, 7, len(SITES) + 1)}) == len(SITES)
+    assert len({m.key for m in draw(sites, 7, len(sites) + 1)}) == len(sites)
 
 
 KERNEL = """

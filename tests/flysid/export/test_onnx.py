@@ -15,7 +15,7 @@ from flysid.export.programs import members_of, rest_of
 from flysid.export.reference import run
 from tests.command import call
 from tests.flysid.export.callers import SCRIPT, python_with, require, run_python
-from tests.flysid.export.test_callable import ROWS, file_names, given, measured, models
+from tests.flysid.export.test_callable import BUILDERS, ROWS, file_names, given, measured, model_named
 from tests.model_examples import fitted
 
 Found = Mapping[str, FloatArray]
@@ -29,7 +29,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     place = tmp_path_factory.mktemp("onnx")
     (place / "models").mkdir()
     for name, file in file_names().items():
-        models()[name].save(place / "models" / f"{file}.json")
+        model_named(name).save(place / "models" / f"{file}.json")
         u, weights = given(name)
         np.savez(place / file, u=u.reshape(2, ROWS, -1), weights=weights, measured=measured(name))
     run_python(python, EXPORT, place, cwd=place, knows_flysid=True)
@@ -37,9 +37,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return place
 
 
-@pytest.mark.parametrize("name", models())
+@pytest.mark.parametrize("name", BUILDERS)
 def test_a_batch_of_free_runs_from_rest_equals_the_model_to_float32(name: str, folder: Path) -> None:
-    model = models()[name]
+    model = model_named(name)
     u, _ = given(name)
     found = np.load(folder / f"{file_names()[name]}.onnx.npz")
     for inputs, y in zip(u.reshape(2, ROWS, -1), found["y"], strict=True):
@@ -52,7 +52,7 @@ def test_a_batch_of_free_runs_from_rest_equals_the_model_to_float32(name: str, f
 def test_the_memory_in_physical_units_is_that_of_the_programs(name: str, folder: Path) -> None:
     u = given(name)[0].reshape(2, ROWS, -1)
     found = np.load(folder / f"{file_names()[name]}.onnx.npz")
-    members = members_of(models()[name])
+    members = members_of(model_named(name))
     for inputs, memory in zip(u, found["memory"], strict=True):
         left = np.concatenate([run(m.program, inputs)[1] for m in members])
         np.testing.assert_allclose(memory, left, rtol=1e-4, atol=1e-4)

@@ -16,7 +16,7 @@ from flysid.reviews.estimator import review
 from flysid.reviews.fact import Fact, Grade, Section
 from flysid.reviews.gps import Receiver, find_jump
 from flysid.reviews.logged import Column
-from tests.flysid.reviews.conftest import FlightsOf
+from tests.flysid.reviews.quadrotors import FlightsOf
 from tests.flysid.reviews.shared_logs import dataflash_values, logged, needs_shared, open_logged, ulog_values
 
 COPTER = "dataflash/copter_437s.bin"

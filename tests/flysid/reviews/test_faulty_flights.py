@@ -13,7 +13,7 @@ from bench.faulty_quadrotor import Flight
 from bench.faulty_ulog import ulog_bytes
 from flysid.ingest.align.signals import FlightLog
 from flysid.reviews.logged import LoggedFlight
-from tests.flysid.reviews.conftest import FlightsOf
+from tests.flysid.reviews.quadrotors import FlightsOf
 
 
 @pytest.fixture(scope="module")

@@ -21,7 +21,7 @@ from flysid.ingest.lake.stretches import Stretches
 from flysid.reviews.fact import Fact, Grade, Section, Table
 from flysid.reviews.happened import review
 from flysid.reviews.power import review as review_power
-from tests.flysid.reviews.conftest import FlightsOf
+from tests.flysid.reviews.quadrotors import FlightsOf
 from tests.flysid.reviews.shared_logs import dataflash_values, logged, needs_shared, open_logged, ulog_values
 
 AGGRESSIVE = "ulog/quad_manual_aggressive_80s.ulg"

@@ -2,43 +2,30 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from bench.faulty_carriers import travel
-from bench.faulty_quadrotor import Flight, Quadrotor, draw_quadrotor
-from bench.faulty_sensors import fly
+from bench.faulty_quadrotor import Flight, Quadrotor
 from bench.review_faults import CARRIERS, Trial, write
 from flysid.ingest.lake.failures import failure_messages, plain_words
 from flysid.ingest.lake.motors import read_motors
 from flysid.reviews.motor_loss import find_thrust_loss
 from tests.command import call
+from tests.flysid.reviews.quadrotors import FlightsOf, known
 from tests.flysid.reviews.shared_logs import logged, needs_shared
 from tests.ingest.lake.test_stretches import log, stream
 
-RNG = np.random.default_rng(77)
-SOUND = draw_quadrotor(RNG)
-HOVER_A = SOUND.mass_kg * 9.81 * 17.0 * np.sqrt(SOUND.hover) / (3.9 * SOUND.cells)
-FAULTY = {
-    "sound": SOUND,
-    "motor": replace(SOUND, fails_s=30.0),
-    "propeller": replace(SOUND, fails_s=30.0, propeller=True),
-    "slip": replace(SOUND, slips_s=24.0, slip_s=0.2),
-    "jam": replace(SOUND, jam_s=25.0),
-    "wires": replace(SOUND, wires=1.2 / HOVER_A),
-    "radio": replace(SOUND, incident="radio", incident_s=26.0),
-    "EKF": replace(SOUND, incident="EKF", incident_s=28.0, drift_s=24.0, drift_m_s=2.0),
-    "dropped": replace(SOUND, hard_m_s=3.0),
-    "brown": replace(SOUND, browns_s=33.0),
-}
+FAULTY = known()
+SOUND = FAULTY["sound"]
 
 
 @pytest.fixture(scope="module")
-def flights() -> dict[str, Flight]:
-    return dict(zip(FAULTY, fly(list(FAULTY.values())), strict=True))
+def flights(flights_of: FlightsOf) -> Mapping[str, Flight]:
+    return flights_of("known")
 
 
 def first_sentence(path: Path) -> str:
@@ -67,7 +54,7 @@ CASES = [
 
 @pytest.mark.parametrize(("kind", "firmware", "begin", "end"), CASES)
 def test_a_quadrotor(
-    flights: dict[str, Flight], kind: str, firmware: str, begin: str, end: str, tmp_path: Path
+    flights: Mapping[str, Flight], kind: str, firmware: str, begin: str, end: str, tmp_path: Path
 ) -> None:
     trial = Trial(kind, FAULTY[kind], firmware, rpm=True)
     text = first_sentence(write(trial, flights[kind], tmp_path, "log"))
@@ -77,14 +64,14 @@ def test_a_quadrotor(
 
 
 def test_a_blackbox_without_speeds_names_the_motor_that_was_driven_up(
-    flights: dict[str, Flight], tmp_path: Path
+    flights: Mapping[str, Flight], tmp_path: Path
 ) -> None:
     path = write(Trial("motor", FAULTY["motor"], "betaflight", rpm=False), flights["motor"], tmp_path, "log")
     assert "thrust of motor 2 lost" in first_sentence(path)
 
 
 @pytest.mark.parametrize("firmware", ["betaflight", "inav"])
-def test_a_sound_quadrotor(flights: dict[str, Flight], firmware: str, tmp_path: Path) -> None:
+def test_a_sound_quadrotor(flights: Mapping[str, Flight], firmware: str, tmp_path: Path) -> None:
     text = first_sentence(write(Trial("sound", SOUND, firmware, True), flights["sound"], tmp_path, "log"))
     assert "Roll and pitch follow well" in text
 

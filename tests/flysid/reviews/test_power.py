@@ -19,7 +19,7 @@ from flysid.reviews.battery import lowest, measure_resistance, share_at_end
 from flysid.reviews.fact import Grade, MotorPlan, Section
 from flysid.reviews.logged import Column
 from flysid.reviews.power import review
-from tests.flysid.reviews.conftest import FlightsOf
+from tests.flysid.reviews.quadrotors import FlightsOf
 from tests.flysid.reviews.shared_logs import (
     SHARED,
     dataflash_values,

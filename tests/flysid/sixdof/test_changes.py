@@ -6,12 +6,9 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
-import pytest
 from click.testing import CliRunner, Result
 
-import flysid
 from flysid.cli import root
-from flysid.dataset import Dataset
 from flysid.errors import UsageError
 from flysid.sixdof.changes import MASS, changes_since
 from flysid.sixdof.fitted import FittedVehicle
@@ -20,24 +17,19 @@ from tests.flysid.sixdof.hidden_quad import HiddenQuad, dataset, write_table
 QUAD = HiddenQuad()
 
 
-@pytest.fixture(scope="module")
-def before(still: Dataset) -> FittedVehicle:
-    return flysid.Vehicle(free_runs=False).fit(still)
-
-
 def watch(*arguments: str | Path) -> Result:
     return CliRunner().invoke(root, ["watch", *map(str, arguments)], standalone_mode=False)
 
 
-def test_the_same_vehicle_shows_no_change(before: FittedVehicle) -> None:
-    found = changes_since(before, dataset(QUAD, 1, 15.0, 50))
+def test_the_same_vehicle_shows_no_change(regressed: FittedVehicle) -> None:
+    found = changes_since(regressed, dataset(QUAD, 1, 15.0, 50))
     assert found.found == []
     assert {"motor 1", "motor 4", MASS} <= {row.name for row in found.rows}
     assert "no change of motor 1" in found.lines()[0]
 
 
-def test_a_weak_motor_is_named(before: FittedVehicle, tmp_path: Path) -> None:
-    before.save(tmp_path / "vehicle.json")
+def test_a_weak_motor_is_named(regressed: FittedVehicle, tmp_path: Path) -> None:
+    regressed.save(tmp_path / "vehicle.json")
     weak = replace(QUAD, strength=(1.0, 1.0, 0.75, 1.0))
     log = write_table(tmp_path / "weak.csv", dataset(weak, 1, 15.0, 51))
     done = watch(tmp_path, log, "--fail", "--json")
@@ -49,8 +41,8 @@ def test_a_weak_motor_is_named(before: FittedVehicle, tmp_path: Path) -> None:
     ]
 
 
-def test_a_heavier_vehicle_is_named_in_words(before: FittedVehicle, tmp_path: Path) -> None:
-    before.save(tmp_path / "vehicle.json")
+def test_a_heavier_vehicle_is_named_in_words(regressed: FittedVehicle, tmp_path: Path) -> None:
+    regressed.save(tmp_path / "vehicle.json")
     heavy = write_table(
         tmp_path / "heavy.csv", dataset(replace(QUAD, thrust=QUAD.thrust / 1.25), 1, 15.0, 52)
     )
@@ -62,8 +54,8 @@ def test_a_heavier_vehicle_is_named_in_words(before: FittedVehicle, tmp_path: Pa
     assert "propeller" not in told
 
 
-def test_a_link_is_no_log(before: FittedVehicle, tmp_path: Path) -> None:
-    before.save(tmp_path / "vehicle.json")
+def test_a_link_is_no_log(regressed: FittedVehicle, tmp_path: Path) -> None:
+    regressed.save(tmp_path / "vehicle.json")
     done = watch(tmp_path, "udp:14550")
     assert isinstance(done.exception, UsageError)
     assert "not on a link" in str(done.exception)

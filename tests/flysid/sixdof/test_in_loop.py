@@ -5,9 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import pytest
 
-import flysid
 from flysid.dataset import Dataset
 from flysid.sixdof.fitted import FittedVehicle
 from flysid.sixdof.horizons import Starts, errors, fly_ahead, hold, whole_starts
@@ -17,11 +15,6 @@ from tests.flysid.sixdof.hidden_quad import HiddenQuad, dataset
 from tests.flysid.sixdof.test_cleaning import damaged
 
 STEPS = 30
-
-
-@pytest.fixture(scope="module")
-def vehicle(gusty: Dataset) -> FittedVehicle:
-    return flysid.Vehicle(free_runs=False).fit(gusty)
 
 
 def starts_of(data: Dataset) -> list[Starts]:
@@ -35,22 +28,22 @@ def test_no_start_touches_damage(still: Dataset) -> None:
     assert len(starts.at) > 300
 
 
-def test_each_predictor_is_better_where_it_knows_more(gusty: Dataset, vehicle: FittedVehicle) -> None:
+def test_each_predictor_is_better_where_it_knows_more(gusty: Dataset, gusty_regressed: FittedVehicle) -> None:
     known = starts_of(gusty)
     (unseen,) = starts_of(dataset(HiddenQuad(gust=8.0), 1, 15.0, 90))
     held = errors(unseen, hold(unseen))
-    alone = errors(unseen, fly_ahead(unseen, vehicle))
-    in_loop = errors(unseen, fit_in_loop(known, vehicle).predict(unseen))
-    without = errors(unseen, fit_in_loop(known, blind(vehicle)).predict(unseen))
+    alone = errors(unseen, fly_ahead(unseen, gusty_regressed))
+    in_loop = errors(unseen, fit_in_loop(known, gusty_regressed).predict(unseen))
+    without = errors(unseen, fit_in_loop(known, blind(gusty_regressed)).predict(unseen))
     assert alone[4, 3] < 0.8 * held[4, 3]
     assert alone[:, :2].sum() < held[:, :2].sum()
     assert in_loop.sum() < 0.9 * without.sum()
     assert without.sum() < held.sum()
 
 
-def test_without_motors_no_motor_tells(gusty: Dataset, vehicle: FittedVehicle) -> None:
+def test_without_motors_no_motor_tells(gusty: Dataset, gusty_regressed: FittedVehicle) -> None:
     known = starts_of(gusty)
-    model = fit_in_loop(known, blind(vehicle), weight=0.01)
+    model = fit_in_loop(known, blind(gusty_regressed), weight=0.01)
     first = known[0]
     rng = np.random.default_rng(0)
     other = replace(first.record, commands=rng.uniform(0.1, 1.0, first.record.commands.shape))
@@ -60,10 +53,10 @@ def test_without_motors_no_motor_tells(gusty: Dataset, vehicle: FittedVehicle) -
 
 
 def test_the_future_of_motors_beyond_the_horizon_tells_nothing(
-    gusty: Dataset, vehicle: FittedVehicle
+    gusty: Dataset, gusty_regressed: FittedVehicle
 ) -> None:
     known = starts_of(gusty)
-    model = fit_in_loop(known, vehicle, weight=0.01)
+    model = fit_in_loop(known, gusty_regressed, weight=0.01)
     one = replace(known[0], at=known[0].at[:1])
     step = 7
     later = one.record.commands.copy()

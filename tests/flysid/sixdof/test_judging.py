@@ -12,6 +12,7 @@ import flysid
 from flysid.cli import root
 from flysid.dataset import Dataset
 from flysid.sixdof.far import fit_far, habits, with_commands
+from flysid.sixdof.fitted import FittedVehicle
 from flysid.sixdof.horizons import KINDS
 from flysid.sixdof.judging import (
     ALONE,
@@ -31,9 +32,8 @@ from tests.flysid.sixdof.hidden_quad import write_table
 
 
 @pytest.fixture(scope="module")
-def judged(gusty: Dataset) -> Judgement:
-    settings = flysid.Vehicle(free_runs=False)
-    found = judge_vehicle(settings, gusty, settings.fit(gusty))
+def judged(gusty: Dataset, gusty_regressed: FittedVehicle) -> Judgement:
+    found = judge_vehicle(flysid.Vehicle(free_runs=False), gusty, gusty_regressed)
     assert found is not None
     return found
 
@@ -72,8 +72,8 @@ def test_words_follow_the_table(sizes: list[float], words: str) -> None:
     assert words in Judgement(table, (1, 1, 1, 1), "1 flight").words()[0]
 
 
-def test_the_verb_prints_it_and_without_positions_does_not(still: Dataset, tmp_path: Path) -> None:
-    table = write_table(tmp_path / "flight.csv", still)
+def test_the_verb_prints_it_and_without_positions_does_not(short: Dataset, tmp_path: Path) -> None:
+    table = write_table(tmp_path / "flight.csv", short)
     done = CliRunner().invoke(root, ["vehicle", str(table), "--calm", "-q"], catch_exceptions=False)
     assert done.exit_code == 0
     assert "judged on the last third of" in done.stdout

@@ -42,12 +42,13 @@ def test_a_table_becomes_a_vehicle(table: Path, tmp_path: Path) -> None:
 
 
 def test_a_page_that_breaks_leaves_the_vehicle(
-    table: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    short: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def fail(*_: object) -> None:
         raise ValueError("injected")
 
     monkeypatch.setattr("flysid.reviews.vehicle_page.render_vehicle", fail)
+    table = write_table(tmp_path / "flight.csv", short)
     done = vehicle(table, "-o", tmp_path / "vehicle", "--calm")
     assert done.exit_code == 0, done.output
     assert "The page with its pictures of the vehicle could not be given" in " ".join(done.stderr.split())
@@ -65,10 +66,13 @@ def test_rates_and_a_voltage_alone_tell_no_thrust(table: Path, tmp_path: Path) -
     assert "voltage power: no velocity and no accelerometer are logged" in " ".join(done.stdout.split())
 
 
-def test_two_logs_are_one_vehicle_and_json_holds_it(gusty: Dataset, tmp_path: Path) -> None:
+def test_two_logs_are_one_vehicle_and_json_holds_it(short: Dataset, tmp_path: Path) -> None:
     paths = []
-    for i, segment in enumerate(gusty.segments):
-        paths.append(write_table(tmp_path / f"{i}.csv", gusty.with_segments([segment])))
+    (segment,) = short.segments
+    half = len(segment) // 2
+    for i in range(2):
+        part = short.with_segments([segment.slice(half * i, half * (i + 1), short.dt_s)])
+        paths.append(write_table(tmp_path / f"{i}.csv", part))
     done = vehicle(*paths, "--json", "-q", "--pool")
     assert done.exit_code == 0, done.output
     document = json.loads(done.stdout)
@@ -76,13 +80,13 @@ def test_two_logs_are_one_vehicle_and_json_holds_it(gusty: Dataset, tmp_path: Pa
     assert {row["name"] for row in document["numbers"] if row["is_determined"]} >= {"motor lag"}
 
 
-def test_pulses_and_axes_are_found_and_said(still: Dataset, tmp_path: Path) -> None:
-    segment = still.segments[0]
+def test_pulses_and_axes_are_found_and_said(short: Dataset, tmp_path: Path) -> None:
+    segment = short.segments[0]
     y = segment.y * np.repeat([1.0, -1.0, 1.0, -1.0, 1.0], [1, 2, 1, 2, 10])
     half = y[:, 6:10].copy()
     y[:, 6:10] = np.stack([-half[:, 1], half[:, 0], half[:, 3], -half[:, 2]], axis=1)
     pulses = replace(segment, u=1000.0 + 1000.0 * segment.u, y=y)
-    done = vehicle(write_table(tmp_path / "pulses.csv", still.with_segments([pulses])), "--calm")
+    done = vehicle(write_table(tmp_path / "pulses.csv", short.with_segments([pulses])), "--calm")
     assert done.exit_code == 0, done.output
     assert "pulses" in done.stdout
     assert "forward, right, down" in done.stdout
