@@ -63,6 +63,13 @@ def test_a_filter_both_ways_is_scipys(rows: int) -> None:
         np.testing.assert_allclose(run_both_ways(own, x), signal.sosfiltfilt(scipys, x), atol=1e-8)
 
 
+@pytest.mark.parametrize("rows", [0, 1, 2, 9])
+def test_a_log_shorter_than_the_filters_reach_keeps_its_rows(rows: int) -> None:
+    """Two rows of a blackbox came back as none, and `flysid gains` ended with a traceback."""
+    sections = Stage(Kind.BIQUAD, 40.0).sections(1000.0)
+    np.testing.assert_allclose(run_both_ways(sections, np.full(rows, 3.0)), np.full(rows, 3.0))
+
+
 def test_px4s_notch_has_the_width_that_is_stated() -> None:
     b, a = signal.iirnotch(90.0, 90.0 / 20.0, fs=RATE)
     np.testing.assert_allclose(
