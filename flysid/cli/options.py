@@ -45,19 +45,19 @@ def gather(name: str, make: Callable[..., Any], *options: Decorator) -> Callable
 
 
 def force_option(replaced: str) -> Decorator:
-    """--force: `replaced` is what the help calls that which is replaced."""
+    """--force; its help names what is replaced."""
     return click.option("--force", cls=Own, is_flag=True, help=f"Replace the {replaced} if it exists.")
 
 
 def jobs_option(words: str) -> Decorator:
-    """--jobs: how many of what run side by side; 0 where it is not given."""
+    """--jobs; 0 where it is not given."""
     return click.option(
         "--jobs", "-j", cls=Own, default=0, type=click.IntRange(min=0), metavar="N", help=words
     )
 
 
 def effort_option(words: str) -> Decorator:
-    """--effort: of the search for rules."""
+    """--effort of the search for rules."""
     kinds = click.Choice(["quick", "normal", "thorough"])
     return click.option("--effort", default="normal", show_default=True, type=kinds, help=words)
 
@@ -79,23 +79,21 @@ channels_option = click.option(
 )
 
 
-def target_options(
-    *flags: str, replaced: str, makes_folders: bool = True, **settings: Any
-) -> Callable[[F], F]:
+def target_options(*flags: str, replaced: str, **settings: Any) -> Callable[[F], F]:
     """The option of a file or folder to write, and --force; the verb takes the path once it may be written.
 
     Parameters
     ----------
     flags : of the option, as `click.option` takes them.
     replaced : see `force_option`.
-    makes_folders : see `flysid.cli.output.check_target`.
+    settings : of the option besides.
     """
     option = click.option(*flags, **{"type": click.Path(path_type=Path), **settings})
     name = max(flags, key=len).lstrip("-")
 
     def checked(force: bool, **target: Path | None) -> Path | None:
         if (path := target[name]) is not None:
-            check_target(path, force, makes_folders=makes_folders)
+            check_target(path, force)
         return path
 
     return gather(name, checked, option, force_option(replaced))
