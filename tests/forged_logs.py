@@ -18,6 +18,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import zstandard
 
+from flysid.ingest.formats.blackbox.header import START
 from tests.samplelogs import blackbox, mcap, navdata, rosbag, rosbag2, tlog, ulog
 from tests.samplelogs.dataflash import fmt, pack
 
@@ -110,7 +111,7 @@ def _wide_blackbox() -> bytes:
     zeros = ",".join("0" * count)
     lines = [f"H Field I {what}:{zeros}\n" for what in ("signed", "predictor", "encoding")]
     lines += [f"H Field P {what}:{zeros}\n" for what in ("predictor", "encoding")]
-    return blackbox.START + f"H Field I name:{names}\n".encode() + "".join(lines).encode() + b"I\0" * 100_000
+    return START + f"H Field I name:{names}\n".encode() + "".join(lines).encode() + b"I\0" * 100_000
 
 
 def _many_senders() -> bytes:
