@@ -163,7 +163,7 @@ class Reach:
         return counts
 
     def tests_of(self, place: Place, mentions: Mentions) -> list[str]:
-        """Tests that reach a place, those first that reach little else.
+        """Tests that reach a place, those first that reach little else and cost little.
 
         Parameters
         ----------
@@ -179,10 +179,11 @@ class Reach:
         files = {name.partition("::")[0] for name in found}
         beside = {name for name in self.seconds if name.partition("::")[0] in files} - found
         near = {name for name in beside if not name.startswith(DOORS)}  # doors share nothing
-        return [name for group in (found, near) for name in sorted(group, key=self._breadth)]
+        return [name for group in (found, near) for name in sorted(group, key=self._price)]
 
-    def _breadth(self, name: str) -> tuple[int, float, str]:
-        return self.reached[name], self.seconds[name], name
+    def _price(self, name: str) -> tuple[float, str]:
+        """Lines reached times seconds: few lines tell that a test is about these, and a second buys many."""
+        return self.reached[name] * self.seconds[name], name
 
     def _direct(self, place: Place) -> set[str]:
         kept = self.lines.get(place.path, {})

@@ -16,7 +16,6 @@ import os
 import resource
 import secrets
 import shutil
-import signal
 import subprocess
 import sys
 import tempfile
@@ -32,6 +31,7 @@ from soak import Budget, Campaign, Outcome
 from soak.mutating import Mutant, draw, find_sites
 from soak.private_tree import copy_tree, forget_compiled, stamp
 from soak.reach import DOORS, FOLDERS, REACH_FILE, STARTED, Mentions, Reach
+from soak.ready import ONE_THREAD, load, run_pytest
 from soak.selected import FAILED_FILE, NAMES_FILE, files_of
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -48,6 +48,7 @@ START_S = 20.0
 PATIENCE = 3.0
 """A run ends after so many times its expected CPU, or ten times that on the clock: others compute, too."""
 
+OPTIONS = ("-x", "-q", "-p", "no:cacheprovider", "-p", "soak.selected")
 NOT_NOTICED = "not noticed"
 
 
@@ -142,39 +143,15 @@ def run_tests(tree: Path, names: Sequence[str], expected_s: float) -> Ran:
     """Run tests in a tree until the first fails; what takes far longer than expected fails, too."""
     limit_s = int(PATIENCE * (START_S + expected_s))
     began = _children_s()
-    command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", "-p", "soak.selected"]
     with tempfile.TemporaryDirectory() as place:
         wanted, failed = Path(place) / "names", Path(place) / "failed"
         wanted.write_text("\n".join(names), "utf-8")
         failed.touch()
-        with subprocess.Popen(
-            [*command, *files_of(names)],
-            cwd=tree,
-            env=_environment(tree) | {NAMES_FILE: str(wanted), FAILED_FILE: str(failed)},
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-            start_new_session=True,
-            preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_CPU, (limit_s, limit_s)),
-        ) as process:
-            try:
-                process.wait(10 * limit_s)
-            except subprocess.TimeoutExpired:
-                pass
-            finally:
-                _end(process)
+        environment = _environment(tree) | {NAMES_FILE: str(wanted), FAILED_FILE: str(failed)}
+        code = run_pytest(tree, [*OPTIONS, *files_of(names)], environment, limit_s)
         blamed = failed.read_text("utf-8").splitlines()
-    passed = process.returncode in (pytest.ExitCode.OK, pytest.ExitCode.NO_TESTS_COLLECTED)
+    passed = code in (pytest.ExitCode.OK, pytest.ExitCode.NO_TESTS_COLLECTED)
     return Ran(passed, blamed, _children_s() - began)
-
-
-def _end(process: subprocess.Popen[bytes]) -> None:
-    """End a process with all that it started."""
-    try:
-        os.killpg(process.pid, signal.SIGKILL)
-    except ProcessLookupError:
-        return
-    finally:
-        process.wait()
 
 
 def _children_s() -> float:
@@ -183,8 +160,7 @@ def _children_s() -> float:
 
 
 def _environment(tree: Path) -> dict[str, str]:
-    threads = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
-    return os.environ | threads | {"PYTHONPATH": str(tree)}
+    return os.environ | ONE_THREAD | {"PYTHONPATH": str(tree)}
 
 
 @dataclass
@@ -311,6 +287,7 @@ def run(budget: Budget) -> Iterator[Outcome]:
     folder = ROOT / ".bench" / "mutants" / stamp(ROOT)
     folder.mkdir(parents=True, exist_ok=True)
     goes_on = budget.clock()
+    load()
     with tempfile.TemporaryDirectory() as place:
         whole = copy_tree(ROOT, Path(place) / "whole")
         subprocess.run(
