@@ -27,7 +27,7 @@ from flysid.model.threads import on_one_thread
 
 FLYSID = (sys.executable, "-m", "flysid")
 DT = 0.02
-POLES = np.poly([0.95, 0.9, 0.6])
+POLES = np.asarray(np.poly([0.95, 0.9, 0.6]), dtype=np.float64)
 
 
 def lag(rows: int) -> Callable[[Path], list[str]]:
@@ -116,7 +116,7 @@ def lagged(rows: int, inputs: int) -> Dataset:
     """A noisy lag of third order, driven by several inputs that move apart."""
     rng = np.random.default_rng(rows + inputs)
     u = np.repeat(rng.normal(size=(rows // 10 + 1, inputs)), 10, axis=0)[:rows]
-    y = sum(apply_filter(np.array([0.0, 0.01 * (i + 1)]), POLES, u[:, i]) for i in range(inputs))
+    y = apply_filter(np.array([0.0, 0.01]), POLES, u @ np.arange(1.0, inputs + 1.0))
     return Dataset.from_arrays(u, y + 0.05 * y.std() * rng.normal(size=rows), DT)
 
 
