@@ -1,6 +1,8 @@
-"""CPU seconds of `flysid fit` and `flysid demo` on one core: `python -m bench.fit_seconds [NAME...]`.
+"""CPU seconds of commands on one core, ratios and exponents of cost: `python -m bench.fit_seconds [NAME...]`.
 
 On a busy machine CPU seconds grow, too: every row stands beside those of a fixed loop, before and after it.
+`growth` fits in this process: a refined ARX beside least squares of the same matrix, and the exponents of
+cost in samples and in inputs.
 """
 
 from __future__ import annotations
@@ -11,16 +13,21 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from bench.harness import LOGS, ROOT
+from flysid.dataset import Dataset
+from flysid.filters import apply_filter
+from flysid.model.arx import ARX
+from flysid.model.statespace import StateSpace
 from flysid.model.threads import on_one_thread
 
 FLYSID = (sys.executable, "-m", "flysid")
 DT = 0.02
+POLES = np.asarray(np.poly([0.95, 0.9, 0.6]), dtype=np.float64)
 
 
 def lag(rows: int) -> Callable[[Path], list[str]]:
@@ -46,6 +53,11 @@ def log(name: str, recipe: str) -> Callable[[Path], list[str]]:
     return lambda _: ["fit", str(LOGS / name), "--recipe", recipe]
 
 
+def suggestions(name: str) -> Callable[[Path], list[str]]:
+    """`flysid ls --suggest` of a real log."""
+    return lambda _: ["ls", str(LOGS / name), "--suggest"]
+
+
 CASES: Mapping[str, Callable[[Path], list[str]]] = {
     "px4": log("ulog/quad_position_76s.ulg", "px4-attitude"),
     "ardupilot": log("dataflash/copter_437s.bin", "ardupilot-attitude"),
@@ -53,8 +65,15 @@ CASES: Mapping[str, Callable[[Path], list[str]]] = {
     "1e3": lag(1_000),
     "1e4": lag(10_000),
     "1e5": lag(100_000),
+    "18e3": lag(18_000),
     "demo": lambda _: ["demo"],
+    "reproduce": lambda _: ["reproduce", "ardrone-ts"],
+    "ls px4": suggestions("ulog/quad_position_76s.ulg"),
+    "ls betaflight": suggestions("blackbox/greenreaper_flight28.bfl"),
+    "ls ardupilot": suggestions("dataflash/sitl_copter_49s.BIN"),
 }
+SAMPLES = (10_000, 100_000, 1_000_000)
+INPUTS = (2, 4, 8, 16)
 
 
 @on_one_thread
@@ -74,7 +93,7 @@ def line(name: str) -> str:
     with tempfile.TemporaryDirectory() as place:
         folder = Path(place)
         words = CASES[name](folder)
-        target = [] if words[0] == "demo" else ["-o", str(folder / "run"), "-j", "1"]
+        target = ["-o", str(folder / "run"), "-j", "1"] if words[0] == "fit" else []
         beside = [loop_s()]
         before = resource.getrusage(resource.RUSAGE_CHILDREN)
         begin = time.perf_counter()
@@ -93,11 +112,65 @@ def line(name: str) -> str:
     return f"{name:10s} {cpu:7.1f} s CPU, {wall:7.1f} s wall; loop {beside[0]:.2f}, {beside[1]:.2f} s{failed}"
 
 
+def lagged(rows: int, inputs: int) -> Dataset:
+    """A noisy lag of third order, driven by several inputs that move apart."""
+    rng = np.random.default_rng(rows + inputs)
+    u = np.repeat(rng.normal(size=(rows // 10 + 1, inputs)), 10, axis=0)[:rows]
+    y = apply_filter(np.array([0.0, 0.01]), POLES, u @ np.arange(1.0, inputs + 1.0))
+    return Dataset.from_arrays(u, y + 0.05 * y.std() * rng.normal(size=rows), DT)
+
+
+def fit_s(settings: ARX | StateSpace, data: Dataset) -> float:
+    """CPU seconds of a fit in this process."""
+    begin = time.process_time()
+    settings.fit(data)
+    return time.process_time() - begin
+
+
+@on_one_thread
+def least_squares_s(data: Dataset, order: int) -> float:
+    """CPU seconds of NumPy's least squares of an ARX of one input."""
+    (segment,) = data.segments
+    at = len(segment) - order
+    columns = [x[order - k : order - k + at, 0] for x in (segment.y, segment.u) for k in range(1, order + 1)]
+    matrix = np.column_stack(columns)
+    begin = time.process_time()
+    np.linalg.lstsq(matrix, segment.y[order:, 0], rcond=None)
+    return time.process_time() - begin
+
+
+def exponent(sizes: Sequence[int], spent_s: Sequence[float]) -> float:
+    """The power of its size that a cost grows with."""
+    return float(np.polyfit(np.log(sizes), np.log(spent_s), 1)[0])
+
+
+def growth() -> Iterator[str]:
+    """Ratios to least squares, and exponents."""
+    given = ARX(na=3, nb=3)
+    for settings in (given, ARX(), StateSpace()):  # compiles
+        settings.fit(lagged(500, 2))
+    spent = []
+    for rows in SAMPLES:
+        data = lagged(rows, 1)
+        spent.append(fit_s(given, data))
+        least = least_squares_s(data, 3)
+        yield f"ARX(3,3) refined, {rows:>9,} samples: {spent[-1]:.2f} s CPU, {spent[-1] / least:.0f} x lstsq"
+    yield f"exponent in samples, {SAMPLES[0]:,} to {SAMPLES[-1]:,}: {exponent(SAMPLES, spent):.2f} (1.1)"
+    for settings in (ARX(), StateSpace()):
+        spent = [fit_s(settings, lagged(3_000, n)) for n in INPUTS]
+        shown = ", ".join(f"{s:.2f}" for s in spent)
+        yield (
+            f"{type(settings).__name__}, {', '.join(map(str, INPUTS))} inputs, 3,000 samples: {shown} s CPU; "
+            f"exponent {exponent(INPUTS, spent):.2f} (2)"
+        )
+
+
 def main() -> None:
     """Print a line per case; one core, so that no command starts processes whose time is not seen here."""
     os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
-    for name in sys.argv[1:] or CASES:
-        print(line(name), flush=True)
+    for name in sys.argv[1:] or (*CASES, "growth"):
+        for text in growth() if name == "growth" else (line(name),):
+            print(text, flush=True)
 
 
 if __name__ == "__main__":

@@ -186,8 +186,8 @@ class OutputError:
         for record in known:
             width = len(record.y) // max(1, round(pieces * len(record.y) / total))
             size = width * rows // total
-            for begin in range((width - size) // 2, len(record.y) - size, width):
-                found.append(Record(record.u[begin : begin + size], record.y[begin : begin + size]))
+            begins = range((width - size) // 2, len(record.y) - size, width)
+            found += (Record(record.u[b : b + size], record.y[b : b + size]) for b in begins)
         thin = replace(self, records=tuple(found))
         return thin if len(list(thin.usable())) == len(found) else self
 

@@ -360,7 +360,7 @@ def _said(tried: Sequence[_Tried], chosen: int, left_out: Sequence[int]) -> str:
 
 
 def _fit(parts: Parts, orders: Sequence[OutputOrders], before: Sequence[OneOutput]) -> list[OneOutput]:
-    """Every output on the fitting part, or much of it; never worse than of lower orders (`before`, or none)."""
+    """Every output on the fitting part, or much of it; never worse than fits of lower orders (`before`)."""
     fits = []
     for i, own in enumerate(orders):
         fit = fit_output(OutputError(records(parts.fit, i), own).thinned(CHOICE_ROWS))

@@ -10,7 +10,7 @@ from flysid.filters import apply_filter
 from flysid.model.linear.output_error import find_delays, fit_output
 from flysid.model.simulation_error import OutputError, OutputOrders, Record, find_start
 
-A = np.poly([0.98, 0.84])
+A = np.asarray(np.poly([0.98, 0.84]), dtype=np.float64)
 B = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.3, -0.2])
 ORDERS = OutputOrders(2, (2,), (5,))
 
