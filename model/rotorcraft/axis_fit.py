@@ -22,6 +22,7 @@ from flysid.model.rotorcraft.rotor_axis import (
     TRIM,
     forgets,
     predictions,
+    wandering_trim,
 )
 
 Record = tuple[FloatArray, FloatArray, FloatArray | None]
@@ -222,4 +223,40 @@ def _judge(
     covariance = np.zeros((len(theta), len(theta)))
     own = coloured_covariance([s[:, inside] for s in slopes], *noise_model(errors))
     covariance[np.ix_(inside, inside)] = own
+    if TRIM in inside:
+        theta, covariance = _settle_trim(records, theta, dt, integrates, covariance)
     return FittedAxis(theta, tuple(inside), covariance)
+
+
+def _settle_trim(
+    records: Sequence[Record], theta: FloatArray, dt: float, integrates: bool, covariance: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Parameters and covariance with the mean of the trim as it wanders; unchanged where it does not.
+
+    Its value at the first row is what wind and motors happened to do then. The mean misses the vehicle's own
+    by what wanders on average over the flights, and by what the errors of the torques make of it.
+    """
+
+    def paths(at: FloatArray) -> list[FloatArray]:
+        return [wandering_trim(x, y, at, dt, integrates, volts) for x, y, volts in records]
+
+    def mean(at: FloatArray) -> float:
+        return float(np.concatenate(paths(at)).mean())
+
+    wandering = paths(theta)
+    rows = sum(map(len, wandering))
+    level = mean(theta)
+    if not np.ptp(np.concatenate(wandering)) > 0.0:
+        return theta, covariance
+    d, variance = noise_model([path - level for path in wandering])
+    slope = np.zeros(len(theta))
+    for i in np.flatnonzero(np.diag(covariance) > 0.0):
+        moved = theta.copy()
+        moved[i] += np.sqrt(covariance[i, i])
+        slope[i] = (mean(moved) - level) / (moved[i] - theta[i])
+    slope[[TRIM, HOLD, DRIFT]] = 0.0
+    settled, known = theta.copy(), covariance.copy()
+    settled[TRIM] = level
+    known[TRIM] = known[:, TRIM] = 0.0
+    known[TRIM, TRIM] = slope @ covariance @ slope + variance / (d.sum() ** 2 * rows)
+    return settled, known

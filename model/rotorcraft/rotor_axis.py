@@ -227,6 +227,21 @@ def predictions(
     return out[:, 0], slopes
 
 
+def wandering_trim(
+    x: FloatArray,
+    y: FloatArray,
+    theta: FloatArray,
+    dt: float,
+    integrates: bool,
+    volts: FloatArray | None = None,
+) -> FloatArray:
+    """(N,) the trim as the one-step predictor corrects it, row by row."""
+    out = np.empty((len(x), 3))
+    felt = driven(x, theta, volts)
+    run(felt, felt[:0], y, theta, dt, integrates, False, out, np.empty((0, len(theta))))
+    return out[:, 1]
+
+
 def steps_ahead(
     x: FloatArray,
     y: FloatArray,

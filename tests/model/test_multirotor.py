@@ -6,9 +6,10 @@ import json
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from bench.physical import errors, flown
-from flysid.dataset import Dataset, Signal
+from flysid.dataset import Dataset, Segment, Signal
 from flysid.errors import DataError, UsageError
 from flysid.export.programs import program_of
 from flysid.ingest.align.recipe import load_recipe
@@ -210,3 +211,22 @@ def test_the_recipe_names_four_motors() -> None:
     recipe = load_recipe("rotorcraft-motors")
     assert {c.inputs for c in recipe.channels.values()} == {("motor1", "motor2", "motor3", "motor4")}
     assert "m/s/s" in recipe.signals["z_acceleration"].unit
+
+
+def test_the_trim_is_not_what_wind_did_at_the_first_row() -> None:
+    """Gusts of 50 deg/s/s that begin at 100: the trim of two opposed motors read what it began with."""
+    held = 0
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        u = 0.5 + 0.1 * np.repeat(rng.normal(size=(200, 2)), 20, axis=0)
+        keep = np.exp(-0.01)
+        kicks = np.append(100.0, 50.0 * np.sqrt(1.0 - keep**2) * rng.normal(size=len(u) - 1))
+        fade = np.exp(-0.01 / 0.05)
+        speed = lfilter([0.0, 1.0 - fade], [1.0, -fade], u - u[0], axis=0) + u[0]
+        torque = 1000.0 * (speed[:, 0] - speed[:, 1]) + lfilter([1.0], [1.0, -keep], kicks)
+        y = 0.01 * np.cumsum(torque) + 0.05 * rng.normal(size=len(u))
+        motors = (Signal("m1", ""), Signal("m2", ""))
+        data = Dataset(0.01, motors, (Signal("p", "deg/s"),), (Segment(u, y[:, None]),))
+        trim = Multirotor().fit(data).figures()[-1]
+        held += abs(trim.value) < trim.half_width < 200.0
+    assert held >= 5
