@@ -60,8 +60,11 @@ bench-model: $(VENV)/.installed  ## linear and fuzzy models against their peers 
 bench-accuracy: $(VENV)/.installed  ## free-run accuracy on ../shared/benchmarks, default settings
 	$(BIN)/python -m bench.accuracy
 
+# The stamp says that the site is whole: the tests then look at it instead of building another one.
 docs: $(VENV)/.installed  ## the documentation as a site in docs/_build, without network; warnings are errors
+	rm -f docs/_build/.whole
 	$(BIN)/python -m sphinx -n -W --keep-going -q -b html docs docs/_build
+	touch docs/_build/.whole
 
 audit: $(VENV)/.installed  ## licences, locked versions, vendored files; needs no network
 	$(BIN)/python -m tests.audit

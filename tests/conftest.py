@@ -19,6 +19,10 @@ settings.register_profile("drawn", deadline=None)
 settings.load_profile("drawn" if draws() > 1 else "gate")
 
 
+RARELY = 20_000
+"""New objects between two searches for garbage: Python's 700 costs a twentieth of a test's time."""
+
+
 @pytest.hookimpl(wrapper=True)
 def pytest_collection() -> Generator[None, object, object]:
     """What is imported and collected stays to the end: no search for garbage need walk through it."""
@@ -27,6 +31,7 @@ def pytest_collection() -> Generator[None, object, object]:
         return (yield)
     finally:
         gc.freeze()
+        gc.set_threshold(RARELY, *gc.get_threshold()[1:])
         gc.enable()
 
 

@@ -169,7 +169,7 @@ other_run = lines(
 watched = lines(
     "rm -rf run",
     f"flysid synth -o long {FAST} --duration 120 --format tlog",
-    f"flysid synth -o late {FAST} --duration 40 --format tlog --seed 9 --change 1:1:lag:3",
+    f"flysid synth -o late {FAST} --plan multisine --duration 40 --format tlog --seed 9 --change 1:1:lag:3",
     "mv late/01-multisine-seed9.tlog crash.bin",
     "flysid ingest long -o long-data -q",
     f"{QUICK} fit -j 1 long-data -r ardupilot-attitude --holdout 0.5 -o run -q",
