@@ -12,10 +12,20 @@ import pytest
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, FitError, UsageError
 from flysid.model.interop import from_control_states
+from flysid.model.linear.data import Scaling
 from flysid.model.statespace import StateSpace
 from flysid.model.subspace.kalman import gains_of
 from flysid.model.subspace.riccati import kalman_gain
-from flysid.model.subspace.triangle import METHODS, Method, Realisation, subspace
+from flysid.model.subspace.triangle import (
+    METHODS,
+    Columns,
+    Method,
+    Realisation,
+    project,
+    subspace,
+    triangle_for,
+    window,
+)
 
 A = np.array([[0.9, 0.2, 0.0], [-0.2, 0.85, 0.1], [0.0, 0.0, 0.7]])
 B = np.array([[0.1, 0.0], [0.0, 0.2], [0.3, 0.1]])
@@ -234,3 +244,12 @@ def test_what_cannot_be_fitted_is_said() -> None:
         StateSpace(order=0).fit(short)
     with pytest.raises(DataError, match="never changes"):
         StateSpace().fit(Dataset.from_arrays(u, np.ones_like(y), 0.02))
+
+
+def test_the_highest_order_leaves_one_row_of_the_future_to_each_output() -> None:
+    """Noise alone shows every order; the shift of the observability matrix needs the last row."""
+    rng = np.random.default_rng(0)
+    noise = Dataset.from_arrays(rng.normal(size=(300, 1)), rng.normal(size=(300, 1)), 1.0)
+    triangle = triangle_for(noise, Scaling.of(noise), window(3, "n4sid"))
+    projection = project(Columns.of(triangle, (1, 1), 3, "n4sid", feedthrough=False), "n4sid")
+    assert projection.most == len(projection.left) - 1 < np.count_nonzero(projection.singular_values > 0.0)
