@@ -278,7 +278,10 @@ def open_run(folder: str | Path) -> Run:
         raise StoreError("not a flysid run", path=path)
     check_version(body.get("version"), RUN_VERSION, "run", path)
     try:
-        return shaped({**body, "folder": folder}, Run)
+        found = shaped({**body, "folder": folder}, Run)
+        if unknown := body["settings"].keys() - asdict(found.settings).keys():
+            raise ValueError(f"unknown settings {', '.join(sorted(unknown))}")
+        return found
     except ValueError as error:
         raise StoreError(f"the run is damaged: {error}", path=path, hint="fit it again") from error
 
