@@ -131,8 +131,8 @@ def low_passed(seed: int, gain: float, *, late: int = 8, ratio: int = 2, every: 
         x[k] = 0.905 * x[k - 1] + 0.095 * u[k - 1]
         y[k] = x[k] + (3.0 if gain else 0.02) * drift[k] + 0.005 * grain[k]
         u[k] = u[k - 1] if k % every else command[k] - gain * y[k - late]
-    commands, answers = (np.convolve(s, lowpass(ratio), mode="valid")[::ratio] for s in (u, y))
-    data = Dataset.from_arrays(commands, answers, ratio / 100.0)
+    slow_u, slow_y = (np.convolve(s, lowpass(ratio), mode="valid")[::ratio] for s in (u, y))
+    data = Dataset.from_arrays(slow_u, slow_y, ratio / 100.0)
     return data.with_segments([replace(s, marks={LOWPASS: float(ratio)}) for s in data.segments])
 
 

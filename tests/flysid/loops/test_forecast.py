@@ -185,7 +185,8 @@ def test_a_log_too_slow_for_noise_says_so() -> None:
     order = [str(log), "--set", "MC_ROLLRATE_P=0.16"]
     told = CliRunner().invoke(command, [*order, "--json"])
     assert told.exit_code == 0, told.output
-    assert json.loads(told.stdout)["axes"][0]["noise"] is None
+    noise = json.loads(told.stdout)["axes"][0]["noise"]
+    assert noise == {"value": None, "low": None, "high": None, "why": "the log is too slow"}
     assert (
         "noise to the motors not determined: the log is too slow" in CliRunner().invoke(command, order).stdout
     )
