@@ -58,10 +58,10 @@ def over_lags(context: SearchContext, choices: Sequence[Orders]) -> tuple[list[C
 
 @once(SearchContext.key)
 def _of_orders(context: SearchContext, choices: tuple[Orders, ...]) -> tuple[Candidate, ...]:
-    stages = [(s, None) for s in _chain(context, choices)]
+    stages: list[Start] = [(s, None) for s in _chain(context, choices)]
     stages += [(s, None) for s in _chain(context, without_present(context.settings, choices))]
     if context.settings.refine and len(choices) > 1:
-        stages += list(_of_the_linear_side(context))
+        stages += _of_the_linear_side(context)
     kept = _different([start for start in _settled(context, stages) if np.isfinite(start[0].cost)])
     return tuple(context.judge(context.ready(s), linear=m) for s, m in kept)
 

@@ -65,7 +65,7 @@ def without_present(settings: RuleSettings, choices: Sequence[Orders]) -> list[O
     """The choices without the present inputs, where lags and delays are open."""
     if settings.nk != "auto" or settings.nb != "auto" or len(choices) == 1:
         return []
-    found = []
+    found: list[Orders] = []
     for o in choices:
         fewer = tuple(max(b - 1, 1) if k == 0 else b for b, k in zip(o.nb, o.nk, strict=True))
         late = Orders(o.na, fewer, tuple(max(k, 1) for k in o.nk))
