@@ -185,7 +185,7 @@ def test_a_log_too_slow_for_noise_says_so() -> None:
     order = [str(log), "--set", "MC_ROLLRATE_P=0.16"]
     told = CliRunner().invoke(command, [*order, "--json"])
     assert told.exit_code == 0, told.output
-    assert json.loads(told.stdout)["axes"][0]["noise"] is None
+    assert json.loads(told.stdout)["axes"][0]["noise"]["why"] == "the log is too slow"
     assert (
         "noise to the motors not determined: the log is too slow" in CliRunner().invoke(command, order).stdout
     )
