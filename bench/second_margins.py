@@ -4,8 +4,8 @@
 
 Vehicles, gains, filters, sticks, gusts and noise are drawn. Each vehicle flies 60 to 150 s, its firmware's
 log is written, and `flysid gains LOG --json` judges roll, pitch and yaw from the file. The truth is that of
-plant and law as they are stepped (`bench.second_laws`). Printed for each figure: stated of loops, truth inside
-the 95 % interval, and the exact bounds of that share.
+plant and law as they are stepped (`bench.second_laws`). Printed for each figure: stated of loops, truth
+inside the 95 % interval, and the exact bounds of that share.
 """
 
 from __future__ import annotations

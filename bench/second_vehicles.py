@@ -130,6 +130,11 @@ PID = tuple(
 )
 
 
+def parameters(loops: Sequence[Loop]) -> dict[str, float]:
+    """What the log states."""
+    return _px4_parameters(loops) if loops[0].firmware == "px4" else _ardupilot_parameters(loops)
+
+
 def _dataflash(loops: Sequence[Loop], flown: Sequence[Flown]) -> bytes:
     time_us = BEGIN_US + np.round(1e6 * np.arange(len(flown[0].rate)) / loops[0].rate_hz).astype(np.int64)
     rate: dict[str, Floats] = {}
@@ -155,7 +160,7 @@ def _dataflash(loops: Sequence[Loop], flown: Sequence[Flown]) -> bytes:
         terms = {"Tar": target, "Act": own.rate, "Err": error, "P": p, "I": i, "D": d, "FF": loop.ff * target}
         tables.append(_rows(PID[AXES.index(axis)], time_us, terms | {"Dmod": np.ones(len(p))}))
     tables = [_rows(dataflash.ATT, time_us, attitude), _rows(RATE, time_us, rate), *tables]
-    stated = [message_bytes(PARM, BEGIN_US, n.encode(), v) for n, v in _ardupilot_parameters(loops).items()]
+    stated = [message_bytes(PARM, BEGIN_US, n.encode(), v) for n, v in parameters(loops).items()]
     text = message_bytes(dataflash.MSG, BEGIN_US, b"ArduCopter V4.5.7 (second law)")
     mode = message_bytes(dataflash.MODE, BEGIN_US, 0, 0, 1)
     _, kind, row = in_sending_order(*(1000 * t["TimeUS"].astype(np.int64) for t in tables))
@@ -215,7 +220,7 @@ def _ulog(loops: Sequence[Loop], flown: Sequence[Flown], rng: np.random.Generato
     attitude["yaw_sp_move_rate"] = flown[2].turn[asked]
     attitude["q_d"] = _quaternions(np.stack([own.angle_target[asked] for own in flown], axis=1))
     facts = {"sys_name": "PX4", "ver_hw": "SECOND_LAW"}
-    head = preamble(TOPICS, facts, BEGIN_US, parameters=_px4_parameters(loops))
+    head = preamble(TOPICS, facts, BEGIN_US, parameters=parameters(loops))
     _, topic, row = in_sending_order(*(1000 * t["timestamp"].astype(np.int64) for t in tables.values()))
     raw = [as_bytes(t) for t in tables.values()]
     body = (record("D", bytes([k, 0]) + raw[k][r]) for k, r in zip(topic.tolist(), row.tolist(), strict=True))

@@ -103,7 +103,7 @@ def loop_around(records: Sequence[StickRecord], controller: Controller) -> Loop:
             refused = refused or error
             continue
         found = loop
-        at = int(np.searchsorted(loop.f, low))
+        at = int(np.searchsorted(loop.f, CLEAR * low))
         if np.abs(plant(loop.mean)[at] * controller.feedback(loop.f[[at]])[0]) > 1.0:
             break
     if found is None and refused is not None:

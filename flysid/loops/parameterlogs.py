@@ -92,6 +92,9 @@ def px4_record(log: Any, axis: str) -> StickRecord:
     time, rate = column_of(log, "vehicle_angular_velocity", "xyz", k)
     at, setpoint = column_of(log, "vehicle_rates_setpoint", axis)
     when, share = column_of(log, *output, k)
+    late = [_lateness(log, stream) for stream in ("vehicle_angular_velocity", output[0])]
+    if all(len(own) for own in late):  # an output belongs to the sample that it was computed from
+        time, when = time - late[0], when - late[1]
     out = np.interp(time, when, share)
     outside = _asked_of_px4(log, axis)
     rates = min(_rate(t) for t in (time, when)), _rate(at)
@@ -118,6 +121,16 @@ def ardupilot_record(log: Any, axis: str) -> StickRecord:
     asked = outside if np.ptp(outside[1]) else None
     faster = "LOG_BITMASK bit 0 (fast attitude), LOG_FILE_RATEMAX 0"
     return _record(log, axis, (_rate(time), _rate(time)), time, time, loop, asked, faster=faster)
+
+
+def _lateness(log: Any, stream: str) -> FloatArray:
+    """(N,) s by which a topic's rows were published after the gyro's sample was taken; (0,) where unknown."""
+    stamps = ("timestamp", "timestamp_sample")
+    if not set(stamps) <= set(log.columns(stream)):
+        return np.zeros(0)
+    table = log.table(stream, list(stamps))
+    published, taken = (float_values(table[name]) for name in stamps)
+    return np.asarray(1e-6 * (published - taken) if taken.all() else np.zeros(0))
 
 
 def _asked_of_px4(log: Any, axis: str) -> tuple[FloatArray, FloatArray] | None:
