@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from bench.second_laws import Loop
+from bench.second_laws import Flown, Loop
 from bench.second_margins import ENDINGS
 from bench.second_vehicles import draw_loops, fly_vehicle, log_bytes
 from flysid.cli.gains import command as gains
@@ -59,6 +60,29 @@ def test_yaw_is_predicted_under_another_gain(judged: Judged) -> None:
     assert done.exception is None
     (axis,) = json.loads(done.stdout)["axes"]
     assert axis["axis"] == "yaw"
+
+
+def test_gains_that_changed_in_flight_are_named_with_the_time(tmp_path: Path) -> None:
+    """As by a switch to another profile: the log states the first gains alone."""
+    rng = np.random.default_rng(8)
+    loops = draw_loops("arducopter", rng)
+    others = [replace(loop, p=0.5 * loop.p, d=0.5 * loop.d) for loop in loops]
+    parts = [fly_vehicle(own, 25.0, rng) for own in (loops, others)]
+    flown = [join(one, other) for one, other in zip(*parts, strict=True)]
+    log = tmp_path / "switched.bin"
+    log.write_bytes(log_bytes(loops, flown, rng))
+    done = CliRunner().invoke(gains, [str(log), "--axis", "roll"], standalone_mode=False)
+    assert done.exception is None
+    told = " ".join(done.stdout.split())
+    assert (
+        "recorded over rebuilt is 1.00 until 25 s and 0.50 from there: gains were changed in flight" in told
+    )
+
+
+def join(one: Flown, other: Flown) -> Flown:
+    """One flight behind another."""
+    pairs = ((getattr(one, f.name), getattr(other, f.name)) for f in fields(Flown))
+    return Flown(*(np.concatenate(pair, axis=-1) for pair in pairs))
 
 
 def test_a_setpoint_that_comes_rarely_slows_no_record() -> None:
