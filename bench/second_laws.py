@@ -206,7 +206,7 @@ def fly(loop: Loop, stick: Floats, gusts: Floats, noise: Floats) -> Flown:
     gyro = second_order_numbers(loop.gyro_cut_hz, loop.gyro_hz)
     step = fly_px4 if loop.firmware == "px4" else fly_arducopter
     rows = step(stick, gusts, noise, loop.steps, plant, law, gyro, loop.steers, loop.follows)
-    return Flown(*rows[:6], rows[6:])
+    return Flown(rows[0], rows[1], rows[2], rows[3], rows[4], rows[5], rows[6:])
 
 
 @njit(cache=True)

@@ -90,7 +90,7 @@ class Loop:
                 hint="fly half a minute with stick movements",
             )
         return cls(
-            np.fft.rfftfreq(size, 1.0 / rate)[: blocks[0].shape[-1]],
+            np.asarray(np.fft.rfftfreq(size, 1.0 / rate)[:lines], dtype=np.float64),
             tuple(b for b in blocks if len(b)),
         )
 
