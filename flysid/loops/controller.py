@@ -14,7 +14,7 @@ import numpy as np
 from flysid.dataset import FloatArray
 from flysid.errors import DataError
 from flysid.loops.law_parts import LARGEST_MISS, TermCheck
-from flysid.loops.stages import Filters, Notches, notched, response
+from flysid.loops.stages import Filters, Notches, notched, response, sampled_response
 from flysid.loops.stick_response import ComplexArray, Loop
 
 THOUSANDTHS = 1000.0
@@ -40,6 +40,9 @@ class Controller:
     forward_slope : from the filtered setpoint's derivative straight to the output.
     error_notches, reference_notches : centre (Hz), quality and depth (a factor) of what they go through.
     output_filters : of what the whole output goes through.
+    step_s, slope_step_s : in which integral and filters are computed, and the derivative with its filters; 0
+        for so short a step that it does not show.
+    setpoint_steps : the log has the setpoint this many steps before the loop uses it.
     law : firmware and version whose law this is, for people.
     exact : whether that version is described; else the nearest one stands in.
     """
@@ -62,6 +65,9 @@ class Controller:
     error_notches: Notches = ()
     reference_notches: Notches = ()
     output_filters: Filters = ()
+    step_s: float = 0.0
+    slope_step_s: float = 0.0
+    setpoint_steps: int = 0
     law: str = ""
     exact: bool = True
 
@@ -71,25 +77,30 @@ class Controller:
 
     def feedback(self, f: FloatArray) -> ComplexArray:
         """(F,) from the measured rate, its sign left out."""
-        s = 2j * np.pi * np.maximum(f, 1e-6)
-        inside = self.p * response(self.p_filters, f) + self.i / s + self.d * s * self._slope_through(f)
-        return np.asarray(inside * self._error_through(f) * response(self.output_filters, f))
+        p, i = self.p * self._through(self.p_filters, f), self.i / _slope(f, self.step_s)
+        inside = p + i + self.d * _slope(f, self.slope_step_s) * self._slope_through(f)
+        return np.asarray(inside * self._error_through(f) * self._through(self.output_filters, f))
 
     def reference(self, f: FloatArray) -> ComplexArray:
         """(F,) from the setpoint."""
-        s = 2j * np.pi * np.maximum(f, 1e-6)
-        slope = self.weight * self.d * s
+        s = _slope(f, self.step_s)
+        slope = self.weight * self.d * _slope(f, self.slope_step_s)
         if self.slope_filtered:
             slope = slope * self._slope_through(f)
-        p = self.p * response(self.p_filters, f)
+        p = self.p * self._through(self.p_filters, f)
         inside = (p + self.i / s + slope) * self._error_through(f)
         direct = self.forward + self.forward_slope * s + self._recorded_forward_at(f)
-        through = response(self.reference_filters, f) * notched(self.reference_notches, f)
-        return np.asarray((inside + direct) * through * response(self.output_filters, f))
+        through = self._through(self.reference_filters, f) * notched(self.reference_notches, f)
+        later = np.exp(-2j * np.pi * f * self.step_s * self.setpoint_steps)
+        return np.asarray((inside + direct) * through * self._through(self.output_filters, f) * later)
+
+    def _through(self, filters: Filters, f: FloatArray) -> ComplexArray:
+        """(F,) of low-passes."""
+        return sampled_response(filters, f, self.step_s) if self.step_s else response(filters, f)
 
     def _error_through(self, f: FloatArray) -> ComplexArray:
         """(F,) of what the error goes through."""
-        return np.asarray(response(self.error_filters, f) * notched(self.error_notches, f))
+        return np.asarray(self._through(self.error_filters, f) * notched(self.error_notches, f))
 
     def _recorded_forward_at(self, f: FloatArray) -> ComplexArray:
         """(F,) of the recorded term; 0 where there is none."""
@@ -100,6 +111,8 @@ class Controller:
 
     def _slope_through(self, f: FloatArray) -> ComplexArray:
         """(F,) of what the derivative goes through."""
+        if self.slope_step_s:
+            return sampled_response(self.filters, f, self.slope_step_s)
         return response(self.filters, f, self.notch)
 
     def miss(self, loop: Loop, low: float, high: float) -> float:
@@ -108,6 +121,12 @@ class Controller:
         s = loop.mean
         told = self.reference(loop.f) * s[0, 0] - self.feedback(loop.f) * s[0, 2]
         return float(np.median(np.abs(told - s[0, 1])[at] / np.abs(s[0, 1])[at]))
+
+
+def _slope(f: FloatArray, step_s: float) -> ComplexArray:
+    """(F,) of a derivative, and one over it of an integral: by differences where the step shows."""
+    s = 2j * np.pi * np.maximum(f, 1e-6)
+    return np.asarray(s if not step_s else (1.0 - np.exp(-s * step_s)) / step_s)
 
 
 def refuse_misfit(

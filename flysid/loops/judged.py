@@ -15,7 +15,15 @@ from flysid.loops.between_flights import Curve
 from flysid.loops.blackbox_loops import record_of, settings_of
 from flysid.loops.controller import Controller, refuse_misfit
 from flysid.loops.law_parts import TermCheck
-from flysid.loops.margins import Figure, Margins, flight_curves, margins, margins_across, trusted_band
+from flysid.loops.margins import (
+    Figure,
+    Margins,
+    flight_curves,
+    loop_around,
+    margins,
+    margins_across,
+    trusted_band,
+)
 from flysid.loops.parameter_checks import ardupilot_checks, px4_checks
 from flysid.loops.parameter_laws import ardupilot, px4, px4_law
 from flysid.loops.parameterlogs import (
@@ -350,9 +358,9 @@ def _measure(group: list[Stating], axis: str) -> Judged:
         parts = [kind.record(log, axis, own) for log, own in zip(logs, settings, strict=True)]
         each = [kind.controller(own, axis, flown) for own, (_, flown) in zip(settings, parts, strict=True)]
         checks = _worst(flown.checks for _, flown in parts)
-        loop = Loop.of([record for record, _ in parts])
-        low, high = trusted_band(loop)
         controller = each[0]
+        loop = loop_around([record for record, _ in parts], controller)
+        low, high = trusted_band(loop)
         miss = refuse_misfit(controller, loop, low, high, checks)
         return Judged(axis, names, gains, miss=miss, loop=loop, controller=controller, checks=checks, law=law)
     except (DataError, UsageError) as error:

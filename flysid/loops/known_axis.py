@@ -27,7 +27,7 @@ from flysid.loops.betaflight import NO_CONDITIONS, Conditions
 from flysid.loops.controller import Controller, refuse_misfit
 from flysid.loops.flown_axis import Turning
 from flysid.loops.judged import kind_of
-from flysid.loops.margins import FEW_POWERS, NEIGHBOURS, least_off, smooth, trusted_band
+from flysid.loops.margins import FEW_POWERS, NEIGHBOURS, least_off, loop_around, smooth, trusted_band
 from flysid.loops.new_settings import with_settings
 from flysid.loops.prediction import fit_turning, weights
 from flysid.loops.stick_response import ComplexArray, Loop, StickRecord, closed_loop, plant
@@ -59,7 +59,7 @@ class Flown:
         kind.controller(settings, axis, NO_CONDITIONS)  # what is missing is named before the flight is read
         record, conditions = kind.record(log, axis, settings)
         controller = kind.controller(settings, axis, conditions)
-        loop = Loop.of([record])
+        loop = loop_around([record], controller)
         refuse_misfit(controller, loop, *trusted_band(loop), conditions.checks)
         return cls(log.name, settings, record, conditions, controller, loop)
 
@@ -100,7 +100,7 @@ class KnownAxis:
         ------
         DataError : the law is not what flew, or the plant is not known.
         """
-        flights = tuple(Flown.of(log, axis) for log in logs)
+        flights = _alike([Flown.of(log, axis) for log in logs])
         loops = [flight.loop for flight in flights]
         together = Loop(loops[0].f, tuple(blocks for loop in loops for blocks in loop.blocks))
         band = trusted_band(together)
@@ -159,6 +159,17 @@ class KnownAxis:
         x, at, away = np.log(f), np.log(self.f), np.log(self.draws / self.centre)
         off = np.array([np.interp(x, at, row.real) + 1j * np.interp(x, at, row.imag) for row in away])
         return fitted, np.asarray(fitted * np.exp(off))
+
+
+def _alike(flights: Sequence[Flown]) -> tuple[Flown, ...]:
+    """Flights in windows of one length, the longest that any of them needs."""
+    window_s = max(1.0 / flight.loop.f[1] for flight in flights)
+    return tuple(
+        flight
+        if flight.loop.f[1] * window_s < 1.0 + 1e-9
+        else replace(flight, loop=Loop.of([flight.record], window_s))
+        for flight in flights
+    )
 
 
 def _misses(flight: Flown, at: npt.NDArray[np.bool_], count: int) -> tuple[ComplexArray, ComplexArray]:

@@ -14,7 +14,7 @@ from flysid.dataset import FloatArray
 from flysid.errors import DataError
 from flysid.loops.between_flights import Curve, FlightScatter
 from flysid.loops.controller import Controller
-from flysid.loops.stick_response import ComplexArray, Loop, plant
+from flysid.loops.stick_response import ComplexArray, Loop, StickRecord, plant
 from flysid.model.polynomials import DB
 
 TRUSTED = 0.4
@@ -22,6 +22,7 @@ NEIGHBOURS = 7  # lines: one that the sticks happened to leave out ends no band
 POWERS = 5  # of ln f, from 0 on: four of them bend the crossover of a plant with a lag by a standard error
 FEW_POWERS = 3  # of one flight's plant beside another's: flights differ by more than those bend it
 OCTAVES = (4.0, 3.0, 2.0)  # of one such curve: the fewer the less bend, and the more scatter
+WINDOWS_S = (2.0, 4.0, 8.0)
 LEAST_MS = 1.0
 TOO_WIDE = "the measurement scatters too much; fly longer, in calmer air"
 TOO_DIFFERENT = "flights differ too much; fly more of them under the same gains"
@@ -85,10 +86,35 @@ class Margins:
     noise: Figure
 
 
-def trusted_band(loop: Loop, *, lowest_hz: float = 1.5) -> tuple[float, float]:
-    """The widest stretch of frequencies, Hz, from `lowest_hz` on in which the plant is known.
+def loop_around(records: Sequence[StickRecord], controller: Controller) -> Loop:
+    """The loop in windows that show its crossover: a slow one lies below what short ones show.
 
-    `lowest_hz`: below, the window bends the plant by more than 4 %, before that is taken off.
+    Raises
+    ------
+    DataError : the sticks show the plant in none of the windows; the reason is that of the shortest.
+    """
+    shortest = Loop.of(records)
+    found, refused = None, None
+    for window_s in WINDOWS_S:
+        try:
+            loop = shortest if window_s == WINDOWS_S[0] else Loop.of(records, window_s)
+            low, _ = trusted_band(loop)
+        except DataError as error:
+            refused = refused or error
+            continue
+        found = loop
+        at = int(np.searchsorted(loop.f, CLEAR * low))
+        if np.abs(plant(loop.mean)[at] * controller.feedback(loop.f[[at]])[0]) > 1.0:
+            break
+    if found is None and refused is not None:
+        raise refused
+    return found or shortest
+
+
+def trusted_band(loop: Loop, *, periods: float = 3.0) -> tuple[float, float]:
+    """The widest stretch of frequencies, Hz, in which the plant is known, from some periods in a window on.
+
+    `periods`: with fewer, the window bends the plant by more than 4 %, before that is taken off.
 
     Raises
     ------
@@ -96,6 +122,7 @@ def trusted_band(loop: Loop, *, lowest_hz: float = 1.5) -> tuple[float, float]:
     """
     from scipy.ndimage import median_filter
 
+    lowest_hz = periods * (loop.f[1] - loop.f[0])
     spread = median_filter(loop.spread(), NEIGHBOURS, mode="nearest")
     known = (spread < TRUSTED) & (loop.f >= lowest_hz)
     first = int(np.argmax(known))

@@ -49,6 +49,7 @@ def px4(stated: Mapping[str, float], axis: str) -> Controller:
         ((int(law.part("derivative")["order"]), cut),),
         forward=UNIT * stated.get(names["forward"], 0.0),
         output_filters=((1, output),) if output > 0.0 else (),
+        step_s=_step_of(stated, names),
         law=law.title if RELEASE in stated else "",
     )
 
@@ -72,6 +73,7 @@ def ardupilot(stated: Mapping[str, float], axis: str) -> Controller:
     p, i, d, target, error, slope = _find_stated(
         stated, *(names[role] for role in ("p", "i", "d", "target_hz", "error_hz", "slope_hz"))
     )
+    step_s = _step_of(stated, names)
     return Controller(
         {names["p"]: p, "I": i, "D": d},
         UNIT * p,
@@ -86,7 +88,16 @@ def ardupilot(stated: Mapping[str, float], axis: str) -> Controller:
         forward_slope=UNIT * stated.get(names["forward_slope"], 0.0),
         error_notches=_notches(stated, law, names["error_notch"]),
         reference_notches=_notches(stated, law, names["target_notch"]),
+        step_s=step_s,
+        slope_step_s=step_s,
+        setpoint_steps=int(law.part("loop")["setpoint_steps"]),
     )
+
+
+def _step_of(stated: Mapping[str, float], names: Mapping[str, str]) -> float:
+    """s, of the loop; 0 where its rate is not stated."""
+    loop_hz = stated.get(names["loop_hz"], 0.0)
+    return 1.0 / loop_hz if loop_hz > 0.0 else 0.0
 
 
 def _notches(stated: Mapping[str, float], law: Law, name: str) -> Notches:

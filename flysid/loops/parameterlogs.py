@@ -14,6 +14,7 @@ from flysid.dataset import FloatArray
 from flysid.errors import DataError, UsageError
 from flysid.flightwriter import float_values
 from flysid.ingest.lake.events import IN_FORCE
+from flysid.laws.described import parameter_law
 from flysid.loops.betaflight import AXES
 from flysid.loops.blackbox_loops import LARGEST_SHARE, even_pieces
 from flysid.loops.controller import THOUSANDTHS
@@ -26,6 +27,11 @@ STREAMS = {
     "PARAM_VALUE": ("param_id", "param_value"),
 }
 """Where logs keep parameters: DataFlash, ULog, MAVLink."""
+
+
+YAW_STICK = "yaw_sp_move_rate"
+WHOLE_TURN = 360.0
+"""deg, at which ATT's heading begins anew."""
 
 
 def parameters_of(log: Any, needed: Callable[[str], bool]) -> dict[str, float]:
@@ -59,15 +65,16 @@ def parameters_of(log: Any, needed: Callable[[str], bool]) -> dict[str, float]:
 
 def px4_parameters(log: Any) -> dict[str, float]:
     """Those of PX4's rate controllers, and the number of the release."""
-    others = ("IMU_DGYRO_CUTOFF", "MC_YAW_TQ_CUTOFF", "MC_BAT_SCALE_EN")
+    others = ("IMU_DGYRO_CUTOFF", "IMU_GYRO_RATEMAX", "MC_YAW_TQ_CUTOFF", "MC_BAT_SCALE_EN")
     wanted = parameters_of(log, lambda name: name in others or ("RATE_" in name and "MC_" in name))
     release = str(log.facts.info.get(RELEASE, ""))
     return wanted | ({RELEASE: float(release)} if release.isdecimal() else {})
 
 
 def ardupilot_parameters(log: Any) -> dict[str, float]:
-    """Those of ArduCopter's rate controllers and their notches."""
-    return parameters_of(log, lambda name: name.startswith(("ATC_RAT_", "FILT")))
+    """Those of ArduCopter's rate controllers and their notches, and the rate of its loop."""
+    loop = parameter_law("arducopter").name_of("loop_hz")
+    return parameters_of(log, lambda name: name == loop or name.startswith(("ATC_RAT_", "FILT")))
 
 
 def px4_record(log: Any, axis: str) -> StickRecord:
@@ -85,12 +92,15 @@ def px4_record(log: Any, axis: str) -> StickRecord:
     time, rate = column_of(log, "vehicle_angular_velocity", "xyz", k)
     at, setpoint = column_of(log, "vehicle_rates_setpoint", axis)
     when, share = column_of(log, *output, k)
+    late = [_lateness(log, stream) for stream in ("vehicle_angular_velocity", output[0])]
+    if all(len(own) for own in late):  # an output belongs to the sample that it was computed from
+        time, when = time - late[0], when - late[1]
     out = np.interp(time, when, share)
     outside = _asked_of_px4(log, axis)
-    slowest = min(_rate(t) for t in (time, at, when))
+    rates = min(_rate(t) for t in (time, when)), _rate(at)
     loop = (np.degrees(setpoint), THOUSANDTHS * out, np.degrees(rate))
     faster = "SDLOG_PROFILE bits 0 and 2 (default and high rate)"
-    return _record(log, axis, slowest, time, at, loop, outside, faster=faster)
+    return _record(log, axis, rates, time, at, loop, outside, faster=faster)
 
 
 def ardupilot_record(log: Any, axis: str) -> StickRecord:
@@ -105,15 +115,30 @@ def ardupilot_record(log: Any, axis: str) -> StickRecord:
     _, setpoint = column_of(log, "RATE", f"{letter}Des")
     _, out = column_of(log, "RATE", f"{letter}Out")
     name = {"R": "DesRoll", "P": "DesPitch", "Y": "DesYaw"}[letter]
-    outside = column_of(log, "ATT", name)
+    asked_at, angle = column_of(log, "ATT", name)
+    outside = asked_at, np.unwrap(angle, period=WHOLE_TURN) if axis == "yaw" else angle
     loop = (setpoint, THOUSANDTHS * out, rate)
     asked = outside if np.ptp(outside[1]) else None
     faster = "LOG_BITMASK bit 0 (fast attitude), LOG_FILE_RATEMAX 0"
-    return _record(log, axis, _rate(time), time, time, loop, asked, faster=faster)
+    return _record(log, axis, (_rate(time), _rate(time)), time, time, loop, asked, faster=faster)
+
+
+def _lateness(log: Any, stream: str) -> FloatArray:
+    """(N,) s by which a topic's rows were published after the gyro's sample was taken; (0,) where unknown."""
+    stamps = ("timestamp", "timestamp_sample")
+    if not set(stamps) <= set(log.columns(stream)):
+        return np.zeros(0)
+    table = log.table(stream, list(stamps))
+    published, taken = (float_values(table[name]) for name in stamps)
+    return np.asarray(1e-6 * (published - taken) if taken.all() else np.zeros(0))
 
 
 def _asked_of_px4(log: Any, axis: str) -> tuple[FloatArray, FloatArray] | None:
-    """Times and the angle (rad) that PX4's attitude loop was asked for; None in a flight by rates alone."""
+    """Times and the angle (rad) that PX4's attitude loop was asked for; None in a flight by rates alone.
+
+    Of yaw the rate (rad/s) that the stick asks for, where it does: meanwhile the heading's setpoint follows
+    the measured heading, and gusts come back through it.
+    """
     stream = "vehicle_attitude_setpoint"
     if stream not in log.facts.streams:
         raise DataError(
@@ -122,6 +147,11 @@ def _asked_of_px4(log: Any, axis: str) -> tuple[FloatArray, FloatArray] | None:
         )
     from scipy.spatial.transform import Rotation
 
+    if axis == "yaw" and YAW_STICK in log.columns(stream):
+        time, turn = column_of(log, stream, YAW_STICK)
+        known = np.isfinite(turn)
+        if known.any() and np.ptp(turn[known]):
+            return time[known], turn[known]
     table = log.table(stream, ["time_ns", "q_d"])
     time = float_values(table["time_ns"]) * 1e-9
     turns = np.asarray(table["q_d"].to_pylist(), dtype=np.float64)
@@ -155,7 +185,7 @@ def column_of(log: Any, stream: str, name: str, place: int | None = None) -> tup
 def _record(
     log: Any,
     axis: str,
-    rate_hz: float,
+    rates: tuple[float, float],
     time: FloatArray,
     at: FloatArray,
     loop: tuple[FloatArray, FloatArray, FloatArray],
@@ -164,9 +194,19 @@ def _record(
     faster: str,
     least_hz: float = 40.0,
 ) -> StickRecord:
-    if rate_hz < least_hz:
+    """The loop at the rate of its output and gyro; the setpoint may come more rarely.
+
+    At the setpoint's own rate every row would lie where the setpoint has just moved, and what the output does
+    until the next one would be lost: 2 % of the plant's gain on PX4.
+
+    Parameters
+    ----------
+    rates : Hz, of output and gyro, and of the setpoint.
+    """
+    rate_hz, slowest_hz = rates[0], min(rates)
+    if slowest_hz < least_hz:
         raise DataError(
-            f"{log.name} has the {axis} loop at {rate_hz:.0f} Hz: too slow to see where its gain is one",
+            f"{log.name} has the {axis} loop at {slowest_hz:.0f} Hz: too slow to see where its gain is one",
             hint=f"log it at 100 Hz or more: {faster}",
         )
     limited = float((np.abs(loop[1]) >= THOUSANDTHS - 1.0).mean())

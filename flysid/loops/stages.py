@@ -12,7 +12,7 @@ import numpy as np
 
 from flysid.dataset import FloatArray
 from flysid.spectra.stages import ComplexArray as ComplexArray
-from flysid.spectra.stages import Kind, Stage
+from flysid.spectra.stages import Kind, Stage, response_of
 
 Filters = tuple[tuple[int, float], ...]
 """Orders (1, or 2 for a Butterworth biquad) and cut-offs (Hz), one behind the other."""
@@ -64,6 +64,16 @@ def response(filters: Filters, f: FloatArray, notch: tuple[float, float] = (0.0,
         far = f / centre
         through = through * (1.0 - far * far) / (1.0 + 1j * far * (centre / cut - cut / centre) - far * far)
     return np.asarray(through)
+
+
+def sampled_response(filters: Filters, f: FloatArray, step_s: float) -> ComplexArray:
+    """(F,) of low-passes one behind the other as a loop of this step computes them.
+
+    A low-pass of first order goes w / (1 + w) of the way in a step, w = 2 pi Hz times the step. Where a step
+    is not short beside the filter, its cut-off is lower than the stated one, and its phase lags less.
+    """
+    rows = sections(tuple((order, hz) for order, hz in filters if hz > 0.0), (0.0, 0.0), step_s)
+    return response_of([row[None] for row in rows], f, 1.0 / step_s)
 
 
 def notched(notches: Notches, f: FloatArray) -> ComplexArray:

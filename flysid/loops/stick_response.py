@@ -63,8 +63,8 @@ class Loop:
     blocks: tuple[ComplexArray, ...]
 
     @classmethod
-    def of(cls, records: Sequence[StickRecord], window_s: float = 2.0) -> Loop:
-        """Windows of `window_s`, under a Hann window.
+    def of(cls, records: Sequence[StickRecord], window_s: float = 2.0, *, highest_hz: float = 250.0) -> Loop:
+        """Windows of `window_s`, under a Hann window; no hand moves a vehicle above `highest_hz`.
 
         Raises
         ------
@@ -79,7 +79,8 @@ class Loop:
                 "the sticks never move, so the loop cannot be identified",
                 hint="fly quick stick movements on this axis, a minute of them, in calm air",
             )
-        blocks = tuple(_blocks(record, size) for record in records)
+        lines = 1 + min(size // 2, round(window_s * highest_hz))
+        blocks = tuple(_blocks(record, size, lines) for record in records)
         if sum(len(b) for b in blocks) < LEAST_BLOCKS:
             block_s = window_s * (1.0 + (TOGETHER - 1) * (1.0 - OVERLAP))
             raise DataError(
@@ -89,7 +90,7 @@ class Loop:
                 hint="fly half a minute with stick movements",
             )
         return cls(
-            np.asarray(np.fft.rfftfreq(size, 1.0 / rate), dtype=np.float64),
+            np.asarray(np.fft.rfftfreq(size, 1.0 / rate)[:lines], dtype=np.float64),
             tuple(b for b in blocks if len(b)),
         )
 
@@ -142,7 +143,8 @@ def output(s: ComplexArray) -> ComplexArray:
     return np.asarray(s[..., 0, 1, :] / s[..., 0, 0, :])
 
 
-def _blocks(record: StickRecord, size: int) -> ComplexArray:
+def _blocks(record: StickRecord, size: int, lines: int) -> ComplexArray:
+    """(B, 3, 3, lines) of the windows of one flight."""
     step = max(1, round(size * (1.0 - OVERLAP)))
     window = np.hanning(size)
     found = []
@@ -150,11 +152,11 @@ def _blocks(record: StickRecord, size: int) -> ComplexArray:
         steps = np.diff(piece, axis=1)
         starts = np.arange(0, steps.shape[1] - size + 1, step)
         for group in (starts[i : i + TOGETHER] for i in range(0, len(starts) - TOGETHER + 1, TOGETHER)):
-            total = np.zeros((3, 3, size // 2 + 1), dtype=np.complex128)
+            total = np.zeros((3, 3, lines), dtype=np.complex128)
             for at in group:
                 cut = steps[:, at : at + size]
-                X = np.fft.rfft((cut - cut.mean(axis=1, keepdims=True)) * window, axis=1)
+                X = np.fft.rfft((cut - cut.mean(axis=1, keepdims=True)) * window, axis=1)[:, :lines]
                 W = X[[3, 1, 2]] if len(X) > 3 else X
                 total += W.conj()[:, None] * X[None, :3]
             found.append(total)
-    return np.asarray(found) if found else np.zeros((0, 3, 3, size // 2 + 1), dtype=np.complex128)
+    return np.asarray(found) if found else np.zeros((0, 3, 3, lines), dtype=np.complex128)

@@ -49,7 +49,7 @@ def check_terms(
         noise = _term(rounded, term) - _term(rebuilt, term) + of_record
         own = recorded[term] + (0.5 * np.sign(recorded[term]) if law.cut_terms else 0.0)
         check = compare(term, own, _term(rebuilt, term), flown, rate_hz, noise)
-        if check is not None and not check.fits:
+        if check is not None and not check.fits and not check.cause:
             cause = _cause(law, rows, own, step_s, rate_hz, check, flown, noise)
             check = replace(check, cause=cause)
         found += [check] if check is not None else []
@@ -93,7 +93,41 @@ def compare(
     under = float((weight * other) @ other)
     slope = float((weight * one) @ other) / under if under > 0.0 else np.nan
     miss, scaled = (_miss(one, factor * other, noise, weight) for factor in (1.0, slope))
-    return TermCheck(term, miss, slope, scaled=scaled)
+    check = TermCheck(term, miss, slope, scaled=scaled)
+    if term == "I" or check.fits:
+        return check
+    return replace(check, cause=_switch(np.flatnonzero(at) / rate_hz, one, other, scaled))
+
+
+def _switch(
+    time_s: FloatArray, one: FloatArray, other: FloatArray, scaled: float, *, least_s: float = 3.0
+) -> str:
+    """From when on another gain flew, where two gains give the recorded term and one does not; else "".
+
+    Parameters
+    ----------
+    time_s : (N,) from the record's begin.
+    scaled : the miss under one gain for all of it.
+    least_s : that either gain flew.
+    """
+    sums = [np.cumsum(product) for product in (one * other, other**2)]
+    middle = slice(
+        np.searchsorted(time_s, time_s[0] + least_s), np.searchsorted(time_s, time_s[-1] - least_s)
+    )
+    (over, over_all), (under, under_all) = ((total[middle], total[-1]) for total in sums)
+    if not len(over):
+        return ""
+    before, after = over / np.maximum(under, 1e-9), (over_all - over) / np.maximum(under_all - under, 1e-9)
+    k = int(np.argmax(before * over + after * (over_all - over)))
+    at = middle.start + k
+    away = one - other * np.where(np.arange(len(one)) <= at, before[k], after[k])
+    miss = float(np.sqrt(away @ away / (one @ one)))
+    if miss > min(LARGEST_MISS, 0.5 * scaled):
+        return ""
+    return (
+        f"recorded over rebuilt is {before[k]:.2f} until {time_s[at]:.0f} s and {after[k]:.2f} from there: "
+        "gains were changed in flight, or another profile was chosen"
+    )
 
 
 def _miss(one: FloatArray, other: FloatArray, noise: FloatArray, weight: FloatArray) -> float:

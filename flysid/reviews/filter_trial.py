@@ -150,6 +150,7 @@ class FilterTrial:
     def notes(self) -> list[str]:
         """Sentences below the table."""
         found = [f"not among them: {why}" for why in self.present.unknown]
+        found += [f"set, but did not run: {why}" for why in self.present.idle]
         found.append(f"crossover: {self.crossover_from}")
         found += [f"noise: {self.noise_of}"] if self.noise_of else []
         if self.replayed:

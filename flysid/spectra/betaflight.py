@@ -72,7 +72,7 @@ def betaflight_chain(
     steps += first
     unknown += why
     unknown += _dynamic_notches(settings, version)
-    return Chain(tuple(steps), tuple(unknown))
+    return Chain(tuple(steps), tuple(unknown), _idle_notches(settings))
 
 
 def _version(settings: Mapping[str, str]) -> tuple[int, int]:
@@ -191,14 +191,32 @@ def throttle_in_force(time_s: FloatArray, throttle: FloatArray) -> FloatArray:
     return np.repeat(np.asarray(values), lengths) / THROTTLE_STEPS
 
 
+def _harmonics(settings: Mapping[str, str]) -> int:
+    """Of a motor's turns that have an RPM notch."""
+    return int(stated_number(settings, "rpm_filter_harmonics", "gyro_rpm_notch_harmonics", otherwise=0.0))
+
+
+def _hears_motors(settings: Mapping[str, str]) -> bool:
+    """Whether the ESCs send their RPM."""
+    return bool(int(stated_number(settings, "dshot_bidir", otherwise=0.0)))
+
+
+def _idle_notches(settings: Mapping[str, str]) -> tuple[str, ...]:
+    """RPM notches that are set and never ran; a header without `dshot_bidir` is of a version without them."""
+    harmonics = _harmonics(settings)
+    if not harmonics or "dshot_bidir" not in settings or _hears_motors(settings):
+        return ()
+    return (
+        f"{harmonics} RPM notches for each motor: dshot_bidir is off, so that the motors' RPM is unknown",
+    )
+
+
 def _rpm_notches(
     settings: Mapping[str, str], rate_hz: float, motors_hz: Sequence[Moving]
 ) -> tuple[list[Step], list[str]]:
     """A notch for every motor and harmonic; they fade out towards their lowest frequency."""
-    harmonics = int(
-        stated_number(settings, "rpm_filter_harmonics", "gyro_rpm_notch_harmonics", otherwise=0.0)
-    )
-    if not harmonics or not int(stated_number(settings, "dshot_bidir", otherwise=0.0)):
+    harmonics = _harmonics(settings)
+    if not harmonics or not _hears_motors(settings):
         return [], []
     if not motors_hz:
         return [], [f"{harmonics} RPM notches for each motor: the log does not hold the motors' RPM"]

@@ -43,6 +43,7 @@ class Chain:
     ----------
     steps : in the order in which the signal passes them; a later one never runs faster.
     unknown : filters that were on but whose frequencies the log does not hold, a sentence each.
+    idle : filters that are set but did not run, a sentence each.
 
     Examples
     --------
@@ -54,6 +55,7 @@ class Chain:
 
     steps: tuple[Step, ...]
     unknown: tuple[str, ...] = field(default=())
+    idle: tuple[str, ...] = field(default=())
 
     def response(self, hz: FloatArray) -> ComplexArray:
         """(F,) gain and phase of all of them together, as complex numbers."""

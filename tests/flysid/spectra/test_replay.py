@@ -7,9 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from scipy import signal
 
 import flysid
+from flysid.cli.filters import command as filters
 from flysid.dataset import FloatArray
 from flysid.errors import DataError
 from flysid.ingest.align.signals import FlightLog
@@ -129,6 +131,17 @@ def test_notches_that_are_not_in_the_log_are_refused(tmp_path: Path) -> None:
     dynamic = {"dyn_notch_count": "3", "features": str(1 << 29)}
     with pytest.raises(DataError, match="dynamic notches"):
         replayed(betaflight_log(tmp_path / "b.bbl", 1, lie=dynamic))
+
+
+def test_notches_that_are_set_and_never_ran_are_named(tmp_path: Path) -> None:
+    """They were left out without a word: whoever set them believed in them."""
+    off = {"rpm_filter_harmonics": "3", "rpm_filter_q": "500", "rpm_filter_min_hz": "100", "dshot_bidir": "0"}
+    betaflight_log(tmp_path / "a.bbl", 1, lie=off)
+    done = CliRunner().invoke(filters, [str(tmp_path / "a.bbl")], standalone_mode=False)
+    assert done.exception is None
+    assert "set, but did not run: 3 RPM notches for each motor: dshot_bidir is off" in " ".join(
+        done.output.split()
+    )
 
 
 def test_a_log_without_the_raw_gyro_says_what_logs_it(tmp_path: Path) -> None:
