@@ -1,7 +1,8 @@
 """The command line: one small module per verb, imported only when that verb is run.
 
 The only place that prints, catches FlysidError and chooses exit codes: 0 done, 1 failed, 2 wrong usage
-or configuration, 3 done but data was lost or files were skipped, 4 a check that the user asked for
+or configuration, 3 done, but a log that this call read lost data or was
+skipped, or something in question could not be answered, 4 a check that the user asked for
 failed, 5 a disk refused what `record` received, 6 `watch --fail` has
 alarmed, 75 a store or a cluster did not answer (run it again), 130 interrupted. stdout carries data
 only; everything else
@@ -19,7 +20,7 @@ import click
 import flysid
 from flysid.cli.config import take_settings
 from flysid.cli.lazy import LazyVerbs
-from flysid.cli.output import explain, printable
+from flysid.cli.output import explain, final_code, printable
 from flysid.cli.verbs import ENTRY_POINTS, VERBS
 from flysid.errors import FlysidError
 from flysid.extras import hearing
@@ -40,7 +41,7 @@ LESS_MEMORY = "close other programs; where the verb has them, --jobs 1 and a sma
         "auto_envvar_prefix": "FLYSID",
         "max_content_width": WIDTH,
     },
-    epilog="'flysid VERB --help' has examples.",
+    epilog="'flysid VERB --help' has examples. Exit code 3 of every verb: it read a log that lost data.",
 )
 @click.version_option(flysid.__version__, prog_name="flysid")
 @click.pass_context
@@ -50,6 +51,9 @@ def root(ctx: click.Context) -> None:
     refuse_numba_settings(Path.cwd())
     ignore_matplotlib_style(Path.cwd())
     take_settings(ctx)
+
+
+root.result_callback()(final_code)
 
 
 def report_error(error: FlysidError) -> None:

@@ -21,6 +21,7 @@ from flysid.cli.output import (
     REASONS_SHOWN,
     align_columns,
     check_target,
+    note_losses,
     printable,
     say,
     say_passed_over,
@@ -138,14 +139,14 @@ def command(
             say(f"note: {short_name(path)}: {survey.info['clock_note']}", display.quiet)
         for stream, why in list(survey.damage.reasons.items())[:REASONS_SHOWN]:
             say(f"lost: {short_name(path)}: {stream}: {why}")
+        if survey.damage.lossy:
+            note_losses()
     say_passed_over(found.passed_over, display.quiet)
     say(
         f"{counted(len(surveys), 'log')} examined" + (f", {len(skipped)} skipped" if skipped else ""),
         display.quiet,
     )
-    if not surveys:
-        return 1
-    return 3 if skipped or any(s.damage.lossy for s in surveys.values()) else 0
+    return 0 if surveys else 1
 
 
 def _begin(logs: Sequence[Path], done: int) -> None:

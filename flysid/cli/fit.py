@@ -19,7 +19,6 @@ from flysid.cli.options import channels_option, effort_option, force_option, gat
 from flysid.cli.output import check_target, cores, explain, say, say_left_out
 from flysid.cli.source import (
     READING_OF_A_FIT,
-    lost_on_the_way,
     open_source,
     say_mixed_gains,
     selection_options,
@@ -199,7 +198,6 @@ def command(
 
     check_settings(settings)
     check_antecedents(settings.antecedents, words, settings.channels)
-    lost = False
     if is_dataset:
         with display.shown():
             run = fit_file(data, output, settings)
@@ -207,7 +205,6 @@ def command(
         with display.shown(), open_source(data, asked, place, display.quiet) as (lake, chosen):
             with part(0.0 if is_ingested(data) else READING_OF_A_FIT):
                 run = fit_run(lake, chosen, output, settings, jobs=jobs or cores())
-            lost = lost_on_the_way(data, lake)
             say_mixed_gains(lake, display.quiet)
     if as_json:
         click.echo((output / "run.json").read_text("utf-8"), nl=False)
@@ -221,7 +218,7 @@ def command(
         )
         return 130
     say(f"next: flysid validate {output}", display.quiet)
-    return 3 if lost or set(settings.channels) & set(run.skipped) else 0
+    return 3 if set(settings.channels) & set(run.skipped) else 0
 
 
 def _say_what_was_fitted(run: Run, quiet: bool) -> None:

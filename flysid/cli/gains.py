@@ -51,8 +51,8 @@ def command(
     Reads the gains from the log (Betaflight 3.1 on, INAV, PX4 1.12 on, ArduCopter 4.0 on), measures the plant
     from the response to the sticks, and computes the loop. If the flights do not determine a figure, or the
     stated gains do not reproduce the recorded output, it says so, and what to fly (exit code 3: nothing is
-    known of any axis). It proposes no gains. Given the folder of a run, it reads the flights of that run,
-    and refuses one whose verdict is "not enough data".
+    known of any axis, or a log was read with losses). It proposes no gains. Given the folder of a run, it
+    reads the flights of that run, and refuses one whose verdict is "not enough data".
     """
     from flysid.loops.judged import CAUTION, judge
     from flysid.validate.runs.run import RUN_FILE

@@ -13,7 +13,7 @@ from flysid.cli.display import Display, progress_options
 from flysid.cli.lakeoptions import LakeOptions, check_pattern, lake_options
 from flysid.cli.losses import report
 from flysid.cli.options import jobs_option
-from flysid.cli.output import ExitCode, printable, say, say_passed_over
+from flysid.cli.output import printable, say, say_passed_over
 from flysid.cli.source import reading_options
 from flysid.cli.trust import Own
 from flysid.showing import counted
@@ -98,14 +98,7 @@ def command(
                 click.echo(printable(result.flight.id))
     say_passed_over(found.passed_over, display.quiet)
     report(results, display.quiet)
-    return exit_code(results)
-
-
-def exit_code(results: list[Result]) -> int:
-    """1 when no log could be read, 3 when something was lost or skipped, else 0."""
-    if all(r.skipped for r in results):
-        return 1
-    return ExitCode.LOSSES if any(r.skipped or r.damage.lossy for r in results) else 0
+    return 1 if all(result.skipped for result in results) else 0
 
 
 def describe(result: Result) -> str:

@@ -6,20 +6,20 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from flysid.cli.output import NAMES_SHOWN, say
+from flysid.cli.output import NAMES_SHOWN, note_losses, say
 from flysid.facts.losses import lines_of_flights, loss_lines, repeat_lines
 from flysid.showing import counted, first_of
 
 if TYPE_CHECKING:
     from flysid.catalogue import FlightFacts
+    from flysid.flight import Damage
     from flysid.ingest.lake.batch import Result
 
 
 def report(results: Sequence[Result], quiet: bool) -> None:
     """Losses and skipped logs by name (even when quiet), then the sums."""
     for result in results:
-        for line in loss_lines(result.damage):
-            say(f"lost: {result.path}: {line}")
+        say_damage(result.path, result.damage)
     say_skipped([(result.path, result.reason) for result in results if result.skipped])
     for result in results:
         for line in repeat_lines(result.damage):
@@ -33,6 +33,14 @@ def report(results: Sequence[Result], quiet: bool) -> None:
     say(", ".join(counts), quiet)
 
 
+def say_damage(path: str | Path, damage: Damage) -> None:
+    """What was lost of a log that this call read; what its file lost shows in the exit code."""
+    for line in loss_lines(damage):
+        say(f"lost: {path}: {line}")
+    if damage.lossy:
+        note_losses()
+
+
 def say_lost(flights: Iterable[FlightFacts]) -> None:
     """Name the flights whose logs lack something, as it was counted when they were read."""
     for line in lines_of_flights({flight.id: flight.lacks for flight in flights}, NAMES_SHOWN):
@@ -40,7 +48,12 @@ def say_lost(flights: Iterable[FlightFacts]) -> None:
 
 
 def say_skipped(skipped: Sequence[tuple[str | Path, str]]) -> None:
-    """Name what was skipped and why; many files that are skipped for one kind of reason share a line."""
+    """Name what was skipped and why; many files that are skipped for one kind of reason share a line.
+
+    What was skipped shows in the exit code.
+    """
+    if skipped:
+        note_losses()
     kinds: dict[str, list[tuple[str | Path, str]]] = {}
     for path, reason in skipped:
         kinds.setdefault(reason.partition(":")[0].partition(";")[0], []).append((path, reason))

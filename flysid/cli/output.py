@@ -33,6 +33,22 @@ class ExitCode(IntEnum):
     ALARM = 6
 
 
+_LOSSES = "flysid.losses"
+"""Of click's notes on a call: whether what the verb read lost something."""
+
+
+def note_losses() -> None:
+    """That a log which this call reads lost something, or could not be read: the exit code will tell."""
+    context = click.get_current_context(silent=True)
+    if context is not None:
+        context.meta[_LOSSES] = True
+
+
+def final_code(code: int | None) -> int | None:
+    """The exit code of a verb that ends with `code`: LOSSES in place of 0 after `note_losses`."""
+    return code or (ExitCode.LOSSES if click.get_current_context().meta.get(_LOSSES) else code)
+
+
 def printable(text: str) -> str:
     """`text` without control characters: names come from logs and may carry terminal escapes."""
     return "".join(c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in text)

@@ -62,7 +62,8 @@ def command(
     The plant is measured from the response to the sticks, and both controllers are the firmware's law, which
     is checked against the terms that the log recorded. Everything is printed beside what it is under the
     present settings, those of the last flight. With three flights or more the intervals hold for the next
-    flight; with fewer, for these. Exit code 3: nothing is known of any axis.
+    flight; with fewer, for these. Exit code 3: nothing is known of any axis, or a log was
+    read with losses.
     """
     from flysid.errors import DataError, UsageError
     from flysid.loops.forecast import forecast

@@ -71,7 +71,8 @@ def command(
     together: their gains and figures in order, what a change did beyond the scatter between flights, and what
     to try next.
 
-    Exit code 3: nothing in a log could be judged; 4: --fail-if holds.
+    Exit code 3: nothing in a log could be judged, because it did not fly, say, or it was read with losses;
+    4: --fail-if holds.
     """
     from flysid.errors import UsageError
     from flysid.reviews.figures import own_limits, parse_limits

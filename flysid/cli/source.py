@@ -383,11 +383,6 @@ def say_mixed_gains(lake: Lake, quiet: bool) -> None:
         )
 
 
-def lost_on_the_way(data: Path, lake: Lake) -> bool:
-    """Whether logs were read with losses; those of an ingested folder were told before."""
-    return not is_ingested(data) and any(flight.lossy for flight in lake.facts)
-
-
 def _written(words: Words, lake: Lake) -> str:
     """A recipe for the fields that are asked for; without any, the error names what there is."""
     from flysid.ingest.align.quick import NEITHER, quick_recipe

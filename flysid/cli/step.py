@@ -17,7 +17,6 @@ from flysid.cli.display import Display
 from flysid.cli.options import channels_option, picture_options
 from flysid.cli.output import print_json, printable, say_drawn, say_left_out
 from flysid.cli.source import (
-    lost_on_the_way,
     open_source,
     say_mixed_gains,
     selection_options,
@@ -89,7 +88,6 @@ def command(
 
     found: list[ChannelStep] = []
     skipped: dict[str, str] = {}
-    lost = False
     name = words.recipe
     for place, of in zip(places, _names(places), strict=True):
         with Display(quiet=quiet).shown(), open_source(place, asked, None, quiet) as (lake, chosen):
@@ -101,7 +99,6 @@ def command(
             steps, why = channel_steps(
                 lake, chosen, channels=asked.channels, horizon_s=horizon, fast=fast, of=of, anyway=anyway
             )
-            lost |= lost_on_the_way(place, lake)
             say_mixed_gains(lake, quiet)
         found += steps
         skipped |= {f"{name} of {of}" if of else name: reason for name, reason in why.items()}
@@ -116,7 +113,7 @@ def command(
     for name, reason in skipped.items():
         say_left_out(name, reason)
     refused = any(name.split(" of ")[0] in channels for name in skipped)
-    return 3 if lost or refused or not found else 0
+    return 3 if refused or not found else 0
 
 
 def _names(places: Sequence[Path]) -> list[str]:

@@ -18,6 +18,7 @@ import click
 from flysid.cli import complete
 from flysid.cli.addresses import SOURCE
 from flysid.cli.bounds import ALARM_RATE, POSITIVE
+from flysid.cli.losses import say_damage
 from flysid.cli.output import ExitCode, check_target, print_lines, printable, say
 from flysid.cli.trust import Own, ProjectFile, Setting
 from flysid.cli.vehicleexport import is_vehicle
@@ -192,6 +193,7 @@ def look_back(
 
     recipe = recipe_of(run, "a log")
     flight = flysid.read(log)
+    say_damage(log, flight.damage)
     events = []
     for one in watches:
         report, segments = segments_of(flight, recipe, one.name, one.model.dt_s)
@@ -289,7 +291,9 @@ def watch_vehicle(folder: Path, log: Path, recipe: str, *, fail: bool, as_json: 
     if not log.is_file():
         raise UsageError("no such log", path=log, hint="a vehicle is watched in a log, not on a link")
     vehicle = load_vehicle(folder)
-    data = vehicle_data([FlightLog(read(log))], load_recipe(recipe)).dataset
+    flight = read(log)
+    say_damage(log, flight.damage)
+    data = vehicle_data([FlightLog(flight)], load_recipe(recipe)).dataset
     found = changes_since(vehicle, data)
     if as_json:
         click.echo(json.dumps(found.to_dict()))

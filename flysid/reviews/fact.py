@@ -45,6 +45,7 @@ class Fact:
     at_s : seconds on the log's clock at which it shows best; None where no moment stands out.
     missing : why it is not determined; "" where it is.
     remedy : what logs it next time, with the parameter's name.
+    least_s : seconds in the air below which it is not stated.
 
     Examples
     --------
@@ -65,6 +66,7 @@ class Fact:
     at_s: float | None = None
     missing: str = ""
     remedy: str = ""
+    least_s: float = 0.0
 
     @property
     def words(self) -> str:

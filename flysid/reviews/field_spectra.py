@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from flysid.errors import DataError, UsageError
+from flysid.ingest.lake.clocked import MOST
+from flysid.reviews.follow import TURN_DEG
 from flysid.reviews.gyro import AXES, UNIT, logged_gyro, motors_hz, sources_of, throttle_of
 from flysid.reviews.gyro_spectra import HARDEST_SHAKE
 from flysid.reviews.logged import Column, LoggedFlight
@@ -160,11 +162,13 @@ def _what_there_is(flight: LoggedFlight, name: str) -> str:
 
 
 def _named(flight: LoggedFlight, name: str) -> Column | None:
-    """A field in deg/s where it is a rate, else in the unit of the log."""
+    """A field in deg/s where it is a rate, else in the first unit of its kind; angles go on beyond a turn."""
     if "." not in name:
         return None
-    for unit in (UNIT, "m/s/s", ""):
+    for unit in (UNIT, *MOST):
         column = flight.quantity(name, unit=unit)
+        if column is not None and unit == "deg":
+            return replace(column, values=np.unwrap(column.values, period=TURN_DEG))
         if column is not None:
             return column
     return None

@@ -14,7 +14,7 @@ from importlib.resources import files
 import numpy as np
 
 from flysid.errors import UsageError
-from flysid.reviews.fact import Action, Fact, Finding, Grade
+from flysid.reviews.fact import Action, Fact, Finding, Grade, Section
 from flysid.showing import one_of, significant
 
 PHASE_MARGIN = "tracking.{axis}_phase_margin"
@@ -24,7 +24,8 @@ PHASE_MARGIN = "tracking.{axis}_phase_margin"
 class Row:
     """A figure's label, unit and limit, and the finding and action of a value beyond the limit.
 
-    Where `bad` lies below `watch`, less is worse; NaN where the figure has no limit.
+    Where `bad` lies below `watch`, less is worse; NaN where the figure has no limit. `least_s` are the
+    seconds in the air that the figure needs.
     """
 
     label: str = ""
@@ -32,6 +33,7 @@ class Row:
     watch: float = np.nan
     bad: float = np.nan
     source: str = ""
+    least_s: float = 0.0
     like: str = ""
     finding: str = ""
     more: str = ""
@@ -57,7 +59,12 @@ class Row:
 @cache
 def _rows() -> dict[str, Row]:
     sections = tomllib.loads(files(__package__).joinpath("figures.toml").read_text("utf-8"))
-    return {f"{name}.{key}": Row(**row) for name, rows in sections.items() for key, row in rows.items()}
+    least_s = sections.pop("least_s")
+    return {
+        f"{name}.{key}": Row(**{"least_s": least_s.get(name, 0.0), **row})
+        for name, rows in sections.items()
+        for key, row in rows.items()
+    }
 
 
 _OWN: ContextVar[Mapping[str, Row]] = ContextVar("_OWN", default={})  # noqa: B039 - never written to
@@ -163,6 +170,7 @@ def fact_of(
         fields,
         at_s,
         missing,
+        least_s=row.least_s,
     )
 
 
@@ -172,6 +180,34 @@ def absent(
     """A figure that the log does not determine, with the reason and the setting that logs it."""
     label = _rows()[key].label.format(**names)
     return Fact(key.format(**names), label, missing=missing, remedy=remedy, fields=fields)
+
+
+def withhold(section: Section, flown_s: float) -> Section:
+    """A section without figures for which so many seconds of flight are too short, and what rests on them."""
+    short = {fact.key for fact in section.facts if fact.value is not None and fact.least_s > flown_s}
+    if not short:
+        return section
+    flown = significant(flown_s)
+    return replace(
+        section,
+        facts=tuple(
+            replace(
+                fact,
+                value=None,
+                interval=None,
+                grade=Grade.PLAIN,
+                note="",
+                at_s=None,
+                missing=f"{flown} s of flight are too short, {fact.least_s:g} s are needed",
+            )
+            if fact.key in short
+            else fact
+            for fact in section.facts
+        ),
+        findings=tuple(finding for finding in section.findings if finding.fact not in short),
+        actions=tuple(action for action in section.actions if action.fact not in short),
+        shown=(),
+    )
 
 
 def exceeded(facts: Iterable[Fact]) -> dict[str, Fact]:

@@ -14,7 +14,7 @@ from flysid.ingest.lake.crash import end_at_crash
 from flysid.ingest.lake.timeline import Timeline, Trace, happenings, with_gaps
 from flysid.progress import tell
 from flysid.reviews.fact import Fact, Section
-from flysid.reviews.figures import own_limits
+from flysid.reviews.figures import own_limits, withhold
 from flysid.reviews.logged import Column, LoggedFlight
 from flysid.reviews.reviewed import NO_TIMELINE, Review
 
@@ -121,7 +121,8 @@ def review_flight(flight: LoggedFlight, *, with_evidence: bool = False) -> Revie
 
 def _review(key: str, flight: LoggedFlight) -> Section:
     review: Callable[[LoggedFlight], Section] = import_module(SECTIONS[key]).review
-    return review(flight)
+    found = review(flight)
+    return withhold(found, flight.flight_s) if flight.was_flown else found
 
 
 def _evidence(flight: LoggedFlight, facts: Iterable[Fact]) -> Timeline:

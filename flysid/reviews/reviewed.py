@@ -62,8 +62,8 @@ class Review(Shown):
 
     @property
     def is_judged(self) -> bool:
-        """Whether any section has something to say on the first screen."""
-        return any(section.findings for section in self.sections)
+        """Whether any section has something to say of the flight, beside how much of it the log holds."""
+        return any(section.findings for section in self.sections if section.key != "trust")
 
     @property
     def values(self) -> dict[str, dict[str, float | str | None]]:

@@ -59,6 +59,11 @@ class Followed:
         return f"{self.pair.loop.key}_{self.pair.axis}"
 
     @property
+    def moved(self) -> float:
+        """Standard deviation of the setpoint in the air, in its unit."""
+        return float(np.std(self.rows.setpoint[self.rows.counts]))
+
+    @property
     def is_slow(self) -> bool:
         """Logged too slowly to show how it follows."""
         return self.pair.rate_hz < self.pair.min_rate_hz

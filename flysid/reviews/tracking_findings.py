@@ -136,19 +136,26 @@ def _late_finding(found: Sequence[Followed], grade: Grade, noun: str, why: str) 
     return Finding(words, grade, 0.7, f"tracking.{worst.name}_lag", why)
 
 
-def _missing(tracked: Tracked, *, least_deg: float = 5.0, share: float = 0.5) -> Iterator[Finding]:
-    """Angles that miss their setpoint by much, and by much of what the setpoint moves."""
+def _missing(
+    tracked: Tracked, *, least_deg: float = 5.0, share: float = 0.5, still: float = 0.01
+) -> Iterator[Finding]:
+    """Angles that miss their setpoint by much, and by much of what the setpoint moves.
+
+    Parameters
+    ----------
+    still : of the error. A setpoint that moves by less is in force in no loop, as a plane's is not that is
+        steered by hand.
+    """
     for followed in tracked.followed:
         if followed.pair.loop.key != "attitude" or followed.rms < least_deg:
             continue
-        moved = float(np.std(followed.rows.setpoint[followed.rows.counts]))
-        if followed.rms >= share * moved:
+        if still * followed.rms < followed.moved <= followed.rms / share:
             yield Finding(
                 f"{capital(followed.pair.axis)} misses its setpoint by {significant(followed.rms, 2)} deg",
                 Grade.WATCH,
                 0.8,
                 f"tracking.{followed.name}_rms",
-                f"root mean square; the setpoint moves by {significant(moved, 2)} deg",
+                f"root mean square; the setpoint moves by {significant(followed.moved, 2)} deg",
             )
 
 

@@ -126,18 +126,22 @@ def _findings(shaking: Shaking, facts: tuple[Fact, ...]) -> Iterator[Finding]:
     if tone and level is not None and level.grade is Grade.GOOD:
         level = None  # it does not show slow oscillation, and would sound like praise
     if level is not None and isinstance(level.value, float) and level.grade is not Grade.PLAIN:
-        peak = of["vibration.accel_peak"]
-        grade = level.grade
-        if grade is Grade.GOOD and peak.grade.rank >= Grade.WATCH.rank:
-            grade = Grade.WATCH
-        size = {Grade.GOOD: "low", Grade.WATCH: "at the limit", Grade.BAD: "too high"}[grade]
-        top = significant(float(peak.value or 0.0))
-        words = f"Vibration is {size}: {significant(level.value)} m/s2, up to {top}"
-        yield Finding(words, grade, 0.2 if grade is Grade.GOOD else 0.7, level.key, level.note)
+        yield _level_finding(level, of["vibration.accel_peak"])
     clips = of.get("vibration.accel_clips")
     if clips is not None and isinstance(clips.value, float) and clips.value > 0.0:
         times = "once" if clips.value == 1.0 else f"{clips.value:.0f} times"
         yield Finding(f"The accelerometer clipped {times}", clips.grade, 0.6, clips.key, clips.note)
+
+
+def _level_finding(level: Fact, peak: Fact) -> Finding:
+    """How high the vibration stands; a peak beyond the limit counts where its middle does not."""
+    middle, top = (significant(float(fact.value or 0.0)) for fact in (level, peak))
+    if level.grade is Grade.GOOD and peak.grade.rank >= Grade.WATCH.rank:
+        words = f"Vibration is acceptable, with peaks beyond the limit: {middle} m/s2, up to {top}"
+        return Finding(words, Grade.WATCH, 0.7, level.key, level.note)
+    size = {Grade.GOOD: "low", Grade.WATCH: "high", Grade.BAD: "too high"}[level.grade]
+    words = f"Vibration is {size}: {middle} m/s2, up to {top}"
+    return Finding(words, level.grade, 0.2 if level.grade is Grade.GOOD else 0.7, level.key, level.note)
 
 
 def _tone_finding(shaking: Shaking, of: dict[str, Fact]) -> Iterator[Finding]:

@@ -82,7 +82,9 @@ def _world_over(record: Record) -> Record:
 
 
 def _likeness(one: FloatArray, other: FloatArray) -> float:
-    """Correlation of all columns together, without their means."""
+    """Correlation of all columns together, without their means; 0 where there are no rows."""
+    if not len(one):
+        return 0.0
     a = one - one.mean(axis=0)
     b = other - other.mean(axis=0)
     size = float(np.sqrt((a**2).sum() * (b**2).sum()))

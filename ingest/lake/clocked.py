@@ -6,7 +6,7 @@ same flight.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
@@ -113,6 +113,22 @@ class Column:
         return [Column(self.address, self.unit, self.time_s[p], self.values[p]) for p in parts]
 
 
+def join_spans(spans: Iterable[tuple[float, float]], pause_s: float = 2.0) -> tuple[tuple[float, float], ...]:
+    """Spans in their order, those as one between which the pause is shorter.
+
+    Examples
+    --------
+    >>> join_spans([(0.0, 4.0), (5.0, 6.0), (8.5, 9.0)])
+    ((0.0, 6.0), (8.5, 9.0))
+    """
+    joined: list[tuple[float, float]] = []
+    for first, last in spans:
+        if joined and first - joined[-1][1] < pause_s:
+            first = joined.pop()[0]
+        joined.append((first, last))
+    return tuple(joined)
+
+
 @dataclass(frozen=True, eq=False)
 class ClockedLog:
     """A log on its one clock.
@@ -185,10 +201,13 @@ class ClockedLog:
 
     @cached_property
     def air_s(self) -> tuple[tuple[float, float], ...]:
-        """Spans in the air on the log's clock; the whole log where it does not state any."""
+        """Spans in the air on the log's clock; the whole log where it does not state any.
+
+        A pause below two seconds is a bounce, or the seam of two recordings in one file: it is one flight.
+        """
         if self.flown.spans is None:
             return ((0.0, self.duration_s),)
-        return tuple(
+        return join_spans(
             (self.clock.seconds(boot, first), self.clock.seconds(boot, last))
             for boot, spans in sorted(self.flown.spans.items())
             for first, last in spans
@@ -198,6 +217,11 @@ class ClockedLog:
     def was_flown(self) -> bool:
         """Whether any of it was, or may have been, in the air."""
         return any(last > first for first, last in self.air_s)
+
+    @cached_property
+    def flight_s(self) -> float:
+        """Seconds in the air before the flight ended badly; of all the log where it does not state them."""
+        return sum(max(0.0, min(last, self.ends_s) - first) for first, last in self.air_s)
 
     def flying(self, time_s: FloatArray) -> BoolArray:
         """(n,) whether times on the log's clock lie in the air and before the flight ended badly."""

@@ -6,8 +6,11 @@ import random
 from pathlib import Path
 
 import pytest
+from click.testing import CliRunner
 
 from flysid.catalogue import catalogue
+from flysid.cli import root
+from flysid.cli.output import ExitCode
 from tests.command import call, call_quick
 from tests.samplelogs import tlog
 
@@ -77,8 +80,35 @@ def test_the_report_of_a_fit_says_it(folder: Path) -> None:
     assert f"lost: {WORDS}" in page.read_text()
 
 
-def test_a_step_of_a_log_that_is_cut_off_exits_with_3(folder: Path) -> None:
+READING = (
+    ("cut.tlog",),
+    ("doctor", "cut.tlog"),
+    ("export", "cut.tlog", "--to", "csv", "-o", "export.csv", "--force"),
+    ("gains", "cut.tlog"),
+    ("ingest", "cut.tlog", "-o", "cut"),
+    ("ls", "cut.tlog"),
+    ("plot", "cut.tlog", "ATTITUDE.roll", "-o", "cut.svg", "--force"),
+    ("recipes", "--for", "cut.tlog"),
+    ("review", "cut.tlog"),
+    ("show", "cut.tlog"),
+    ("spectrum", "cut.tlog", "ATTITUDE.roll"),
+    ("step", "cut.tlog", *FIELDS),
+    ("tf", "cut.tlog", *FIELDS),
+)
+
+
+@pytest.mark.parametrize("words", READING, ids=lambda words: words[0])
+def test_a_verb_that_reads_a_file_that_is_cut_off_exits_with_3(
+    words: tuple[str, ...], folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(folder)
+    Path("cut.tlog").write_bytes(link_with_losses()[:-7])
+    done = CliRunner().invoke(root, words, standalone_mode=False)
+    assert done.return_value == ExitCode.LOSSES, done.output
+    assert "cut off" in done.output or "the file ends inside a record" in done.output
+
+
+def test_a_check_that_fails_counts_before_losses(folder: Path) -> None:
     (folder / "cut.tlog").write_bytes(link_with_losses()[:-7])
-    done = call("step", "cut.tlog", *FIELDS, cwd=folder)
-    assert done.returncode == 3, done.stderr
-    assert "the file ends inside a record" in done.stderr
+    done = call("review", "cut.tlog", "--fail-if", "trust.duration > 1", cwd=folder)
+    assert done.returncode == ExitCode.CHECK_FAILED, done.stderr

@@ -13,6 +13,7 @@ from flysid.reviews.fact import Grade
 from flysid.reviews.figures import absent, actions_of, fact_of, findings_of, limit, own_limits
 
 ROWS = tomllib.loads(files("flysid.reviews").joinpath("figures.toml").read_text("utf-8"))
+LEAST_S = ROWS.pop("least_s")
 KEYS = [f"{section}.{name}" for section, rows in ROWS.items() for name in rows]
 SOURCES = "".join(path.read_text("utf-8") for path in Path(flysid.reviews.__path__[0]).glob("*.py"))
 
@@ -22,6 +23,12 @@ def test_every_row_is_stated_by_a_section(key: str) -> None:
     """Names of margins and of an oscillation's frequency are put together from their ends."""
     end = key.rpartition("}_")[2]
     assert key in SOURCES or (key.startswith("tracking.") and end in SOURCES)
+
+
+def test_a_figure_needs_what_its_section_does_unless_its_row_says_so() -> None:
+    assert limit("tracking.rate").least_s == LEAST_S["tracking"]
+    assert limit("power.desync").least_s == 0.0
+    assert LEAST_S.keys() <= ROWS.keys()
 
 
 @pytest.mark.parametrize("key", KEYS)

@@ -12,7 +12,7 @@ from click.testing import CliRunner
 import flysid
 from flysid.cli import root
 from flysid.errors import UsageError
-from tests.flysid.reviews.copter_log import copter_log, even
+from tests.flysid.reviews.copter_log import ARMED, DISARMED, FLYING, copter_log, even
 
 SAMPLES = Path(__file__).resolve().parents[3] / "sample_logs"
 LOG = SAMPLES / "01-multisine-seed1.tlog"
@@ -94,3 +94,42 @@ def test_own_limits_grade_the_figure(tmp_path: Path) -> None:
 def test_a_limit_that_is_none_is_refused_before_a_log_is_read(limit: str, message: str) -> None:
     with pytest.raises(UsageError, match=message):
         run("review", "absent.bin", "--limit", limit)
+
+
+def flown_copter(folder: Path, seconds: float, roll_deg: float = 0.0) -> Path:
+    """A copter that oscillates, errs in roll beside a setpoint that stands, and states when it flies."""
+    time_s = even(seconds + 2.0, 100.0)
+    rates = {"R": 40.0 * np.sin(30.0 * time_s), "RDes": np.sin(3.0 * time_s)}
+    angles = {"Roll": np.full(len(time_s), roll_deg), "DesRoll": np.full(len(time_s), 1e-15)}
+    events = [(time_s[0], ARMED), (time_s[0], FLYING), (time_s[0] + seconds, DISARMED)]
+    copter_log(folder, {"RATE": (time_s, rates), "ATT": (time_s, angles)}, events=events)
+    return folder / "flight.bin"
+
+
+@pytest.mark.parametrize("seconds", [0.1, 1.3])
+def test_a_moment_of_flight_leads_with_that_and_holds_no_statistics(seconds: float, tmp_path: Path) -> None:
+    code, text, _ = run("review", flown_copter(tmp_path, seconds, 30.0))
+    assert code == 3
+    assert "in the air: too short to judge. (fly a minute" in text
+    assert "root mean square" not in text
+    assert "Oscillates" not in text
+    assert "misses" not in text
+
+
+def test_what_happens_in_a_moment_of_flight_is_stated(tmp_path: Path) -> None:
+    document = json.loads(run("review", flown_copter(tmp_path, 1.3), "--json")[1])
+    facts = document["sections"]["tracking"]["facts"]
+    assert {fact["value"] for fact in facts.values()} == {None}
+    assert "2 s are needed" in facts["rate_roll_rms"]["missing"]
+    assert document["sections"]["happened"]["facts"]["failsafes"]["value"] == "none"
+
+
+def test_some_seconds_of_flight_are_judged_and_called_short(tmp_path: Path) -> None:
+    code, text, _ = run("review", flown_copter(tmp_path, 8.0))
+    assert code == 0
+    assert "Oscillates in roll" in text
+    assert "in the air: too short to judge how it follows" in text
+
+
+def test_an_angle_without_a_setpoint_that_moves_is_not_missed(tmp_path: Path) -> None:
+    assert "misses" not in run("review", flown_copter(tmp_path, 20.0, 30.0))[1]

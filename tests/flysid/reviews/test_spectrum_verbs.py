@@ -164,3 +164,8 @@ def test_the_crossover_is_that_of_the_gains_in_the_log(tmp_path: Path) -> None:
     assert done.returncode == 0
     assert "of the roll loop, from the gains in the log" in " ".join(done.stdout.split())
     assert "its filters, their effect taken back" in " ".join(done.stdout.split())
+
+
+@pytest.mark.parametrize(("field", "unit"), [("ATTITUDE.yaw", "deg"), ("LOCAL_POSITION_NED.vx", "m/s")])
+def test_a_field_of_any_unit_has_a_spectrum(field: str, unit: str) -> None:
+    assert f"{unit}, " in call("spectrum", str(SAMPLE), field, cwd=SAMPLE.parent).stdout
