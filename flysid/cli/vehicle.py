@@ -5,9 +5,10 @@ from __future__ import annotations
 import shlex
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -21,8 +22,12 @@ from flysid.cli.source import READING_OF_A_FIT, flight_options, opened_flights, 
 from flysid.cli.trust import ProjectFile, Setting
 
 if TYPE_CHECKING:
+    from flysid.ingest.align.recipe import Recipe
     from flysid.ingest.align.signals import Log
     from flysid.ingest.lake.chosen_flights import Selection
+    from flysid.sixdof.fitted import FittedVehicle
+    from flysid.sixdof.judging import Judgement
+    from flysid.sixdof.vehicle import Vehicle
 
 RECIPE = "sixdof"
 
@@ -78,38 +83,72 @@ def command(
     the flight that would tell. 'flysid export' writes the vehicle for simulators and controllers.
     """
     from flysid.ingest.align.recipe import load_recipe
-    from flysid.ingest.align.vehicle_channel import vehicle_data
     from flysid.sixdof.fitted import FILE
-    from flysid.sixdof.judging import judge_vehicle
     from flysid.sixdof.vehicle import Vehicle
 
     estimator = Vehicle(zero=zero, full=full_scale, calm=True if calm else None)
     chosen = load_recipe(recipe)
     with display.shown(), _flights(logs, told, selection) as flights:
-        data = vehicle_data(flights, chosen)
-        vehicle = estimator.fit(data.dataset)
-        found = judge_vehicle(estimator, data.dataset, vehicle) if judge else None
+        found = fit_flights(flights, chosen, estimator, judge)
     if as_json:
-        document = vehicle.to_dict() | ({"judged": found.to_dict()} if found is not None else {})
-        print_json(document)
+        print_json(found.to_dict())
     else:
-        lines = [*vehicle.lines(), *(found.lines() if found is not None else [])]
-        print_lines(lines)
-    if data.lacking:
-        say(f"not logged: {', '.join(data.lacking)}", display.quiet)
+        print_lines(found.lines())
+    if found.lacking:
+        say(f"not logged: {', '.join(found.lacking)}", display.quiet)
     if output is not None:
+        page = found.write(output, _typed(logs, recipe, output))
+        say(f"written: {output / FILE}", display.quiet)
+        if page is not None:
+            say(f"its page, with pictures: {output / page}", display.quiet)
+    return 0
+
+
+@dataclass(frozen=True, eq=False)
+class Fitted:
+    """A vehicle, how far it holds on flights left out where that was wanted, and what its logs lack."""
+
+    vehicle: FittedVehicle
+    judged: Judgement | None
+    lacking: tuple[str, ...]
+
+    def lines(self) -> list[str]:
+        """For people."""
+        return [*self.vehicle.lines(), *(self.judged.lines() if self.judged is not None else [])]
+
+    def to_dict(self) -> dict[str, Any]:
+        """As JSON."""
+        judged = {} if self.judged is None else {"judged": self.judged.to_dict()}
+        return self.vehicle.to_dict() | judged
+
+    def write(self, output: Path, typed: str) -> str | None:
+        """Write the folder of the vehicle; the name of its page, None where that broke.
+
+        Parameters
+        ----------
+        typed : the command that makes it again, for the page.
+        """
         from flysid.extras import Extra, extra
         from flysid.files import replacing_folder
         from flysid.reviews.vehicle_page import PAGE, write_vehicle_page
+        from flysid.sixdof.fitted import FILE
 
         with replacing_folder(output) as folder:
-            vehicle.save(folder / FILE)
-            draw = partial(write_vehicle_page, folder / PAGE, vehicle, found, _typed(logs, recipe, output))
+            self.vehicle.save(folder / FILE)
+            draw = partial(write_vehicle_page, folder / PAGE, self.vehicle, self.judged, typed)
             page = extra(Extra.PAGE, draw, None, of="the vehicle")
-        say(f"written: {output / FILE}", display.quiet)
-        if page is not None:
-            say(f"its page, with pictures: {output / PAGE}", display.quiet)
-    return 0
+        return None if page is None else PAGE
+
+
+def fit_flights(logs: Sequence[Log], recipe: Recipe, estimator: Vehicle, judge: bool) -> Fitted:
+    """A vehicle of flights, judged on some of them where `judge`; raises what `Vehicle.fit` does."""
+    from flysid.ingest.align.vehicle_channel import vehicle_data
+    from flysid.sixdof.judging import judge_vehicle
+
+    data = vehicle_data(logs, recipe)
+    vehicle = estimator.fit(data.dataset)
+    judged = judge_vehicle(estimator, data.dataset, vehicle) if judge else None
+    return Fitted(vehicle, judged, data.lacking)
 
 
 def _typed(logs: Sequence[Path], recipe: str, output: Path) -> str:
