@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from flysid.sixdof.fitted import FittedVehicle
     from flysid.sixdof.judging import Judgement
     from flysid.sixdof.vehicle import Vehicle
+    from flysid.stretch import FloatArray
 
 RECIPE = "sixdof"
 
@@ -52,6 +53,11 @@ RECIPE = "sixdof"
 )
 @click.option("--zero", cls=Setting, type=float, help="The motor command that stops.  [default: found]")
 @click.option("--calm", is_flag=True, help="Indoors: hold the wind at zero.")
+@click.option(
+    "--arms",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="Where motors sit: a .toml file, a line as 'motor1 = [0.12, -0.10]' each, m forward and left.",
+)
 @target_options(
     "--output",
     "-o",
@@ -70,6 +76,7 @@ def command(
     full_scale: float | None,
     zero: float | None,
     calm: bool,
+    arms: Path | None,
     output: Path | None,
     judge: bool,
     as_json: bool,
@@ -80,16 +87,19 @@ def command(
 
     LOGS are logs, tables (.csv), or an ingested folder. Motors and gyro are needed. Voltage, accelerometer,
     attitude, velocity and position each tell more. A number that the flights do not determine is named, with
-    the flight that would tell. 'flysid export' writes the vehicle for simulators and controllers.
+    the flight that would tell. Where motors sit (--arms) adds inertias over mass and the centre of mass.
+    'flysid export' writes the vehicle for simulators and controllers.
     """
     from flysid.ingest.align.recipe import load_recipe
+    from flysid.sixdof.arms import read_arms
     from flysid.sixdof.fitted import FILE
     from flysid.sixdof.vehicle import Vehicle
 
+    places = None if arms is None else read_arms(arms)
     estimator = Vehicle(zero=zero, full=full_scale, calm=True if calm else None)
     chosen = load_recipe(recipe)
     with display.shown(), _flights(logs, told, selection) as flights:
-        found = fit_flights(flights, chosen, estimator, judge)
+        found = fit_flights(flights, chosen, estimator, judge, places)
     if as_json:
         print_json(found.to_dict())
     else:
@@ -97,7 +107,7 @@ def command(
     if found.lacking:
         say(f"not logged: {', '.join(found.lacking)}", display.quiet)
     if output is not None:
-        page = found.write(output, _typed(logs, recipe, output))
+        page = found.write(output, _typed(logs, recipe, arms, output))
         say(f"written: {output / FILE}", display.quiet)
         if page is not None:
             say(f"its page, with pictures: {output / page}", display.quiet)
@@ -140,20 +150,30 @@ class Fitted:
         return None if page is None else PAGE
 
 
-def fit_flights(logs: Sequence[Log], recipe: Recipe, estimator: Vehicle, judge: bool) -> Fitted:
-    """A vehicle of flights, judged on some of them where `judge`; raises what `Vehicle.fit` does."""
+def fit_flights(
+    logs: Sequence[Log], recipe: Recipe, estimator: Vehicle, judge: bool, places: FloatArray | None = None
+) -> Fitted:
+    """A vehicle of flights, judged on some of them where `judge`; raises what `Vehicle.fit` does.
+
+    Parameters
+    ----------
+    places : of its motors, see `FittedVehicle.placed`.
+    """
     from flysid.ingest.align.vehicle_channel import vehicle_data
     from flysid.sixdof.judging import judge_vehicle
 
     data = vehicle_data(logs, recipe)
     vehicle = estimator.fit(data.dataset)
+    if places is not None:
+        vehicle = vehicle.placed(places)
     judged = judge_vehicle(estimator, data.dataset, vehicle) if judge else None
     return Fitted(vehicle, judged, data.lacking)
 
 
-def _typed(logs: Sequence[Path], recipe: str, output: Path) -> str:
+def _typed(logs: Sequence[Path], recipe: str, arms: Path | None, output: Path) -> str:
     """The command, as it would be typed again, without its settings."""
     own = [] if recipe == RECIPE else ["-r", recipe]
+    own += [] if arms is None else ["--arms", str(arms)]
     return shlex.join(["flysid", "vehicle", *map(str, logs), *own, "-o", str(output)])
 
 

@@ -16,6 +16,7 @@ from flysid.dataset import Dataset
 from flysid.errors import DataError, FlysidError, RecipeError, UsageError
 from tests.flysid.reviews.test_vehicle_page import check_against_document
 from tests.flysid.sixdof.hidden_quad import HiddenQuad, write_table
+from tests.flysid.sixdof.test_arms import PLACES
 
 
 def vehicle(*arguments: str | Path) -> Result:
@@ -28,12 +29,21 @@ def table(still: Dataset, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_a_table_becomes_a_vehicle(table: Path, tmp_path: Path) -> None:
-    done = vehicle(table, "-o", tmp_path / "vehicle", "--calm")
+    arms = tmp_path / "arms.toml"
+    arms.write_text("".join(f"motor{i + 1} = [{x}, {y}]\n" for i, (x, y) in enumerate(PLACES)), "utf-8")
+    done = vehicle(table, "-o", tmp_path / "vehicle", "--calm", "--arms", arms)
     assert done.exit_code == 0, done.output
     assert "thrust of a motor" in done.stdout
+    assert "roll inertia / mass" in done.stdout
     assert "not determined" in done.stdout
     found = flysid.load_vehicle(tmp_path / "vehicle")
     assert found["roll of motor 1"].value == pytest.approx(-HiddenQuad().roll, rel=0.05)
+    assert found.places == tuple(map(tuple, PLACES.tolist()))
+    exported = tmp_path / "quad.py"
+    made = CliRunner().invoke(
+        root, ["export", str(tmp_path / "vehicle"), "--to", "rotorpy", "-o", str(exported)]
+    )
+    assert "mass and arm are taken as 1 kg and 0.13" in made.stderr
     page = (tmp_path / "vehicle/vehicle.html").read_text("utf-8")
     check_against_document(page, json.loads((tmp_path / "vehicle/vehicle.json").read_text("utf-8")))
     assert found.flown_v is not None
