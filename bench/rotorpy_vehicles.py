@@ -12,7 +12,7 @@ import sys
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -41,9 +41,16 @@ class Flown:
     speeds: FloatArray
 
 
-def draw(rng: np.random.Generator) -> dict[str, Any]:
-    """Parameters of a vehicle whose hover takes half the speed, or so."""
-    mass = rng.uniform(0.03, 1.5)
+class Uniform(Protocol):
+    """What draws a number between two."""
+
+    def uniform(self, low: float, high: float, /) -> float:
+        """A number from `low` to `high`."""
+
+
+def draw(rng: Uniform, mass_kg: float | None = None) -> dict[str, Any]:
+    """Parameters of a vehicle whose hover takes half the speed, or so; a mass of None is drawn, too."""
+    mass = rng.uniform(0.03, 1.5) if mass_kg is None else mass_kg
     arm = 0.05 * (mass / 0.03) ** (1 / 3) * rng.uniform(0.8, 1.2)
     weight = 9.81 * mass
     share = rng.uniform(0.2, 0.4)

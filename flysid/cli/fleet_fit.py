@@ -38,6 +38,9 @@ HEADINGS = ("GROUP", "CHANNEL", "FLIGHTS", "SAMPLES", "RMSE", "GAIN", "AT")
     help="Group by vehicle, firmware, month.",
 )
 @click.option("--output", "-o", type=click.Path(path_type=Path), help="Folder for the models.")
+@click.option(
+    "--vehicle", is_flag=True, help="Whole vehicles instead, as 'flysid vehicle' fits one; -r sixdof."
+)
 @click.option("--ts", is_flag=True, help="Also a run for each vehicle, as 'fit --vehicle' makes it.")
 @click.option(
     "--models", "-m", cls=ProjectFile, default="", metavar="A,B", help="Models of those runs, as for 'fit'."
@@ -50,6 +53,7 @@ def command(
     data: FleetData,
     by: str,
     output: Path | None,
+    vehicle: bool,
     ts: bool,
     models: str,
     effort: str,
@@ -61,9 +65,15 @@ def command(
 
     Flights are read once; their triangular factors are cached beside them, so another --by reads none.
     Covariances come from the scatter between flights. With -o the models are written as fleet.json; --ts
-    adds a run folder for each vehicle, ready for 'flysid validate'. Exit code 3: a group or a vehicle could
-    not be fitted.
+    adds a run folder for each vehicle, ready for 'flysid validate'. --vehicle fits every vehicle with six
+    degrees of freedom instead, and -o takes a folder of each. Exit code 3: a group or a vehicle could not be
+    fitted.
     """
+    if vehicle:
+        from flysid.cli.fleet_vehicles import check_alone, fit_fleet_vehicles
+
+        check_alone(data, by, ts, models, effort)
+        return fit_fleet_vehicles(data, output, force, as_json, display)
     if output is not None:
         check_target(output / MODELS, force)
     elif ts:

@@ -5,9 +5,10 @@ from __future__ import annotations
 import shlex
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -21,8 +22,13 @@ from flysid.cli.source import READING_OF_A_FIT, flight_options, opened_flights, 
 from flysid.cli.trust import ProjectFile, Setting
 
 if TYPE_CHECKING:
+    from flysid.ingest.align.recipe import Recipe
     from flysid.ingest.align.signals import Log
     from flysid.ingest.lake.chosen_flights import Selection
+    from flysid.sixdof.fitted import FittedVehicle
+    from flysid.sixdof.judging import Judgement
+    from flysid.sixdof.vehicle import Vehicle
+    from flysid.stretch import FloatArray
 
 RECIPE = "sixdof"
 
@@ -47,6 +53,11 @@ RECIPE = "sixdof"
 )
 @click.option("--zero", cls=Setting, type=float, help="The motor command that stops.  [default: found]")
 @click.option("--calm", is_flag=True, help="Indoors: hold the wind at zero.")
+@click.option(
+    "--arms",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="Where motors sit: a .toml file, a line as 'motor1 = [0.12, -0.10]' each, m forward and left.",
+)
 @target_options(
     "--output",
     "-o",
@@ -65,6 +76,7 @@ def command(
     full_scale: float | None,
     zero: float | None,
     calm: bool,
+    arms: Path | None,
     output: Path | None,
     judge: bool,
     as_json: bool,
@@ -75,46 +87,93 @@ def command(
 
     LOGS are logs, tables (.csv), or an ingested folder. Motors and gyro are needed. Voltage, accelerometer,
     attitude, velocity and position each tell more. A number that the flights do not determine is named, with
-    the flight that would tell. 'flysid export' writes the vehicle for simulators and controllers.
+    the flight that would tell. Where motors sit (--arms) adds inertias over mass and the centre of mass.
+    'flysid export' writes the vehicle for simulators and controllers.
     """
     from flysid.ingest.align.recipe import load_recipe
-    from flysid.ingest.align.vehicle_channel import vehicle_data
+    from flysid.sixdof.arms import read_arms
     from flysid.sixdof.fitted import FILE
-    from flysid.sixdof.judging import judge_vehicle
     from flysid.sixdof.vehicle import Vehicle
 
+    places = None if arms is None else read_arms(arms)
     estimator = Vehicle(zero=zero, full=full_scale, calm=True if calm else None)
     chosen = load_recipe(recipe)
     with display.shown(), _flights(logs, told, selection) as flights:
-        data = vehicle_data(flights, chosen)
-        vehicle = estimator.fit(data.dataset)
-        found = judge_vehicle(estimator, data.dataset, vehicle) if judge else None
+        found = fit_flights(flights, chosen, estimator, judge, places)
     if as_json:
-        document = vehicle.to_dict() | ({"judged": found.to_dict()} if found is not None else {})
-        print_json(document)
+        print_json(found.to_dict())
     else:
-        lines = [*vehicle.lines(), *(found.lines() if found is not None else [])]
-        print_lines(lines)
-    if data.lacking:
-        say(f"not logged: {', '.join(data.lacking)}", display.quiet)
+        print_lines(found.lines())
+    if found.lacking:
+        say(f"not logged: {', '.join(found.lacking)}", display.quiet)
     if output is not None:
-        from flysid.extras import Extra, extra
-        from flysid.files import replacing_folder
-        from flysid.reviews.vehicle_page import PAGE, write_vehicle_page
-
-        with replacing_folder(output) as folder:
-            vehicle.save(folder / FILE)
-            draw = partial(write_vehicle_page, folder / PAGE, vehicle, found, _typed(logs, recipe, output))
-            page = extra(Extra.PAGE, draw, None, of="the vehicle")
+        page = found.write(output, _typed(logs, recipe, arms, output))
         say(f"written: {output / FILE}", display.quiet)
         if page is not None:
-            say(f"its page, with pictures: {output / PAGE}", display.quiet)
+            say(f"its page, with pictures: {output / page}", display.quiet)
     return 0
 
 
-def _typed(logs: Sequence[Path], recipe: str, output: Path) -> str:
+@dataclass(frozen=True, eq=False)
+class Fitted:
+    """A vehicle, how far it holds on flights left out where that was wanted, and what its logs lack."""
+
+    vehicle: FittedVehicle
+    judged: Judgement | None
+    lacking: tuple[str, ...]
+
+    def lines(self) -> list[str]:
+        """For people."""
+        return [*self.vehicle.lines(), *(self.judged.lines() if self.judged is not None else [])]
+
+    def to_dict(self) -> dict[str, Any]:
+        """As JSON."""
+        judged = {} if self.judged is None else {"judged": self.judged.to_dict()}
+        return self.vehicle.to_dict() | judged
+
+    def write(self, output: Path, typed: str) -> str | None:
+        """Write the folder of the vehicle; the name of its page, None where that broke.
+
+        Parameters
+        ----------
+        typed : the command that makes it again, for the page.
+        """
+        from flysid.extras import Extra, extra
+        from flysid.files import replacing_folder
+        from flysid.reviews.vehicle_page import PAGE, write_vehicle_page
+        from flysid.sixdof.fitted import FILE
+
+        with replacing_folder(output) as folder:
+            self.vehicle.save(folder / FILE)
+            draw = partial(write_vehicle_page, folder / PAGE, self.vehicle, self.judged, typed)
+            page = extra(Extra.PAGE, draw, None, of="the vehicle")
+        return None if page is None else PAGE
+
+
+def fit_flights(
+    logs: Sequence[Log], recipe: Recipe, estimator: Vehicle, judge: bool, places: FloatArray | None = None
+) -> Fitted:
+    """A vehicle of flights, judged on some of them where `judge`; raises what `Vehicle.fit` does.
+
+    Parameters
+    ----------
+    places : of its motors, see `FittedVehicle.placed`.
+    """
+    from flysid.ingest.align.vehicle_channel import vehicle_data
+    from flysid.sixdof.judging import judge_vehicle
+
+    data = vehicle_data(logs, recipe)
+    vehicle = estimator.fit(data.dataset)
+    if places is not None:
+        vehicle = vehicle.placed(places)
+    judged = judge_vehicle(estimator, data.dataset, vehicle) if judge else None
+    return Fitted(vehicle, judged, data.lacking)
+
+
+def _typed(logs: Sequence[Path], recipe: str, arms: Path | None, output: Path) -> str:
     """The command, as it would be typed again, without its settings."""
     own = [] if recipe == RECIPE else ["-r", recipe]
+    own += [] if arms is None else ["--arms", str(arms)]
     return shlex.join(["flysid", "vehicle", *map(str, logs), *own, "-o", str(output)])
 
 

@@ -65,13 +65,14 @@ def write_vehicle(
     path = out or Path(FILES[target])
     check_target(path, force)
     mass = MASS_KG if mass_kg is None else mass_kg
-    arm = ARM_M if arm_m is None else arm_m
+    placed_m = vehicle.arm_m if arm_m is None else arm_m
+    arm = ARM_M if placed_m is None else placed_m
     in_metres = target in IN_METRES
     content = _in_metres(vehicle, target, path.stem, mass, arm) if in_metres else _plain(vehicle, target, fmi)
     with writing_to(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         write_atomically(path, content)
-    if in_metres and (mass_kg is None or arm_m is None):
+    if in_metres and (mass_kg is None or placed_m is None):
         say(f"mass and arm are taken as {mass:g} kg and {arm:g} m: state them with --mass and --arm")
     return path
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -17,6 +17,7 @@ from flysid.foreign import inner_path, read_object, shaped
 from flysid.showing import counted, fold
 from flysid.sixdof import layout
 from flysid.sixdof.actuators import shares
+from flysid.sixdof.arms import Body, body_of_places, checked_places
 from flysid.sixdof.figures import VehicleNumber, figures_of
 from flysid.sixdof.rigid_body import STATES, run
 from flysid.stretch import FloatArray
@@ -66,6 +67,7 @@ class FittedVehicle:
     method : "regression", or "free runs" where these agree with it and are more accurate.
     notes, frames : what was decided, and how the log's axes were turned, in words.
     flown_v : least and largest voltage in the air; None where none is measured, or a file states none.
+    places : of motors in m, forward and left of any point; None where nobody stated them.
     """
 
     theta: FloatArray
@@ -81,6 +83,7 @@ class FittedVehicle:
     frames: tuple[str, ...] = ()
     notes: tuple[str, ...] = field(default_factory=tuple)
     flown_v: tuple[float, float] | None = None
+    places: tuple[tuple[float, float], ...] | None = None
 
     @property
     def motors(self) -> int:
@@ -92,9 +95,40 @@ class FittedVehicle:
         """All of them, with units and 95 % intervals."""
         return figures_of(self.theta, self.covariance, self.inside, dict(self.held))
 
+    @cached_property
+    def body(self) -> Body | None:
+        """What the places of motors add; None where these are not stated."""
+        if self.places is None:
+            return None
+        return body_of_places(self.theta, self.covariance, self.inside, np.array(self.places))
+
+    @property
+    def arm_m(self) -> float | None:
+        """Mean distance of motors from the centre of mass, from above; None without their places."""
+        if self.places is None:
+            return None
+        centre = [self["centre of mass forward"].value, self["centre of mass left"].value]
+        return float(np.mean(np.linalg.norm(np.array(self.places) - centre, axis=1)))
+
+    def placed(self, places: FloatArray) -> FittedVehicle:
+        """The same vehicle whose motors sit at these (motors, 2) m forward and left of any point.
+
+        Raises
+        ------
+        UsageError : they are of another number of motors.
+        """
+        if len(places) != self.motors:
+            raise UsageError(f"places of {len(places)} motors: this vehicle has {self.motors}")
+        return replace(self, places=tuple((float(x), float(y)) for x, y in places))
+
     def __getitem__(self, name: str) -> VehicleNumber:
         """A number by its name, as "motor lag"; KeyError where there is none."""
-        return {number.name: number for number in self.numbers}[name]
+        return {number.name: number for number in self._every}[name]
+
+    @property
+    def _every(self) -> tuple[VehicleNumber, ...]:
+        """All numbers, those that places add included."""
+        return (*self.numbers, *(self.body.numbers if self.body is not None else ()))
 
     @property
     def correlation(self) -> FloatArray:
@@ -144,7 +178,7 @@ class FittedVehicle:
 
     def lines(self) -> list[str]:
         """For people."""
-        known = [number for number in self.numbers if number.is_determined]
+        known = [number for number in self._every if number.is_determined]
         rows = [(n.name, f"{n.value:.4g}", f"+- {n.half_width:.2g}", n.unit) for n in known]
         widths = [max((len(cell) for cell in column), default=0) for column in zip(*rows, strict=True)]
         seconds = sum(flight.seconds for flight in self.flights)
@@ -155,7 +189,7 @@ class FittedVehicle:
         lined = [[cell.ljust(width) for cell, width in zip(row, widths, strict=True)] for row in rows]
         said = [title, *("  ".join(cells).rstrip() for cells in lined)]
         lacking: dict[tuple[str, str], list[str]] = {}
-        for number in self.numbers:
+        for number in self._every:
             if not number.is_determined:
                 lacking.setdefault((number.reason, number.flight), []).append(number.name)
         if lacking:
@@ -163,6 +197,7 @@ class FittedVehicle:
         for (reason, flight), names in lacking.items():
             said.append(f"- {', '.join(names)}: {reason}. To find it, {flight}.")
         said += self.close_pairs()
+        said += self.body.doubts if self.body is not None else ()
         said += [f"{own.name}: {word}" for own in self.flights for word in own.damage]
         return [*said, *self.frames, *self.notes]
 
@@ -185,18 +220,7 @@ class FittedVehicle:
             "format": FORMAT,
             "version": VERSION,
             "motors": self.motors,
-            "numbers": [
-                {
-                    "name": n.name,
-                    "value": n.value,
-                    "unit": n.unit,
-                    "half_width_95": None if np.isnan(n.half_width) else n.half_width,
-                    "is_determined": n.is_determined,
-                    "reason": n.reason,
-                    "flight": n.flight,
-                }
-                for n in self.numbers
-            ],
+            "numbers": [_number_row(number) for number in self.numbers],
             "covariance": self.covariance.tolist(),
             "inside": [bool(x) for x in self.inside],
             "held": {str(place): why for place, why in self.held.items()},
@@ -220,6 +244,8 @@ class FittedVehicle:
             "frames": list(self.frames),
             "notes": list(self.notes),
             "flown_v": None if self.flown_v is None else list(self.flown_v),
+            "places": None if self.places is None else [list(place) for place in self.places],
+            "body": None if self.body is None else [_number_row(number) for number in self.body.numbers],
         }
 
     @classmethod
@@ -272,6 +298,8 @@ class FittedVehicle:
             notes=shaped(document["notes"], tuple[str, ...]),
             flown_v=None if flown is None else shaped(flown, tuple[float, float]),
         )
+        if (places := document.get("places")) is not None:
+            found = found.placed(checked_places(shaped(places, tuple[tuple[float, float], ...])))
         if not (np.isfinite(found.zero) and np.isfinite(found.full) and found.full != 0.0):
             raise ValueError(f"commands from {found.zero:g} over {found.full:g}")
         if not 0.0 < found.dt_s < np.inf:
@@ -288,6 +316,19 @@ class FittedVehicle:
         text = json.dumps(self.to_dict(), indent=1, allow_nan=False)
         with writing_to(target):
             write_atomically(target, text.encode())
+
+
+def _number_row(number: VehicleNumber) -> dict[str, Any]:
+    """A number as JSON."""
+    return {
+        "name": number.name,
+        "value": number.value,
+        "unit": number.unit,
+        "half_width_95": None if np.isnan(number.half_width) else number.half_width,
+        "is_determined": number.is_determined,
+        "reason": number.reason,
+        "flight": number.flight,
+    }
 
 
 def load_vehicle(path: str | Path) -> FittedVehicle:

@@ -130,6 +130,8 @@ REFUSED = [
     ("export run --c new --model nosuch", "has no model 'nosuch'", ""),
     (f"fleet fit data {ATT} --ts -o new --models tss", "no model 'tss'", "did you mean 'ts'?"),
     (f"fleet fit data {ATT} --models ts -o new", "--models are those of a vehicle's run", "--ts"),
+    (f"fleet fit data {ATT} --vehicle --ts -o new", "--vehicle fits whole vehicles", "leave out --by, --ts"),
+    (f"fleet fit data {ATT} --vehicle --by month", "--vehicle fits whole vehicles", "leave out --by, --ts"),
     (f"fleet fit data {ATT} --by nosuch", "cannot be grouped by 'nosuch'", "one of vehicle"),
     # fields
     ("fit LOG -o new --from u", "no output is named", "add --to FIELD"),

@@ -16,6 +16,7 @@ from flysid.dataset import Dataset
 from flysid.errors import DataError, FlysidError, RecipeError, UsageError
 from tests.flysid.reviews.test_vehicle_page import check_against_document
 from tests.flysid.sixdof.hidden_quad import HiddenQuad, write_table
+from tests.flysid.sixdof.test_arms import PLACES
 
 
 def vehicle(*arguments: str | Path) -> Result:
@@ -28,12 +29,21 @@ def table(still: Dataset, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_a_table_becomes_a_vehicle(table: Path, tmp_path: Path) -> None:
-    done = vehicle(table, "-o", tmp_path / "vehicle", "--calm")
+    arms = tmp_path / "arms.toml"
+    arms.write_text("".join(f"motor{i + 1} = [{x}, {y}]\n" for i, (x, y) in enumerate(PLACES)), "utf-8")
+    done = vehicle(table, "-o", tmp_path / "vehicle", "--calm", "--arms", arms)
     assert done.exit_code == 0, done.output
     assert "thrust of a motor" in done.stdout
+    assert "roll inertia / mass" in done.stdout
     assert "not determined" in done.stdout
     found = flysid.load_vehicle(tmp_path / "vehicle")
     assert found["roll of motor 1"].value == pytest.approx(-HiddenQuad().roll, rel=0.05)
+    assert found.places == tuple(map(tuple, PLACES.tolist()))
+    exported = tmp_path / "quad.py"
+    made = CliRunner().invoke(
+        root, ["export", str(tmp_path / "vehicle"), "--to", "rotorpy", "-o", str(exported)]
+    )
+    assert "mass and arm are taken as 1 kg and 0.13" in made.stderr
     page = (tmp_path / "vehicle/vehicle.html").read_text("utf-8")
     check_against_document(page, json.loads((tmp_path / "vehicle/vehicle.json").read_text("utf-8")))
     assert found.flown_v is not None
@@ -120,3 +130,35 @@ def test_motors_that_stand_still_are_no_flight(table: Path, tmp_path: Path) -> N
     done = vehicle(other)
     assert isinstance(done.exception, DataError)
     assert "no motors turn" in str(done.exception)
+
+
+def test_a_fleet_has_a_vehicle_for_every_name(table: Path, tmp_path: Path) -> None:
+    lines = [line.split(",") for line in table.read_text("utf-8").splitlines()]
+    kept = [i for i, name in enumerate(lines[0]) if name.startswith(("time", "motor", "gyro"))]
+    rows = [[line[i] for i in kept] for line in lines]
+    still = [rows[0], *([row[0], "0", "0", "0", "0", *row[5:]] for row in rows[1:])]
+    logs = {"v1/a": rows[: len(rows) // 2], "v2/b": rows[:1] + rows[len(rows) // 2 :], "v3/c": still}
+    for name, log in logs.items():
+        path = tmp_path / f"logs/{name}.csv"
+        path.parent.mkdir(parents=True)
+        path.write_text("".join(",".join(row) + "\n" for row in log), "utf-8")
+    data, fleet = tmp_path / "data", tmp_path / "fleet"
+
+    def run(*words: object) -> Result:
+        return CliRunner().invoke(root, [str(word) for word in words], standalone_mode=False)
+
+    taken = run("ingest", tmp_path / "logs", "-o", data, "--vehicle-in", "v[0-9]", "-q")
+    assert taken.return_value == 0, taken.output
+    done = run("fleet", "fit", data, "-r", "sixdof", "--vehicle", "-o", fleet)
+    assert done.return_value == 3, done.output
+    assert "v3: no motors turn in these logs" in done.stderr
+    assert sorted(path.name for path in fleet.iterdir()) == ["v1", "v2"]
+    alone = run("vehicle", data, "--vehicle", "v2", "-o", tmp_path / "alone")
+    assert alone.return_value == 0, alone.output
+    assert (fleet / "v2/vehicle.json").read_bytes() == (tmp_path / "alone/vehicle.json").read_bytes()
+    shown = {line.split()[0]: line for line in done.stdout.splitlines()}
+    found = flysid.load_vehicle(fleet / "v1")["motor lag"]
+    assert f"{found.value:.3g} +- {found.half_width:.1g}" in shown["v1"]
+    again = run("fleet", "fit", data, "-r", "sixdof", "--vehicle", "-o", fleet)
+    assert isinstance(again.exception, UsageError)
+    assert "the target exists" in str(again.exception)
