@@ -1,22 +1,27 @@
 """What the verbs print of one log, side by side: bandwidth, delay, gain, crossover, margins.
 
 `python -m bench.verbs_agree [LOG ...] [--journal FILE]`: every log of `../shared/logs` by default. Each verb
-runs as a user runs it, in a process of its own, and its JSON is read: `tf`, `step`, `gains`, `review`, and
-`predict` of the present loop. One row per log and axis: what each verb states of the same quantity, with its
+runs as a user runs it, in a process of its own, and its JSON is read: `tf`, `step`, `gains`, `review`,
+`predict` and `design` of the present loop, `fit` (linear models, by the recipe that `tf` takes) and `plan` of
+its run. One row per log and axis: what each verb states of the same quantity, with its
 95 % interval. A pair whose intervals do not meet is named, with the caution that a verb printed of it, or
 "no caution".
 
-Two quantities are the same only where both verbs mean the same signals: `gains` and `predict` speak of the
-rate loop, `tf` and `step` of the channels of the recipe that fits. A dead time is no more than the time to
-10 % of a step.
+Two quantities are the same only where both verbs mean the same signals: `gains`, `predict`, `design` of a log
+and `review` speak of the rate loop; `tf`, `step`, `fit` and `plan` of the channels of the recipe that fits.
+`fit` states the dead time, and `plan` the steady gain of its baseline. A dead time is no more than the time
+to 10 % of a step.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import re
 import subprocess
 import sys
+import tempfile
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
@@ -27,6 +32,26 @@ LOGS = Path("../shared/logs")
 SLOWEST_S = 900.0
 """After that a verb counts as one that gave no answer."""
 AXES = ("roll", "pitch", "yaw")
+OF_LOOPS = {
+    "crossover_hz": "crossover, Hz",
+    "phase_deg": "phase margin, deg",
+    "gain_db": "gain margin, dB",
+    "delay_ms": "delay margin, ms",
+    "ms": "Ms",
+    "bandwidth_hz": "bandwidth, Hz",
+}
+"""Name in JSON -> quantity."""
+OF_REVIEWS = {
+    "rate_{}_overshoot": "overshoot, %",
+    "{}_crossover": "crossover, Hz",
+    "{}_phase_margin": "phase margin, deg",
+    "{}_gain_margin": "gain margin, dB",
+    "{}_delay_margin": "delay margin, ms",
+    "{}_sensitivity": "Ms",
+    "{}_bandwidth": "bandwidth, Hz",
+}
+"""Fact of an axis -> quantity."""
+DEAD_TIME = re.compile(r"dead time \S+ -> (\S+): .*? ms \[([\d.]+), ([\d.]+)\]")
 
 
 @dataclass(frozen=True)
@@ -76,20 +101,46 @@ def run(log: Path) -> dict[str, Any]:
         "step": _answer("step", place, "--quiet"),
         "gains": _answer("gains", place),
         "review": _answer("review", place),
+        "design": _answer("design", place, "--quiet"),
     }
     same = _present_gain(found["gains"])
     found["predict"] = _answer("predict", place, "--set", same) if same else None
-    return found
+    return found | _fitted(place, (found["tf"] or {}).get("recipe"))
+
+
+def _fitted(place: str, recipe: str | None) -> dict[str, Any]:
+    """The channels of a run of linear models, and what `plan` states of it; None where there is no run."""
+    nothing = {"fit": None, "plan": None}
+    if not recipe:
+        return nothing
+    quick = ("--models", "line", "--effort", "quick", "--no-rotate", "--jobs", "1")
+    with tempfile.TemporaryDirectory() as folder:
+        run = Path(folder) / "run"
+        if _printed("fit", place, "--recipe", recipe, *quick, "--output", str(run), "--quiet") is None:
+            return nothing
+        document = run / "run.json"
+        if not document.is_file():
+            return nothing
+        channels = json.loads(document.read_text("utf-8"))["channels"]
+        return {"fit": channels, "plan": _answer("plan", str(run), "--quiet")}
 
 
 def _answer(*words: str) -> Any:
     """A verb's JSON; None where it refuses or takes too long."""
-    order = [sys.executable, "-m", "flysid", *words, "--json"]
+    try:
+        return json.loads(_printed(*words, "--json") or "")
+    except json.JSONDecodeError:
+        return None
+
+
+def _printed(*words: str) -> str | None:
+    """What a verb prints; None where it takes too long."""
+    order = [sys.executable, "-m", "flysid", *words]
     try:
         done = subprocess.run(order, capture_output=True, text=True, timeout=SLOWEST_S, check=False)
-        return json.loads(done.stdout)
-    except (subprocess.TimeoutExpired, json.JSONDecodeError):
+    except subprocess.TimeoutExpired:
         return None
+    return done.stdout
 
 
 def _present_gain(gains: Any) -> str:
@@ -121,13 +172,40 @@ def stated(verbs: Mapping[str, Any]) -> Iterator[Stated]:
         yield from _kept("step", step["channel"], "overshoot, %", figures["overshoot"])
     for axis in verbs["gains"] or ():
         yield from _of_loop("gains", axis["axis"], axis.get("figures") or {})
-    for axis in (verbs["predict"] or {"axes": ()})["axes"]:
-        yield from _of_loop("predict", axis["axis"], axis["before"]["figures"])
-    tracking = ((verbs["review"] or {}).get("sections") or {}).get("tracking", {"facts": {}})
+    for verb in ("predict", "design"):
+        for axis in (verbs.get(verb) or {"axes": ()})["axes"]:
+            yield from _of_loop(verb, axis["axis"], axis["before"]["figures"])
+    yield from _of_review(verbs["review"])
+    yield from _of_fit(verbs.get("fit") or ())
+    yield from _of_plan((verbs.get("plan") or {"known": ()})["known"])
+
+
+def _of_review(review: Any) -> Iterator[Stated]:
+    tracking = ((review or {}).get("sections") or {}).get("tracking", {"facts": {}})
     for axis in AXES:
-        fact = tracking["facts"].get(f"rate_{axis}_overshoot")
-        if fact and fact["ci95"]:
-            yield Stated("review", f"{axis}_rate", "overshoot, %", *fact["ci95"])
+        for name, quantity in OF_REVIEWS.items():
+            fact = tracking["facts"].get(name.format(axis))
+            if fact and fact["ci95"]:
+                yield Stated("review", f"{axis}_rate", quantity, *fact["ci95"])
+
+
+def _of_fit(channels: Sequence[Mapping[str, Any]]) -> Iterator[Stated]:
+    """Dead times of the channels with one input, where `fit` uses what it found."""
+    for channel in channels:
+        found = [DEAD_TIME.match(words) for words in channel["dead_times"] if ", not used" not in words]
+        if len(found) == 1 and found[0]:
+            low, high = (float(end) for end in found[0].groups()[1:])
+            yield Stated("fit", channel["name"], "dead time, ms", low, high)
+
+
+def _of_plan(known: Sequence[Mapping[str, Any]]) -> Iterator[Stated]:
+    """Steady gains of the channels with one input, where the run determines them."""
+    gains = [k for k in known if k["determined"] and k["what"].startswith("gain of ")]
+    count = Counter(k["channel"] for k in gains)
+    for one in gains:
+        if count[one["channel"]] == 1:
+            half = abs(one["value"]) * one["known_pct"] / 100.0
+            yield Stated("plan", one["channel"], "gain", one["value"] - half, one["value"] + half)
 
 
 def _of_transfers(channel: Mapping[str, Any]) -> Iterator[Stated]:
@@ -140,15 +218,7 @@ def _of_transfers(channel: Mapping[str, Any]) -> Iterator[Stated]:
 
 
 def _of_loop(verb: str, axis: str, figures: Mapping[str, Any]) -> Iterator[Stated]:
-    names = {
-        "crossover_hz": "crossover, Hz",
-        "phase_deg": "phase margin, deg",
-        "gain_db": "gain margin, dB",
-        "delay_ms": "delay margin, ms",
-        "ms": "Ms",
-        "bandwidth_hz": "bandwidth, Hz",
-    }
-    for name, quantity in names.items():
+    for name, quantity in OF_LOOPS.items():
         yield from _kept(verb, f"{axis}_rate", quantity, figures.get(name))
 
 

@@ -12,7 +12,7 @@ plant` (or noise, logging, excitation, loop, bend) adds a table of the shares by
 input or a setpoint, and a pilot that no reference shows; "bent", plants with a saturation, a dead zone, a
 Hammerstein or a Wiener bend, backlash, drag, dry friction, or a lag that depends on its speed, scored against
 the best linear approximation at the sizes that were flown; "gains", the loops of simulated PX4 and ArduPilot
-flights; "fit", verdicts of `fit` against 120 fresh flights, half a minute each.
+flights; "fit", verdicts of `fit` against 120 fresh flights, some 5 s of CPU each.
 """
 
 from __future__ import annotations

@@ -9,6 +9,7 @@ import numpy as np
 from bench.gain_margins import autopilot_flight
 from bench.truth.verbs import Score
 from bench.verdict_fairness import judged, linear_plant, nonlinear_plant
+from flysid.errors import FlysidError
 
 FIRMWARES = ("px4", "ardupilot")
 OUTER = (0.0, 3.0)
@@ -32,12 +33,17 @@ def score_gains(seed: int) -> tuple[dict[str, str], list[Score]]:
 def score_fit(seed: int) -> tuple[dict[str, str], list[Score]]:
     """Kind of a drawn plant; the change in error that `fit` states, and the sentences that follow from it.
 
-    The truth is what the same two models show on many fresh flights of the plant.
+    The truth is what the same two models show on many fresh flights of the plant. Where both are one model,
+    it is 0, and neither sentence has a trial. A plant that `fit` refuses is one refusal.
     """
     rng = np.random.default_rng(seed)
     plant = linear_plant(rng) if rng.random() < 0.5 else nonlinear_plant(rng)
-    outcome = judged(plant, rng, seed)
-    return {"plant": plant.name}, list(_of_fit(outcome.verdict, outcome.low, outcome.high, outcome.truth))
+    kinds = {"plant": plant.name}
+    try:
+        outcome = judged(plant, rng, seed)
+    except FlysidError:
+        return kinds, [Score("fit", 1.0, None, None)]
+    return kinds, list(_of_fit(outcome.verdict, outcome.low, outcome.high, outcome.truth))
 
 
 def _of_fit(verdict: str, low: float | None, high: float | None, true: float | None) -> Iterator[Score]:

@@ -52,7 +52,7 @@ def command(
     from the response to the sticks, and computes the loop. If the flights do not determine a figure, or the
     stated gains do not reproduce the recorded output, it says so, and what to fly (exit code 3: nothing is
     known of any axis, or a log was read with losses). It proposes no gains. Given the folder of a run, it
-    reads the flights of that run, and refuses one whose verdict is "not enough data".
+    reads the flights of that run. The run's verdict compares models and decides nothing here.
     """
     from flysid.loops.judged import CAUTION, judge
     from flysid.validate.runs.run import RUN_FILE
@@ -116,25 +116,9 @@ def _words_of_next(logs: Sequence[Any], source: Path) -> str:
 
 
 def _of_run(folder: Path) -> tuple[Path, tuple[str, ...]]:
-    """The data of a run, and its flights.
-
-    Raises
-    ------
-    DataError : the run's report says of no channel more than "not enough data".
-    """
-    from flysid.errors import DataError
+    """The data of a run, and its flights, whatever the run's verdict: that is about its models."""
     from flysid.place import is_address
-    from flysid.validate.compare.verdict import Verdict
-    from flysid.validate.runs.history import run_channels
     from flysid.validate.runs.run import open_run
 
     run = open_run(folder)
-    verdicts = {channel.channel: channel.verdict for channel in run_channels(folder)}
-    if all(verdict == Verdict.NOT_ENOUGH for verdict in verdicts.values()):
-        lost = ", ".join(verdicts) or "; ".join(f"{name}: {why}" for name, why in run.skipped.items())
-        raise DataError(
-            f"the run's verdict is {str(Verdict.NOT_ENOUGH)!r} ({lost}): no plant is known",
-            path=folder,
-            hint=f"the flight to fly next: flysid plan {folder}; without the run: flysid gains {run.data}",
-        )
     return here(run.data) if is_address(run.data) else Path(run.data), tuple(run.flights)

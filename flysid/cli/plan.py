@@ -245,7 +245,7 @@ def _of_run(folder: Path, channels: tuple[str, ...], data: Path | None) -> Begin
     lost = [f"{n}: {why}" for n, why in run.skipped.items() if not channels or n in channels]
     if not held:
         raise UsageError(
-            f"the run has no model to plan from: {'; '.join(lost) or 'not enough data for any channel'}",
+            f"the run has no model to plan from: {'; '.join(lost) or 'it has no channel'}",
             path=folder,
             hint="fly what excites it: flysid plan --axis NAME=PEAK --band LOW HIGH -o plan",
         )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner, Result
 
+from flysid.cli import root
 from flysid.cli.fly import command
 from flysid.dataset import Dataset, FloatArray
 from flysid.datasetfile import open_dataset, write_dataset
@@ -28,7 +30,18 @@ from flysid.model.base import Fitted
 from flysid.model.capabilities import HasDraws, LinearModel
 from flysid.model.mean import Mean
 from flysid.split import plan_split
-from flysid.validate.runs.run import RUN_FILE, ChannelRun, FitSettings, Run, run_document, versions
+from flysid.validate.compare.verdict import Verdict
+from flysid.validate.runs.history import run_channels
+from flysid.validate.runs.run import (
+    DOCUMENT,
+    REPORT,
+    RUN_FILE,
+    ChannelRun,
+    FitSettings,
+    Run,
+    run_document,
+    versions,
+)
 from tests.flysid.design.flights import DT_S, LIMIT, NOISE, good
 from tests.model_examples import EXAMPLES
 
@@ -196,6 +209,40 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         design = Design("run", ("pid", "words"), (axis,))
         (root / f"{name}.json").write_text(design.files()["design.json"], "utf-8")
     return root
+
+
+@pytest.fixture
+def undecided(folder: Path, tmp_path: Path) -> Path:
+    """The same run, with a report whose verdict is "not enough data"."""
+    copy = tmp_path / "run"
+    shutil.copytree(folder / "run", copy)
+    free = {"verdict": str(Verdict.NOT_ENOUGH), "change_pct": None, "models": {}, "unit": "m/s"}
+    body = {"about": {"longitudinal": {"test_sha256": ""}}, "channels": {"longitudinal": {"free_run": free}}}
+    (copy / REPORT).mkdir()
+    (copy / REPORT / DOCUMENT).write_text(json.dumps(body), "utf-8")
+    assert [c.verdict for c in run_channels(copy)] == [Verdict.NOT_ENOUGH]
+    return copy
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("gains", "RUN"),
+        ("plan", "RUN", "--json"),
+        ("design", "RUN", "--limit", str(LIMIT), "--json"),
+        ("export", "RUN", "--lpv", "OUT", "--force"),
+    ],
+    ids=lambda words: words[0],
+)
+def test_no_verb_refuses_a_run_for_its_verdict(folder: Path, undecided: Path, words: tuple[str, ...]) -> None:
+    """A verdict is of two models; each verb refuses for what it lacks itself, with a report or without."""
+
+    def answer(run: Path) -> tuple[int, str]:
+        places = {"RUN": str(run), "OUT": str(undecided.parent / "lpv.json")}
+        done = CliRunner().invoke(root, [places.get(w, w) for w in words], standalone_mode=False)
+        return done.exit_code, f"{done.stdout} {done.exception}".replace(str(run), "RUN")
+
+    assert answer(undecided) == answer(folder / "run")
 
 
 def flown(folder: Path, *words: str, design: str = "present.json") -> Result:

@@ -13,12 +13,12 @@ import pytest
 from click.testing import CliRunner
 
 from flysid.cli.gains import command
-from flysid.errors import DataError, UsageError
+from flysid.errors import UsageError
 from flysid.loops.controller import Controller
 from flysid.loops.judged import judge
 from flysid.loops.parameter_laws import ardupilot, px4
 from flysid.loops.parameterlogs import px4_parameters
-from flysid.validate.runs import history, run
+from flysid.validate.runs import run
 from flysid.validate.runs.run import RUN_FILE
 from tests.flysid.loops.autopilots import ARDUPILOT, PX4, Log, ardupilot_log, px4_log
 from tests.flysid.loops.simulated import Vehicle, truth
@@ -100,22 +100,8 @@ def test_the_filter_of_px4s_derivative_depends_on_the_release() -> None:
     assert px4(px4_parameters(log), "roll").filters == ((2, 30.0),)
 
 
-def test_a_run_without_a_verdict_is_refused_with_the_flight_to_fly_next(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (tmp_path / RUN_FILE).write_text("{}")
-    told = SimpleNamespace(channel="roll", verdict="not enough data")
-    monkeypatch.setattr(history, "run_channels", lambda _: [told])
-    monkeypatch.setattr(run, "open_run", lambda _: SimpleNamespace(data="data", flights=(), skipped={}))
-    with pytest.raises(DataError, match=r"'not enough data' \(roll\)") as caught:
-        CliRunner().invoke(command, [str(tmp_path)], catch_exceptions=False)
-    assert f"flysid plan {tmp_path}" in caught.value.hint
-
-
 def test_the_data_of_a_run_may_be_at_an_address(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / RUN_FILE).write_text("{}")
-    told = SimpleNamespace(channel="roll", verdict="better")
-    monkeypatch.setattr(history, "run_channels", lambda _: [told])
     found = SimpleNamespace(data="s3://lake", flights=("a",), skipped={})
     monkeypatch.setattr(run, "open_run", lambda _: found)
     mirrors = {"s3://lake": tmp_path / "mirror"}
