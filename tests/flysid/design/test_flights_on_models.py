@@ -216,7 +216,12 @@ def undecided(folder: Path, tmp_path: Path) -> Path:
     """The same run, with a report whose verdict is "not enough data"."""
     copy = tmp_path / "run"
     shutil.copytree(folder / "run", copy)
-    free: list[object] = {"verdict": str(Verdict.NOT_ENOUGH), "change_pct": None, "models": {}, "unit": "m/s"}
+    free: dict[str, object] = {
+        "verdict": str(Verdict.NOT_ENOUGH),
+        "change_pct": None,
+        "models": {},
+        "unit": "m/s",
+    }
     body = {"about": {"longitudinal": {"test_sha256": ""}}, "channels": {"longitudinal": {"free_run": free}}}
     (copy / REPORT).mkdir()
     (copy / REPORT / DOCUMENT).write_text(json.dumps(body), "utf-8")
