@@ -106,7 +106,7 @@ def peaks_of(
     if len(hz) < 16:
         return []
     floor = floor_of(density)
-    over_db = 10.0 * np.log10(density / floor)
+    over_db = 10.0 * np.log10(np.maximum(density, np.finfo(float).tiny) / floor)  # 0 of a field that stands
     threshold = max(least_db, _by_chance_db(windows.freedom, by_chance / len(hz)))
     inner = np.flatnonzero((density[1:-1] >= density[:-2]) & (density[1:-1] > density[2:])) + 1
     found: list[Peak] = []
