@@ -93,9 +93,7 @@ def fit_fleet_vehicles(
     if nameless:
         say(f"{counted(len(nameless), 'flight')} left out: whose is not known")
     if output is not None and fitted:
-        first = targets[next(iter(fitted))]
         say(f"{counted(len(fitted), 'vehicle')} in {output}", display.quiet)
-        say(f"next: flysid watch {shlex.quote(str(first))} LOG", display.quiet)
     return 3 if failed else 0
 
 

@@ -30,7 +30,7 @@ SWITCHES = {
     "--halves", "--judge",
     "--json", "--keep-mishaps", "--kinematics", "--list", "--markdown", "--messages", "--no-refine",
     "--params", "--pool", "--px4-plane", "--quiet", "--rotate", "--suggest", "--table", "--term",
-    "--toml", "--track", "--truth", "--ts", "--unstable", "--verbose",
+    "--toml", "--track", "--truth", "--ts", "--unstable", "--vehicle", "--verbose",
 }  # fmt: skip
 NUMBERS = {
     "--aim", "--altitude", "--amplitude", "--arm", "--band", "--batch", "--crossover", "--dt",
