@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Iterable, Iterator
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 import pyarrow as pa
@@ -67,8 +68,7 @@ class Topics:
         return {"clock_note": text}
 
 
-@dataclass(frozen=True)
-class Message:
+class Message(NamedTuple):
     """One message, apart: its channel (None where it has none), its payload and its log time."""
 
     channel: Channel | None
@@ -107,17 +107,16 @@ def gather(
     ] = {}  # by identity: a channel's hash takes in its whole definition
     waiting = 0
     released = 0
-    for message in messages:
-        channel = message.channel
+    for channel, payload, log_ns in messages:
         if channel is None:
             continue
         known = same.get(id(channel))
         if known is None:
             known = same[id(channel)] = (channel, queues.setdefault(channel, _Queue()))
         queue = known[1]
-        queue.payloads.append(message.payload)
-        queue.times.append(message.log_ns)
-        waiting += len(message.payload) + _HELD_BYTES
+        queue.payloads.append(payload)
+        queue.times.append(log_ns)
+        waiting += len(payload) + _HELD_BYTES
         if waiting >= min(batch_bytes, BATCH_BYTES):
             yield from _decode(queues, topics)
             release(view, released, place())

@@ -7,7 +7,6 @@ bag has no checksums outside bzip2 chunks, a damaged value inside a message is r
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Iterator, Sequence
 
 from flysid.errors import FormatError
@@ -21,11 +20,12 @@ from flysid.ingest.formats.rosbag1.records import (
     BagRecord,
     Op,
     indexed_connections,
+    place_of,
     split_fields,
 )
+from flysid.ingest.formats.rosbag1.runs import MessagePlace
 
 MAX_CONNECTIONS = 1 << 16
-_STAMP = struct.Struct("<II")
 
 
 class _Connections:
@@ -45,11 +45,12 @@ class _Connections:
         self._of[record.connection] = Channel(name, "ros1", schema)
         return True
 
-    def message(self, record: BagRecord, source: memoryview | bytes) -> Message:
-        """A message with its channel; publishers of one topic and type share it."""
-        seconds, fraction = _STAMP.unpack(record.fields[b"time"])
-        payload = bytes(source[record.data_at : record.end])
-        return Message(self._of.get(record.connection), payload, seconds * 10**9 + fraction)
+    def messages(self, run: list[MessagePlace], source: memoryview | bytes) -> Iterator[Message]:
+        """Messages with their channels; publishers of one topic and type share it."""
+        first = run[0].data_at
+        data = bytes(source[first : run[-1].end])
+        for number, log_ns, start, end in run:
+            yield Message(self._of.get(number), data[start - first : end - first], log_ns)
 
 
 def read(view: memoryview, name: str, limits: Limits) -> Parts:
@@ -108,12 +109,17 @@ def _messages(view: memoryview, reader: BagReader, tally: Tally) -> Iterator[Mes
     connections = _Connections()
     for known in indexed_connections(view):
         connections.define(known, bytes(view[known.data_at : known.end]))
-    for source, record in reader.records():
-        if record.op == Op.CONNECTION:
-            if not connections.define(record, bytes(source[record.data_at : record.end])):
+    for source, piece in reader.pieces():
+        if not isinstance(piece, BagRecord):
+            run = piece
+        elif piece.op == Op.MESSAGE:
+            run = [place_of(piece)]
+        else:
+            run = []
+            data = bytes(source[piece.data_at : piece.end]) if piece.op == Op.CONNECTION else b""
+            if piece.op == Op.CONNECTION and not connections.define(piece, data):
                 tally.undecode("(connections)")  # its length may have taken in messages
-        elif record.op == Op.MESSAGE:
-            message = connections.message(record, source)
+        for message in connections.messages(run, source) if run else ():
             if message.channel is None:
                 tally.undecode("(connection without definition)")
             yield message

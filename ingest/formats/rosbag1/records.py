@@ -17,7 +17,9 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 from flysid.ingest.formats.base import Limits
+from flysid.ingest.formats.common.clock import SECOND_NS
 from flysid.ingest.formats.common.tally import Tally
+from flysid.ingest.formats.rosbag1.runs import HEAD_BYTES, MessagePlace, message_run
 
 MAGIC = b"#ROSBAG V2.0\n"
 
@@ -53,7 +55,8 @@ _START = re.compile(
     rb"|chunk_pos|start_time|end_time)="
 )
 Fields = Mapping[bytes, bytes]
-Found = tuple[memoryview | bytes, "BagRecord"]
+Found = tuple[memoryview | bytes, "BagRecord | list[MessagePlace]"]
+"""A record, or a run of messages, and the bytes it lies in."""
 
 
 class ChunkError(ValueError):
@@ -78,6 +81,12 @@ class BagRecord:
     def connection(self) -> int:
         """The connection that a message or definition belongs to."""
         return _U32.unpack(self.fields[b"conn"])[0]  # type: ignore[no-any-return]
+
+
+def place_of(message: BagRecord) -> MessagePlace:
+    """A message as a run has it."""
+    seconds, fraction = _LENGTHS.unpack(message.fields[b"time"])
+    return MessagePlace(message.connection, seconds * SECOND_NS + fraction, message.data_at, message.end)
 
 
 def split_fields(raw: bytes) -> dict[bytes, bytes] | None:
@@ -144,7 +153,7 @@ def _is_plain_chunk(record: BagRecord) -> bool:
 
 
 class BagReader:
-    """Messages and connections of one bag; `place` and `seen` advance while `records` is consumed."""
+    """Messages and connections of one bag; `place` and `seen` advance while `pieces` is consumed."""
 
     def __init__(self, view: memoryview, limits: Limits, tally: Tally) -> None:
         self.place = 0
@@ -156,14 +165,31 @@ class BagReader:
         self._limits = limits
         self._tally = tally
 
-    def records(self) -> Iterator[Found]:
+    def records(self) -> Iterator[tuple[memoryview | bytes, BagRecord]]:
         """Every record and the bytes it lies in (the file, or an expanded chunk)."""
+        for source, piece in self.pieces():
+            if isinstance(piece, BagRecord):
+                yield source, piece
+                continue
+            for message in piece:
+                record = record_at(source, message.data_at - HEAD_BYTES, len(source))
+                if record is not None:
+                    yield source, record
+
+    def pieces(self) -> Iterator[Found]:
+        """As `records`, with messages that lie back to back as one run."""
         start = len(MAGIC) if self._view[: len(MAGIC)] == MAGIC else 0
         at = start or next_record(self._view, 0, len(self._view))
         self._tally.skip(0, 0 if start else min(at, len(MAGIC)), "not the magic of a bag")
         self._tally.skip(len(MAGIC), 0 if start else at, "no record here")
         while at < len(self._view):
             self.place = at
+            run = message_run(self._view, at, len(self._view))
+            if run:
+                self.seen += len(run)
+                yield self._view, run
+                at = run[-1].end
+                continue
             record = self._at(at)
             if record is None:
                 at = self._lost(at, at, "no record here")
@@ -236,6 +262,10 @@ class BagReader:
         at = 0
         bad = False
         while at < len(data):
+            run = message_run(data, at, len(data))
+            if run:
+                yield data, run
+                at = run[-1].end
             record = record_at(data, at, len(data))
             if record is None or record.end > len(data):
                 at = next_record(data, at + 1, len(data))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from itertools import permutations
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,8 @@ import pytest
 from flysid.errors import FormatError
 from flysid.ingest.formats.base import Limits, collect
 from flysid.ingest.formats.registry import FORMATS, detect, read
+from flysid.ingest.formats.rosbag1.records import record_at
+from flysid.ingest.formats.rosbag1.runs import message_run
 from tests.samplelogs import rosbag as sample
 
 rosbag1 = pytest.importorskip("rosbags.rosbag1", reason="the rosbags library is not installed")
@@ -118,3 +121,35 @@ def test_a_connection_whose_length_takes_in_messages_is_counted() -> None:
     flight = collect(memoryview(raw), "a.bag", FORMATS["rosbag"], Limits())
     assert flight.rows == 158
     assert flight.damage.undecoded == {"(connections)": 1}
+
+
+@pytest.mark.parametrize("order", list(permutations(("conn", "op", "time"))))
+def test_a_run_of_messages_holds_what_its_records_hold_one_by_one(order: tuple[str, ...]) -> None:
+    raw = b"".join(_ordered(order, k) for k in range(5)) + sample.chunk_info()
+    run = message_run(raw, 0, len(raw))
+    assert len(run) == 4  # the last is not followed by a message
+    at = 0
+    for place in run:
+        record = record_at(raw, at, len(raw))
+        assert record is not None
+        assert (place.connection, place.data_at, place.end) == (record.connection, record.data_at, record.end)
+        seconds, fraction = struct.unpack("<II", record.fields[b"time"])
+        assert place.log_ns == seconds * 10**9 + fraction
+        at = place.end
+
+
+def _ordered(order: tuple[str, ...], k: int) -> bytes:
+    """A message whose header has its fields in this order."""
+    values = {"conn": struct.pack("<I", k), "op": b"\x02", "time": struct.pack("<II", 7 + k, 11 * k)}
+    inner = b"".join(
+        struct.pack("<I", len(name) + 1 + len(values[name])) + name.encode() + b"=" + values[name]
+        for name in order
+    )
+    return struct.pack("<I", len(inner)) + inner + struct.pack("<I", k) + bytes(k)
+
+
+def test_a_message_of_a_wrong_length_ends_the_run() -> None:
+    raw = bytearray(b"".join(sample.message(0, k) for k in range(5)))
+    size = len(raw) // 5
+    raw[2 * size + 42] ^= 1  # the length of the data of the third
+    assert [place.end for place in message_run(bytes(raw), 0, len(raw))] == [size, 2 * size]
