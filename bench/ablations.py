@@ -17,7 +17,7 @@ import importlib
 import itertools
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from unittest.mock import patch
 
@@ -27,8 +27,8 @@ from bench import starts, ts_inputs
 from bench.accuracy_data import CASES
 from flysid.dataset import Dataset, FloatArray
 from flysid.model.base import Estimator
-from flysid.model.rules import candidates, growth, learning, search
-from flysid.model.rules.stages import Stage
+from flysid.model.rules import edits, growth, learning, search, search_context
+from flysid.model.selection import simplest
 from flysid.model.ts import TS
 
 
@@ -42,34 +42,27 @@ def half_spread(chosen: FloatArray, *_: object) -> float:
     return 0.5 * float(np.std(chosen))
 
 
-def none(*_: object) -> Iterator[Stage]:
-    """No splits of a kind."""
-    return iter(())
-
-
-def best_of(tried: Sequence[search.Split], most: int) -> list[search.Split]:
-    """The best splits, whatever their lags."""
-    return list(tried[:most])
-
-
 Step = Callable[[], AbstractContextManager[object]]
 linear_starts = growth._linear_starts
 STEPS: Mapping[str, Step] = {
-    "middle": lambda: patch.object(growth, "_in_the_middle", none),
-    "oblique": lambda: patch.object(growth, "_oblique", none),
-    "varied": lambda: patch.object(search, "_varied", best_of),
-    "without present": lambda: patch.object(candidates, "without_present", lambda *_: []),
+    "own places": lambda: patch.object(search, "_AS_MUCH", -np.inf),
     "further places": lambda: patch.object(growth, "_FIRST_PLACES", growth._PLACES),
     "same places": lambda: patch.object(growth, "_PLACES", growth._FIRST_PLACES),
-    "lower orders": lambda: patch.object(candidates, "embedded_start", lambda *_: ()),
+    "lower orders": lambda: patch.object(search_context, "embedded_start", lambda *_: ()),
     "instruments": lambda: patch.object(
         growth, "_linear_starts", lambda problem: itertools.islice(linear_starts(problem), 1)
     ),
-    "linear side": lambda: patch.object(candidates, "_of_the_linear_side", lambda *_: []),
-    "idle inputs": lambda: patch.object(candidates, "_needless", lambda *_: ()),
-    "integrator": lambda: patch.object(candidates, "_settled", lambda _, starts: starts),
+    "linear side": lambda: patch.object(search_context.SearchContext, "_linear_side", lambda *_: []),
+    "idle inputs": lambda: patch.object(search_context.SearchContext, "_needless", lambda *_: ()),
+    "integrator": lambda: patch.object(
+        search_context.SearchContext, "_settle", lambda _, stage, *__: (stage,)
+    ),
+    "fewer orders": lambda: patch.object(search_context, "simplest", lambda errors, _: simplest(errors)),
+    "short records": lambda: patch.object(learning, "_HIGHEST_LINEAR", learning._DEEPEST_DELAY),
     "ends of travel": lambda: patch.object(learning, "saturation_limits", nowhere),
+    "different starts": lambda: patch.object(search, "different", list),
     "first width": lambda: patch.object(growth, "first_width", half_spread),
+    "merge and split": lambda: patch.object(edits, "merge_and_split", lambda _, models, at: models[at]),
 }
 MODELS: Mapping[str, Estimator] = {"states": TS(states=2), "lags": TS(na=2, nb=2, nk=1)}
 MOST_ROWS = 16_000

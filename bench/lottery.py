@@ -30,7 +30,7 @@ from bench import accuracy_data, drawn_plants
 from bench.ts_experiment import off
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import FlysidError
-from flysid.model.rules.search_settings import NORMAL, SearchSettings
+from flysid.model.rules.search_settings import NORMAL, QUARTERS, SearchSettings
 from flysid.model.ts import TS
 
 Change = Callable[[Dataset], Dataset]
@@ -97,6 +97,8 @@ def changed_settings() -> Iterator[tuple[str, SearchSettings]]:
                 found = tuple((1.0 + 0.2 * sign) * value for value in known)
             else:
                 found = (1.0 + 0.2 * sign) * known
+            if field.name == "folds" and found > QUARTERS:
+                continue
             yield f"{SETTINGS}{field.name} {found}", replace(NORMAL, **{field.name: found})
 
 

@@ -23,5 +23,5 @@ def context_of(truth: FittedTS) -> SearchContext:
 def stage_of(context: SearchContext, truth: FittedTS, share: float) -> Stage:
     """The true rules, `share` of the way to being equal, unrefined."""
     theta = (1.0 - share) * truth.parameters.theta + share * truth.parameters.theta.mean(axis=0)
-    runs = runs_of(truth.layout, context.train.segments, context.least)
+    runs = runs_of(truth.layout, context.fit_part.segments, context.least)
     return skip_refining(*as_problem(truth.layout, truth.parameters._replace(theta=theta), runs))

@@ -67,7 +67,7 @@ def scaled(dataset: Dataset, a: float, b: float) -> Dataset:
     )
 
 
-SMALL = SearchSettings(ridges=(0.1,), width=1)
+SMALL = SearchSettings(linear_systems=1, ridges=(0.1,), lanes=1)
 
 Builder = Callable[[Dataset], Fitted]
 

@@ -1,14 +1,13 @@
 """Rules over lagged outputs, over hidden states, or a linear model: which of these the data ask for.
 
 The model over lags comes first: its rules speak of measured signals only. Hidden states are tried where rules
-over lags were kept, or a second one is judged clearly better, as it is wherever something bends, and
-where the free run of the first leaves an error that its own past foretells, as a state does that lags do
+over lags were kept, or a second one lowers the training error clearly, as it does wherever something bends,
+and where the free run of the first leaves an error that its own past foretells, as a state does that lags do
 not show. They are taken only if they do clearly better on held-out parts, and better on the training data.
 
-Both are judged over the same blocks of data that they had no part of (`rules.judging`). What was found is
-then refined again without each quarter in turn, beside the linear side's choice, and run free over it: errors
-are compared block by block, so that what is hard for both cancels; blocks of one record are no independent
-voices, which their correlation says.
+What either found is refined again on the fitting part of every fold, from where it stands, and run free over
+the part held out. Errors are compared block by block, so that what is hard for both cancels; blocks of one
+record are no independent voices, which their correlation says.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from flysid.dataset import Dataset, FloatArray, Segment
+from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, FitError, UsageError
 from flysid.model.base import Fitted
 from flysid.model.noise import noise_model
@@ -27,20 +26,19 @@ from flysid.model.polynomials import ONE_SIDED, VANISHING
 from flysid.model.rules import learning
 from flysid.model.rules.fitted import FittedTS
 from flysid.model.rules.free_run_error import range_of
-from flysid.model.rules.judging import gap_between
+from flysid.model.rules.judging import blocks, hold_out
 from flysid.model.rules.kernel import IntArray
 from flysid.model.rules.learning import LinearSide, Search
 from flysid.model.rules.operating_points import describe
 from flysid.model.rules.refit import free_run_errors
 from flysid.model.rules.regressor_layout import scaling
-from flysid.model.rules.search_settings import RuleSettings
-from flysid.model.selection import FEWEST, FreeRunning, block_means
+from flysid.model.rules.search_settings import QUARTERS, RuleSettings
+from flysid.model.selection import FEWEST, FreeRunning
 from flysid.model.start import run_from_window, start_window
 
 _FORETOLD = 0.5  # share of the free run's error that its own past must explain
 _MOST_OUTPUTS = 2
 _MOST_SAMPLES = 100_000
-_QUARTERS = 4  # each held out in turn
 
 
 Refit = Callable[[Dataset], FreeRunning]
@@ -125,18 +123,27 @@ def contest(
 ) -> Contest:
     """Both kinds, the second where the first hints at it."""
     lags = learning.over_lags(settings, train, validation, linear_side)
-    straight = lags.stage.rules == 1 and lags.promise > -settings.search.hidden_gain
+    straight = lags.stage.rules == 1 and lags.fit > -settings.search.hidden_gain
     if straight or not (settings.search.hidden_states and hints_at_hidden_state(lags.bare, train)):
         return Contest(lags)
     try:
         states = learning.over_states(settings, train, validation)
         if states.stage.rules == 1 == lags.stage.rules:
             return Contest(lags)
-        fits = advantage([block_errors((lags.bare, states.bare), train)]).gain < 0.0
+        judgement = _judge(lags, states, train, validation)
     except (DataError, FitError, UsageError, np.linalg.LinAlgError):  # e.g. antecedents that it does not have
         return Contest(lags)
-    gaps = gap_between(states.chosen, lags.chosen)
-    return Contest(lags, states, Advantage(float(gaps.mean()), _error(gaps)), fits)
+    return Contest(lags, states, *judgement)
+
+
+def _judge(
+    lags: Search, states: Search, train: Dataset, validation: Dataset | None
+) -> tuple[Advantage, bool]:
+    """The advantage of hidden states on held-out parts, and whether they fit the training data better."""
+    fits = advantage([block_errors((lags.bare, states.bare), train)]).gain < 0.0
+    parts = parts_to_compare_on(train, validation, max(lags.least, states.least))
+    pairs = [block_errors(models, check) for models, (_, check) in refit(lags.again, states.again, parts)]
+    return advantage(pairs), fits
 
 
 def hints_at_hidden_state(model: FittedTS, train: Dataset) -> bool:
@@ -171,33 +178,7 @@ def parts_to_compare_on(
     """Fitting and judging parts: what was given, or quarters of the training data held out in turn."""
     if validation is not None:
         return [(train, validation)]
-    return [hold_out(train, least, fold) for fold in range(_QUARTERS)]
-
-
-def hold_out(train: Dataset, least: int, fold: int = 0) -> tuple[Dataset, Dataset]:
-    """Training and validation parts of `train`: every fourth segment, or a quarter of each where few.
-
-    Whole segments are held out where there are at least four long enough; otherwise one quarter of each,
-    the last one in fold 0, earlier ones in folds 1 to 3. Nothing is drawn sample by sample.
-    """
-    usable = [s for s in train.segments if len(s) >= least]
-    if len(usable) >= _QUARTERS:
-        held = [s for i, s in enumerate(usable) if i % _QUARTERS == (2 + fold) % _QUARTERS]
-        kept = [s for i, s in enumerate(usable) if i % _QUARTERS != (2 + fold) % _QUARTERS]
-        return train.with_segments(kept), train.with_segments(held)
-    first: list[Segment] = []
-    last: list[Segment] = []
-    for segment in usable:
-        n = len(segment)
-        begin = n - (fold + 1) * (n // _QUARTERS)
-        end = n - fold * (n // _QUARTERS)
-        parts = [segment.slice(a, b, train.dt_s) for a, b in ((0, begin), (end, n)) if b - a >= least]
-        if end - begin < least or not parts:
-            first.append(segment)
-            continue
-        first += parts
-        last.append(segment.slice(begin, end, train.dt_s))
-    return train.with_segments(first), train.with_segments(last or first)
+    return [hold_out(train, least, fold) for fold in range(QUARTERS)]
 
 
 def unproven(first: Refit, second: Refit, parts: Sequence[tuple[Dataset, Dataset]]) -> str:
@@ -267,7 +248,7 @@ def block_errors(
             errors.append((run_from_window(model, s, window) - s.y)[rows] / scale)
     if beyond is not None and sum(map(len, found[0])) < FEWEST:
         return np.zeros(0), np.zeros(0)
-    one, other = (block_means([np.mean(e * e, axis=1) for e in errors]) for errors in found)
+    one, other = (blocks(e) if e else np.zeros(0) for e in found)
     return one, other
 
 

@@ -1,13 +1,17 @@
-"""Edits of the rules: two as one, one dropped, a condition left out; what each costs.
+"""Edits of the rules: two as one, one dropped, a condition left out; merge and split; what each costs.
 
-Every edit is refined on the simulation error before it is priced, so that the price is what
+Growth inserts rule after rule and never takes one back: it ends in a local minimum that hangs on the first
+places. One rule more, and two merged again, leaves it (split and merge: Ueda, Nakano, Ghahramani and Hinton
+2000, for mixtures of densities). The words stay as many.
+
+Of a fitted model every edit is refined on the simulation error before it is priced, so that the price is what
 the words are worth, not what a careless edit breaks (rule base simplification: Setnes, Babuska, Kaymak and
 van Nauta Lemke, 1998, merge by similarity of sets; here the free run decides).
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 
@@ -16,15 +20,17 @@ import numpy as np
 from flysid.dataset import Dataset, FloatArray
 from flysid.model.rules.boundedness import is_bounded
 from flysid.model.rules.consequents import refuse_few, refuse_other_data
-from flysid.model.rules.growth import best_started
+from flysid.model.rules.growth import Training, best_started, one_rule_more, rule_support
+from flysid.model.rules.judging import Candidate
 from flysid.model.rules.kernel import Parameters
 from flysid.model.rules.operating_points import describe
 from flysid.model.rules.phrases import from_to
 from flysid.model.rules.refit import as_problem, at_stage, free_run_rmse
 from flysid.model.rules.regressor_layout import Layout, runs_of
 from flysid.model.rules.rule_model import RuleModel
-from flysid.model.rules.search import TRIES
+from flysid.model.rules.search_context import SearchContext
 from flysid.model.rules.stages import Stage, ordered
+from flysid.model.selection import clearly_better
 from flysid.model.threads import on_one_thread
 
 
@@ -79,6 +85,60 @@ def staged(layout: Layout, p: Parameters, runs: tuple[FloatArray, ...]) -> Stage
     if len(body.a) == 1:
         body = replace(body, centre=np.zeros_like(body.centre), width=np.ones_like(body.width))
     return best_started(problem, body)
+
+
+def _refined_mergers(context: SearchContext, stage: Stage) -> Iterator[Stage]:
+    """The most promising edits that leave fewer rules, refined on the training part."""
+    stage = ordered(stage)
+    problem = stage.problem
+    tried = [
+        staged(layout, p, problem.runs).under(stress=problem.stress)
+        for _, layout, p in edits(problem.layout, problem.parameters(stage.body), rule_support(stage))
+        if len(p.theta) < stage.rules
+    ]
+    for s in sorted(tried, key=lambda s: s.cost)[: Training.tries]:
+        yield s.under(ridge=Training().ridge * s.cost).refined(context.settings.iterations // 2, 1e-5)
+
+
+def merge_and_split(context: SearchContext, models: Sequence[Candidate], at: int) -> Candidate:
+    """`models[at]`, or one with as many rules that training and validation both prefer.
+
+    Little data are left alone: every quarter of them was asked for the number of rules already, and one
+    more choice by the same quarters gained nothing on plants with known truth.
+    """
+    chosen = models[at]
+    larger = list(models[at + 1 : at + 2])
+    if context.folds or chosen.stage.rules < 2:
+        return chosen
+    for _ in range(context.settings.search.exchanges):
+        found = _again(context, chosen, larger or _one_more(context, chosen.stage))
+        if found is chosen:
+            break
+        chosen = found
+        larger = []
+    return chosen
+
+
+def _one_more(context: SearchContext, stage: Stage) -> list[Candidate]:
+    """A model with one rule more than the known one, as far as data and growth go."""
+    if not context.room(stage):
+        return []
+    how = Training(iterations=context.settings.iterations)
+    grown = one_rule_more(stage, context.antecedents(stage.layout), how)
+    return [context.judge(grown.stage)] if grown else []
+
+
+def _again(context: SearchContext, chosen: Candidate, larger: Sequence[Candidate]) -> Candidate:
+    """The best of the larger models' mergers with as many rules as `chosen`; itself where none is better."""
+    known = context.judge(chosen.stage)
+    found = [
+        context.judge(stage)
+        for more in larger
+        for stage in _refined_mergers(context, more.stage)
+        if stage.cost < chosen.stage.cost
+    ]
+    better = [kid for kid in found if kid.stable and clearly_better(kid.errors, known.errors)]
+    return min(better, key=lambda kid: kid.mean, default=chosen)
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,7 +203,7 @@ def simplifications(
     ]
     tried.sort(key=lambda edit: edit[1].cost)
     found = []
-    for what, stage in tried[:TRIES]:
+    for what, stage in tried[: Training.tries]:
         refined = stage.under(ridge=ridge * stage.cost).refined(iterations, 1e-5)
         if np.isfinite(refined.cost) and is_bounded(refined):
             told = replace(model, notes=(*model.notes, f"Simplified by hand: {what}."))

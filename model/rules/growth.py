@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -30,12 +30,13 @@ from flysid.model.rules.free_run_error import Body, Problem, antecedent_range
 from flysid.model.rules.kernel import firing
 from flysid.model.rules.memberships import Partition
 from flysid.model.rules.regressor_layout import Antecedent, Layout, windows
-from flysid.model.rules.stages import Stage, insert
+from flysid.model.rules.stages import Stage, expected_cost, insert, on_runs_of
 from flysid.model.start import START_SHARE, STEPS
 
 _PLACES = (0.15, 0.5, 0.85)
 _FIRST_PLACES = (0.1, 0.3, 0.7, 0.9)  # not the middle, from where there is no other side
 _PIECE = 1000  # rows of a piece, where long records are thinned, and what starts it a small share
+_FEW = 5000  # rows for ranking insertions and for trying the best ones
 NOTHING = np.zeros(0, dtype=np.int64)
 """Of a body that stays as it is while the runs' starts are searched for."""
 
@@ -257,25 +258,59 @@ def with_variables(stage: Stage, antecedents: tuple[Antecedent, ...]) -> Stage:
     return Stage(problem, Body(stage.body.a, centre, width), initial, stage.cost)
 
 
-def splits(stage: Stage, antecedents: Sequence[Antecedent]) -> list[Stage]:
-    """The stage with one rule more, at every place where there are samples for it.
+@dataclass(frozen=True)
+class Training:
+    """How a rule is trained.
 
-    At several places along every antecedent in every rule's region; of a single rule also in the middle,
-    beside the first, which stays everywhere (what bends alike to both sides has one rule there), and to both
-    sides of oblique lines over two variables. Every child begins nearly as its parent.
+    Attributes
+    ----------
+    ridge : of the mean square error: 0.01 is as if one more sample in a hundred said that rules are equal.
+    tries : insertions that are tried out, the most promising ones.
+    iterations, tolerance : Levenberg-Marquardt steps of the last refinement, and when it has converged.
     """
-    found = [s for a in antecedents for s in _along(stage, a)]
-    if stage.rules == 1:
-        found += [s for a in antecedents for s in _in_the_middle(stage, a)]
-        values = [a for a in antecedents if a.minus < 0]
-        found += [s for pair in itertools.combinations(values, 2) for s in _oblique(stage, pair)]
-    return found
+
+    ridge: float = 0.01
+    tries: int = 3
+    iterations: int = 30
+    tolerance: float = 1e-6
 
 
-def _along(stage: Stage, antecedent: Antecedent) -> Iterator[Stage]:
-    """A rule more at quantiles of an antecedent where a present rule speaks, its width half the spread there.
+@dataclass(frozen=True)
+class Insertion:
+    """Where a rule goes: along which variable, in whose region, at which quantile of the variable there."""
 
-    It takes that rule's centre in the other variables.
+    antecedent: Antecedent
+    rule: int
+    place: float
+
+
+@dataclass(frozen=True, eq=False)
+class Grown:
+    """One rule more: where it went, and the stage refined with it."""
+
+    where: Insertion
+    stage: Stage
+
+
+def insertions(stage: Stage, antecedents: Sequence[Antecedent]) -> list[tuple[Insertion, Stage]]:
+    """One rule more, at several places along every antecedent in every rule's region."""
+    places = _PLACES if stage.rules > 1 else _FIRST_PLACES
+    return [
+        option
+        for a in antecedents
+        for option in _inserted_along(
+            stage, a, [Insertion(a, r, p) for r, p in itertools.product(range(stage.rules), places)]
+        )
+    ]
+
+
+def _inserted_along(
+    stage: Stage, antecedent: Antecedent, places: Sequence[Insertion]
+) -> Iterator[tuple[Insertion, Stage]]:
+    """The stage with a rule more at each of the places along one antecedent, where there are samples.
+
+    Places are quantiles of the antecedent where a present rule speaks; the new rule takes that rule's centre
+    in the other variables. Its width is half the spread there.
     """
     known = stage.layout.antecedents
     wide = stage if antecedent in known else with_variables(stage, (*known, antecedent))
@@ -283,45 +318,15 @@ def _along(stage: Stage, antecedent: Antecedent) -> Iterator[Stage]:
     z, phi = z_and_firing(wide, wide.simulated())
     strongest = phi.argmax(axis=1)
     span = float(np.ptp(z[:, j]))
-    for rule, place in itertools.product(range(stage.rules), _PLACES if stage.rules > 1 else _FIRST_PLACES):
-        chosen = z[strongest == rule, j]
+    for at in places:
+        chosen = z[strongest == at.rule, j]
         if len(chosen) < len(wide.layout.regressors) or span == 0.0:  # fewer than the rule has numbers
             continue
-        centre = wide.body.centre[rule].copy()
-        width = wide.body.width[rule].copy()
-        centre[j] = np.quantile(chosen, place)
+        centre = wide.body.centre[at.rule].copy()
+        width = wide.body.width[at.rule].copy()
+        centre[j] = np.quantile(chosen, at.place)
         width[j] = first_width(chosen, span, stage.rules)
-        yield insert(wide, centre, width)
-
-
-def _in_the_middle(stage: Stage, antecedent: Antecedent) -> Iterator[Stage]:
-    """A second rule at the median of an antecedent, beside the first, which stays everywhere."""
-    wide = with_variables(stage, (antecedent,))
-    z, _ = z_and_firing(wide, wide.simulated())
-    span = float(np.ptp(z))
-    if span > 0.0:
-        first, everywhere = wide.body.centre[0], wide.body.width[0]
-        yield _two_at(wide, first, np.median(z, axis=0), everywhere, first_width(z, span, 2))
-
-
-def _oblique(stage: Stage, pair: tuple[Antecedent, Antecedent]) -> Iterator[Stage]:
-    """Two rules a spread to both sides of the middle of two antecedents, along each diagonal."""
-    wide = with_variables(stage, pair)
-    z, _ = z_and_firing(wide, wide.simulated())
-    size = z.std(axis=0)
-    for sign in (1.0, -1.0) if (size > 0.0).all() else ():
-        away = np.array([1.0, sign]) * size
-        yield _two_at(wide, z.mean(axis=0) - away, z.mean(axis=0) + away, size, size)
-
-
-def _two_at(
-    stage: Stage, first: FloatArray, second: FloatArray, broad: FloatArray, narrow: FloatArray | float
-) -> Stage:
-    """A single rule as two, alike but for their centres (n_z,); `broad` and `narrow` are their widths."""
-    body = stage.body
-    centre = np.clip(np.vstack([first, second]), *stage.problem.z_range)
-    width = np.vstack([broad, np.broadcast_to(narrow, second.shape)])
-    return replace(stage, body=Body(np.concatenate([body.a, body.a]), centre, width))
+        yield at, insert(wide, centre, width)
 
 
 def first_width(chosen: FloatArray, span: float, rules: int) -> float:
@@ -352,21 +357,41 @@ def seen(stage: Stage) -> list[FloatArray]:
 
 def thin(stage: Stage, samples: int) -> Stage:
     """The stage on at most about `samples` rows: evenly spaced windows, started where the model is."""
-    depth = stage.layout.depth
-    runs = thinned(stage.problem.runs, depth, samples)
-    if runs is stage.problem.runs:
+    total = sum(len(W) for W in stage.problem.runs)
+    if total <= samples:
         return stage
-    initial = stage.problem.starts(thinned(stage.simulated(), depth, samples))
+    d = stage.layout.depth
+    rows = max(_PIECE, round(d / START_SHARE))
+    every = max(1, round(total / samples))
+    runs = windows(stage.problem.runs, d, rows)[::every]
+    initial = stage.problem.starts(windows(stage.simulated(), d, rows)[::every])
     return replace(stage.under(runs=runs), initial=initial)
 
 
-def thinned(runs: Sequence[FloatArray], depth: int, samples: int) -> tuple[FloatArray, ...]:
-    """At most about `samples` rows of runs: evenly spaced windows; all runs where these are no longer."""
-    total = sum(map(len, runs))
-    if total <= samples:
-        return tuple(runs)
-    rows = max(_PIECE, round(depth / START_SHARE))
-    return windows(runs, depth, rows)[:: max(1, round(total / samples))]
+def one_rule_more(stage: Stage, antecedents: Sequence[Antecedent], how: Training) -> Grown | None:
+    """The best insertion, refined fully; None where no region has samples.
+
+    What a Gauss-Newton step promises ranks insertions well, but for the first few: these are tried out on few
+    rows, by a few steps of refinement.
+    """
+    stage = stage.under(ridge=how.ridge * stage.mean_square())
+    few = thin(stage, _FEW)
+    options = insertions(few, antecedents)
+    promised = [expected_cost(grown) for _, grown in options]
+    order = [i for i in np.argsort(promised, kind="stable") if np.isfinite(promised[i])][: how.tries]
+    trials = [(options[i][0], options[i][1].refined(max(6, how.iterations // 3), 1e-5)) for i in order]
+    if not trials:
+        return None
+    where, trial = min(trials, key=lambda each: each[1].cost)
+    best = settle(trial, how)
+    if few is not stage:
+        best = settle(on_runs_of(best, stage), how)
+    return Grown(where, best)
+
+
+def settle(stage: Stage, how: Training) -> Stage:
+    """Refined fully, under the ridge that its present error asks for."""
+    return stage.under(ridge=how.ridge * stage.mean_square()).refined(how.iterations, how.tolerance)
 
 
 def split(stage: Stage, antecedents: Sequence[Antecedent], rules: int) -> Stage | None:
@@ -375,11 +400,17 @@ def split(stage: Stage, antecedents: Sequence[Antecedent], rules: int) -> Stage 
     A single rule split is the very same model. None where no region has samples for another rule.
     """
     while stage.rules < rules:
-        options = splits(stage, antecedents)
+        options = insertions(stage, antecedents)
         if not options:
             return None
-        stage = options[0]
+        stage = options[0][1]
     return stage
+
+
+def same_insertion(stage: Stage, insertion: Insertion, how: Training) -> Stage | None:
+    """A rule more where another part of the data wanted it, refined fully; None where it cannot be."""
+    ridged = stage.under(ridge=how.ridge * stage.mean_square())
+    return next((settle(s, how) for _, s in _inserted_along(ridged, insertion.antecedent, [insertion])), None)
 
 
 def rule_support(stage: Stage) -> FloatArray:

@@ -71,12 +71,14 @@ class LinearStart:
         return _fit(self.name, self.again, data, None)
 
 
-def linear_models(
-    train: Dataset, validation: Dataset | None, nk_hint: Sequence[int] = ()
-) -> list[LinearStart]:
-    """ARX with the orders and delays that it chooses by itself on `train`; nothing where it finds none."""
-    found = _fit("ARX", ARX(nk_hint=nk_hint), train, validation)
-    return [] if found is None else [found]
+def linear_models(train: Dataset, validation: Dataset, nk_hint: Sequence[int] = ()) -> list[LinearStart]:
+    """What the linear side finds on `train` by itself, each structure once; fewer where one cannot."""
+    settings: dict[str, ARX | StateSpace] = {
+        "ARX": ARX(nk_hint=nk_hint),
+        "state space": StateSpace(refine=False, nk=1),
+    }
+    found = [_fit(name, kind, train, validation) for name, kind in settings.items()]
+    return [model for model in found if model is not None]
 
 
 def _fit(name: str, settings: Estimator, train: Dataset, validation: Dataset | None) -> LinearStart | None:

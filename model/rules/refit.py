@@ -1,4 +1,4 @@
-"""A stage of refinement as a fitted model, a fitted model as a stage, and one refined on other runs."""
+"""A stage of refinement as a fitted model, a fitted model as a stage, and a chosen one refined once more."""
 
 from __future__ import annotations
 
@@ -14,8 +14,10 @@ from flysid.model.noise import noise_models
 from flysid.model.rules.boundedness import is_bounded
 from flysid.model.rules.free_run_error import Body, Problem, antecedent_range, widen
 from flysid.model.rules.growth import best_started, first_basis, holds_integrator, rule_support
+from flysid.model.rules.judging import Candidate
 from flysid.model.rules.kernel import Parameters
 from flysid.model.rules.likely_start import LikelyStart, start_spread
+from flysid.model.rules.linear_starts import as_stage
 from flysid.model.rules.regressor_layout import Layout
 from flysid.model.rules.rule_model import RuleModel
 from flysid.model.rules.stages import Stage, on_other_runs, prior_of
@@ -26,24 +28,29 @@ STEPS_ON_PARTS = 8
 M = TypeVar("M", bound=RuleModel)
 
 
-def on_all_runs(stage: Stage, runs: Sequence[FloatArray], iterations: int, *, bounded: bool = True) -> Stage:
-    """The stage with its numbers refined on `runs`; unchanged where that would make it run away.
+def refit(chosen: Candidate, data: Dataset, runs: Sequence[FloatArray], iterations: int) -> Stage:
+    """The chosen model on all data, by the method that found it: what was judged is what is offered."""
+    known = chosen.linear
+    again = None if known is None or known.refined or chosen.moved else known.refitted(data)
+    problem = chosen.stage.problem
+    if again is None or again.orders != problem.layout.orders:
+        return on_all_runs(chosen.stage, runs, iterations)
+    stage = as_stage(again, replace(problem, runs=tuple(runs)))
+    return stage if is_bounded(stage) else chosen.stage
 
-    Parameters
-    ----------
-    bounded : it must come back from bounded random inputs.
-    """
+
+def on_all_runs(stage: Stage, runs: Sequence[FloatArray], iterations: int) -> Stage:
+    """The stage with its numbers refined on `runs`; unchanged where that would make it unstable."""
     if stage.layout.hidden:
-        found = on_other_runs(stage, tuple(runs)).refined(iterations, 1e-4)
-    else:
-        whole = antecedent_range(stage.problem.layout, runs)
-        known = stage.problem.z_range
-        wider = np.stack([np.minimum(whole[0], known[0]), np.maximum(whole[1], known[1])])
-        # differences of measured outputs are mostly noise: their range is that of the simulation
-        change = np.array([a.minus >= 0 for a in stage.problem.layout.antecedents], dtype=bool)
-        problem = replace(stage.problem, runs=tuple(runs), z_range=np.where(change, known, wider))
-        found = best_started(problem, stage.body).refined(iterations, 1e-5)
-    return found if np.isfinite(found.cost) and (not bounded or is_bounded(found)) else stage
+        return on_other_runs(stage, tuple(runs)).refined(iterations, 1e-4)
+    whole = antecedent_range(stage.problem.layout, runs)
+    known = stage.problem.z_range
+    wider = np.stack([np.minimum(whole[0], known[0]), np.maximum(whole[1], known[1])])
+    # differences of measured outputs are mostly noise: their range is that of the simulation
+    change = np.array([a.minus >= 0 for a in stage.problem.layout.antecedents], dtype=bool)
+    problem = replace(stage.problem, runs=tuple(runs), z_range=np.where(change, known, wider))
+    found = best_started(problem, stage.body).refined(iterations, 1e-5)
+    return found if is_bounded(found) else stage
 
 
 def as_problem(

@@ -10,6 +10,9 @@ from flysid.errors import UsageError
 from flysid.model.own_constants import FlightOffsets
 from flysid.model.settings import Settings
 
+QUARTERS = 4
+"""Of a short record, each held out in turn."""
+
 
 @dataclass(frozen=True)
 class SearchSettings(Settings):
@@ -17,34 +20,42 @@ class SearchSettings(Settings):
 
     Parameters
     ----------
+    folds : quarters of a short record that are held out in turn to choose the number of rules, 1 to 4.
+    short : samples below which a record is short.
     rule_gain : share of the validation's mean square that a rule must win; 0.05 is about 2.5 % of the error.
     highest_order : lags of the outputs up to which linear models are tried.
-    width : models of every number of rules that are refined fully and split further.
+    lanes : linear starts, those from which two rules do best, that are grown over all parts.
+    exchanges : rounds in which a chosen model of long records is found again by way of one rule more.
     hidden_gain : logarithms of the mean square that hidden states must win; 0.3 is about 14 % of the error.
     hidden_states : rules over hidden states compete where the data hint at them.
+    linear_systems : linear state spaces, best first, whose coordinates hidden rules are grown in.
     ridges : weights on the difference of rules, in shares of the error that is left, rising; those after the
         first are for rules that ran away. Over hidden states the first is left out.
 
     Examples
     --------
-    >>> SearchSettings().width
-    4
+    >>> SearchSettings().lanes
+    2
     >>> SearchSettings.of("quick").hidden_states
     False
     """
 
+    folds: int = 4
+    short: int = 4000
     rule_gain: float = 0.05
     highest_order: int = 4
-    width: int = 4
+    lanes: int = 2
+    exchanges: int = 3
     hidden_gain: float = 0.3
     hidden_states: bool = True
+    linear_systems: int = 4
     ridges: tuple[float, ...] = (0.01, 0.1, 1.0)
 
     @classmethod
     def of(cls, effort: str) -> SearchSettings:
         """The settings of an effort.
 
-        "quick" looks at fewer models and at lags only; "thorough" at more models, orders and systems.
+        "quick" looks at one part, one lane and lags only; "thorough" at more lanes, orders and systems.
 
         Raises
         ------
@@ -56,7 +67,9 @@ class SearchSettings(Settings):
 
     def check_values(self) -> None:
         """Raise UsageError for settings that cannot be."""
-        self.at_least(1, "highest_order", "width")
+        self.at_least(1, "folds", "highest_order", "lanes", "linear_systems")
+        if self.folds > QUARTERS:
+            raise UsageError(f"folds={self.folds!r}", hint="a record has four quarters")
         gains = (self.rule_gain, self.hidden_gain, *self.ridges)
         if not self.ridges or min(gains) < 0.0:
             raise UsageError(f"gains and ridges {gains}", hint="numbers of 0 or more, and one ridge at least")
@@ -64,9 +77,9 @@ class SearchSettings(Settings):
 
 NORMAL = SearchSettings()
 """What the models take by themselves."""
-_MORE = SearchSettings(highest_order=6, width=8)
+_MORE = SearchSettings(highest_order=6, lanes=4, exchanges=6, linear_systems=8)
 EFFORTS: Mapping[str, SearchSettings] = {
-    "quick": SearchSettings(highest_order=3, width=2, hidden_states=False),
+    "quick": SearchSettings(folds=1, highest_order=3, lanes=1, exchanges=0, hidden_states=False),
     "normal": NORMAL,
     "thorough": _MORE,
 }

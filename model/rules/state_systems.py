@@ -312,7 +312,7 @@ def saturation_limits(data: Dataset) -> FloatArray:
     return ends
 
 
-def ends_in_words(ends: FloatArray, train: Dataset) -> list[str]:
+def in_words(ends: FloatArray, train: Dataset) -> list[str]:
     """A sentence about every end."""
     return [
         f"{signal.name} {word} {ends[side, i]:.4g} {signal.unit}".rstrip()

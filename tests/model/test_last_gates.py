@@ -17,7 +17,7 @@ from flysid.model.last_gates import HeldValue, no_worse_than_held, refuse, short
 from flysid.model.line import Line
 from flysid.model.linear.difference_equation import FittedLinear
 from flysid.model.polynarx import PolyNARX
-from flysid.model.rules import learning, refit, search_context
+from flysid.model.rules import judging, learning, refit
 from flysid.model.rules.growth import split
 from flysid.model.rules.stages import Stage
 from flysid.model.selection import free_run_errors
@@ -150,7 +150,7 @@ def test_on_integrating_data_one_rule_is_the_linear_model() -> None:
 
 def test_a_split_rule_is_the_same_model() -> None:
     found = learning.lag_starts(TS(na=2, nb=2, nk=1), data(), None)
-    one = found.plain.stage
+    one = found.plain.linear.stage
     three = split(one, found.context.antecedents(one.layout), 3)
     assert three is not None
     assert three.rules == 3
@@ -167,7 +167,7 @@ def test_rules_that_refinement_drives_away_are_split_from_those_that_stay(
     def same_rules(stage: Stage) -> bool:
         return bool(np.ptp(stage.problem.parameters(stage.body).theta, axis=0).max() < 1e-9)
 
-    for module in (search_context, refit):
+    for module in (judging, refit):
         monkeypatch.setattr(module, "is_bounded", same_rules)
     train = data()
     model = over_lags(TS(rules=3, na=2, nb=2, nk=1), train)

@@ -11,7 +11,7 @@ from flysid.dataset import Dataset
 from flysid.model.bordered import Bordered
 from flysid.model.rules.boundedness import probe_run
 from flysid.model.rules.free_run_error import Body, Problem
-from flysid.model.rules.growth import first_basis, linear_stage, splits
+from flysid.model.rules.growth import first_basis, insertions, linear_stage
 from flysid.model.rules.regressor_layout import Antecedent, Layout, Orders, runs_of, scaling
 from flysid.model.rules.stages import Stage
 
@@ -57,7 +57,7 @@ def _problem() -> Problem:
 
 def test_gradient_and_matrix_hold_ridge_first_outputs_and_stress() -> None:
     stage = linear_stage(_problem(), 5)
-    grown = splits(stage, [Antecedent(0, 1)])[0]
+    _, grown = insertions(stage, [Antecedent(0, 1)])[0]
     limits = np.array([[-4.0], [4.0]])
     stress = 2.0 * probe_run(grown.problem.runs, 1, 100, 3)  # leaves the range
     problem = replace(grown.problem, ridge=0.01, limits=limits, stress=stress)
@@ -92,7 +92,7 @@ def test_only_what_leaves_the_range_counts() -> None:
 
 def test_a_rule_that_looks_back_further_than_the_lags_starts_from_what_it_sees() -> None:
     stage = linear_stage(_problem(), 5)
-    grown = splits(stage, [Antecedent(0, 5)])[0]
+    _, grown = insertions(stage, [Antecedent(0, 5)])[0]
     assert grown.layout.depth == grown.layout.moving == grown.initial.shape[1] == 5
     before = stage.simulated()[0][3:5, :1]
     assert np.allclose(grown.initial[0, 3:], before)

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from bench import accuracy_data
 from flysid.dataset import Dataset
 from flysid.model.arx import ARX
 from flysid.model.base import Fitted
@@ -15,12 +16,13 @@ from flysid.model.last_gates import LINEAR_ENOUGH
 from flysid.model.linear.difference_equation import FittedLinear
 from flysid.model.linear_choice import best_linear, choose_baseline
 from flysid.model.one_rule import OneRule, linear_choice, linear_rivals, same_orders
-from flysid.model.rules import candidates
+from flysid.model.rules import search_context
 from flysid.model.rules.fitted import FittedTS
 from flysid.model.rules.growth import linear_stage
 from flysid.model.rules.linear_starts import as_linear, orders_of
 from flysid.model.rules.search_settings import EFFORTS, NORMAL
 from flysid.model.rules.stages import Stage
+from flysid.model.selection import free_run_errors, parts_to_choose_on
 from flysid.model.shared import sharing
 from flysid.model.statespace import StateSpace
 from flysid.model.subspace.fitted_model import FittedStateSpace
@@ -81,12 +83,12 @@ def test_one_rule_over_lags_has_the_linear_models_coefficients(asked: dict[str, 
     assert np.allclose(model.free_run(test)[100:], linear_run[100:], atol=1e-3)
 
 
-def test_rules_start_from_what_their_rival_of_one_rule_found(
+def test_on_whole_flights_rules_start_from_what_their_rival_of_one_rule_found(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     flights = [replace(lag(seed, 150).segments[0], flight=str(seed)) for seed in range(4)]
     train = lag(0).with_segments(flights)
-    quick = EFFORTS["quick"]
+    short = replace(EFFORTS["quick"], short=100)
     asked: list[int] = []
     alone = linear_stage
 
@@ -94,11 +96,11 @@ def test_rules_start_from_what_their_rival_of_one_rule_found(
         asked.append(1)
         return alone(*args)
 
-    monkeypatch.setattr(candidates, "linear_stage", counted)
+    monkeypatch.setattr(search_context, "linear_stage", counted)
     with sharing():
-        OneRule(search=quick).fit(train)
+        OneRule(search=short).fit(*parts_to_choose_on(train))
         rival = len(asked)
-        over_lags(TS(rules=2, search=quick), train)
+        over_lags(TS(rules=2, search=short), train)
     assert rival > 0
     assert len(asked) == rival
 
@@ -132,6 +134,17 @@ def test_models_of_one_rule_compete_for_the_baseline() -> None:
     choice = choose_baseline(lag(7), linear_rivals())
     assert {"linear_lags", "linear_ss"} <= choice.rmse.keys()
     assert "linear_ss" not in linear_rivals(search=EFFORTS["quick"])
+
+
+@pytest.mark.skipif(not accuracy_data.FOLDER.is_dir(), reason="no public sets here")
+def test_one_rule_finds_orders_that_no_linear_structure_tries() -> None:
+    case = accuracy_data.dryer()
+    structures = {name: m for name, m in linear_rivals().items() if not isinstance(m, OneRule)}
+    with sharing():
+        _, structure = best_linear(case.train, None, structures)
+        models = {"one rule": OneRule().fit(case.train), "structure": structure}
+    errors = free_run_errors(models, case.tests["test"])
+    assert errors["one rule"].mean() < 0.7 * errors["structure"].mean()
 
 
 def test_one_rule_is_its_equation_over_lags() -> None:

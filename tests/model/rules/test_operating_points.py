@@ -63,6 +63,7 @@ def test_sentences_lead_from_slow_to_fast_and_equal_words_are_said_once(
     gains = [float(v) for v in re.findall(r"adds (\S+) ", "\n".join(sentences))]
     assert gains == sorted(gains, reverse=True)
     assert len(gains) == 3  # to the left and to the right alike
+    assert any(re.search(r"at rest near y = -?\d\S*: as R1", line) for line in said)
     assert sum(" y(k) = " in line for line in said) == len(model.rules())
 
 

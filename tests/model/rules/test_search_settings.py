@@ -12,7 +12,8 @@ import pytest
 from bench.hidden_plants import PLANTS
 from flysid.dataset import Dataset
 from flysid.errors import UsageError
-from flysid.model.rules import search_settings
+from flysid.model.rules import learning, search_settings
+from flysid.model.rules.search import different
 from flysid.model.rules.search_settings import EFFORTS, NORMAL, SearchSettings
 from flysid.model.ts import TS, over_lags
 from flysid.model.ts_choice import contest
@@ -35,7 +36,7 @@ def test_the_examples_of_the_settings_are_true() -> None:
 
 @pytest.mark.parametrize(
     "wrong",
-    [{"width": 0}, {"highest_order": 0}, {"ridges": ()}, {"rule_gain": -0.1}],
+    [{"folds": 0}, {"folds": 5}, {"lanes": 0}, {"exchanges": -1}, {"ridges": ()}, {"rule_gain": -0.1}],
 )
 def test_settings_that_cannot_be_are_refused(wrong: dict[str, Any]) -> None:
     with pytest.raises(UsageError, match=next(iter(wrong)).split("_")[-1]):
@@ -50,12 +51,26 @@ def test_an_unknown_effort_names_the_known_ones() -> None:
 
 @pytest.mark.usefixtures("arx_alone")
 def test_what_is_set_is_done() -> None:
-    """No order above the highest, and no more rules than win what is asked for."""
+    """Fewer parts held out, no order above the highest, and no more rules than win what is asked for."""
     data = _data()
     usual = over_lags(TS(search=replace(NORMAL, highest_order=2)), data)
+    assert any("held out in turn" in note for note in usual.notes)
     assert usual.layout.orders.na <= 2
-    one = over_lags(TS(search=replace(NORMAL, highest_order=1, rule_gain=1e9)), data)
+    one = over_lags(TS(search=replace(NORMAL, highest_order=1, folds=1, rule_gain=1e9)), data)
+    assert not any("held out in turn" in note for note in one.notes)
     assert len(one.rules()) == 1 < len(usual.rules())
+
+
+def test_a_linear_model_that_was_found_twice_is_grown_from_once() -> None:
+    found = learning.lag_starts(TS(na=1, nb=1, nk=1), _data(), None)
+    start = found.starts[0]
+    stage = start.linear.stage
+    nearly = stage.under(offset=stage.problem.offset * (1.0 + 1e-7))
+    again = replace(start, folds=((replace(start.linear, stage=nearly),),))
+    other = replace(
+        start, folds=((replace(start.linear, stage=stage.under(offset=0.9 * stage.problem.offset)),),)
+    )
+    assert different([start, again, other]) == [start, other]
 
 
 @pytest.mark.usefixtures("arx_alone")

@@ -137,6 +137,17 @@ def test_rules_speak(bent: FittedTS) -> None:
     assert sum(r.support for r in bent.rules()) == pytest.approx(1.0)
 
 
+def test_a_last_refinement_that_was_not_taken_is_not_claimed(monkeypatch: pytest.MonkeyPatch) -> None:
+    data = Dataset.from_arrays(*second_order(600, 0, bend=0.1), DT)
+    settings = TS(rules=2, na=2, nb=1, nk=1)
+    claim = "refined once more on the held-out part"
+    assert any(claim in note for note in settings.fit(data).notes)
+    monkeypatch.setattr(learning, "refit", lambda chosen, *_: chosen.stage)
+    notes = settings.fit(data).notes
+    assert not any(claim in note for note in notes)
+    assert any("it was no longer stable" in note for note in notes)
+
+
 def test_named_antecedents_are_used() -> None:
     u, y = second_order(1200, 1, bend=0.1)
     model = over_lags(TS(rules=2, antecedents=["u(k-1)"]), Dataset.from_arrays(u, y, DT))

@@ -53,7 +53,7 @@ def test_poles_come_inside_and_the_rest_makes_up_for_it(
     stable = with_stable_rules(model, data, largest=0.99, certified=certified)
     assert max(rule.pole_radius for rule in stable.rules()) <= 0.99 + 1e-9
     assert len(stable.rules()) == 3
-    assert "the largest pole radius of a rule was 1." in stable.notes[-1]
+    assert "the largest pole radius of a rule was 1.0" in stable.notes[-1]
     assert free_run_error(stable) < 0.15
     if certified:
         found = stable.certificate()
