@@ -227,6 +227,21 @@ def predictions(
     return out[:, 0], slopes
 
 
+def _row_by_row(
+    x: FloatArray,
+    y: FloatArray,
+    theta: FloatArray,
+    dt: float,
+    integrates: bool,
+    volts: FloatArray | None,
+) -> FloatArray:
+    """(N, 3) output, trim and torque of the one-step predictor."""
+    out = np.empty((len(x), 3))
+    felt = driven(x, theta, volts)
+    run(felt, felt[:0], y, theta, dt, integrates, False, out, np.empty((0, len(theta))))
+    return out
+
+
 def wandering_trim(
     x: FloatArray,
     y: FloatArray,
@@ -236,10 +251,7 @@ def wandering_trim(
     volts: FloatArray | None = None,
 ) -> FloatArray:
     """(N,) the trim as the one-step predictor corrects it, row by row."""
-    out = np.empty((len(x), 3))
-    felt = driven(x, theta, volts)
-    run(felt, felt[:0], y, theta, dt, integrates, False, out, np.empty((0, len(theta))))
-    return out[:, 1]
+    return _row_by_row(x, y, theta, dt, integrates, volts)[:, 1]
 
 
 def steps_ahead(
@@ -252,9 +264,7 @@ def steps_ahead(
     volts: FloatArray | None = None,
 ) -> FloatArray:
     """(N,) k steps ahead; the first k rows mean nothing."""
-    out = np.empty((len(x), 3))
-    felt = driven(x, theta, volts)
-    run(felt, felt[:0], y, theta, dt, integrates, False, out, np.empty((0, len(theta))))
+    out = _row_by_row(x, y, theta, dt, integrates, volts)
     fade, reach = what_a_row_keeps(theta, dt)
     trim = out[: len(x) - k + 1, 1]
     ahead = out[: len(x) - k + 1, 0]
