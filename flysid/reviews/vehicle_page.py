@@ -89,6 +89,8 @@ def _findings(vehicle: FittedVehicle, judged: Judgement | None) -> Iterator[Find
     text = f"{known} of {len(vehicle.numbers)} numbers are determined"
     more = "" if judged is not None else "no flight was left out to judge them"
     yield Finding(text, Grade.PLAIN if known else Grade.WATCH, 0.5, "", more)
+    for doubt in vehicle.body.doubts if vehicle.body is not None else ():
+        yield Finding(capital(doubt), Grade.WATCH, 0.5, "")
 
 
 def _actions(vehicle: FittedVehicle) -> list[Action]:
@@ -117,6 +119,9 @@ def _sections(vehicle: FittedVehicle, judged: Judgement | None) -> list[Section]
         Section("air", "Air", tuple(_fact("air", number) for number in air)),
         Section("turning", "Turning", tuple(_fact("turning", number) for number in turning)),
     ]
+    if vehicle.body is not None:
+        facts = tuple(_fact("places", number) for number in vehicle.body.numbers)
+        sections.append(Section("places", "From where the motors sit", facts))
     if judged is not None:
         sections.append(Section("ahead", f"Judged on {judged.tested}", shown=tuple(_errors(judged))))
     return [*sections, Section("flights", "What each flight gave", shown=tuple(_flights(vehicle)))]

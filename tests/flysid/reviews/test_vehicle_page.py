@@ -22,6 +22,9 @@ from tests.flysid.reviews.test_page import HOSTILE
 from tests.flysid.studio.page import until
 
 MOTORS = 4
+PLACES = np.array([[0.1, -0.12], [-0.1, -0.12], [-0.1, 0.12], [0.1, 0.12]])
+"""Where motors that roll and pitch like `SIGNS` sit, m forward and left."""
+
 SIGNS = np.array([[-1, -1, 1, 1], [-1, 1, 1, -1], [-1, 1, -1, 1]])
 """Of roll, pitch and yaw by motors front right, rear right, rear left, front left."""
 
@@ -67,7 +70,7 @@ def check_against_document(page: str, document: dict[str, Any]) -> None:
     motors = document["motors"]
     effects = {row[0]: row[1:4] for row in rows if len(row) == 5 and row[0].isdigit()}
     assert len(effects) == motors
-    for number in document["numbers"]:
+    for number in (*document["numbers"], *(document["body"] or ())):
         words = f"{number['value']:.4g} ± {number['half_width_95'] or 0:.2g}"
         match = re.fullmatch(r"(roll|pitch|yaw) of motor (\d+)", number["name"])
         if match:
@@ -83,6 +86,20 @@ def check_against_document(page: str, document: dict[str, Any]) -> None:
 def test_every_number_of_the_file_is_on_the_page() -> None:
     vehicle = some_vehicle()
     check_against_document(render_vehicle(vehicle), vehicle.to_dict())
+
+
+def test_numbers_that_places_add_are_on_the_page() -> None:
+    vehicle = some_vehicle().placed(PLACES)
+    document = vehicle.to_dict()
+    assert len(document["body"]) == 5
+    page = render_vehicle(vehicle)
+    check_against_document(page, document)
+    assert "on the other side" not in page
+
+
+def test_motors_on_the_other_side_are_a_finding() -> None:
+    page = render_vehicle(some_vehicle().placed(PLACES[[1, 0, 2, 3]]))
+    assert "Motor 1 acts about pitch as if it were on the other side" in page
 
 
 def test_errors_on_the_page_are_those_of_the_judgement() -> None:
