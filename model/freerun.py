@@ -54,12 +54,12 @@ class Difference:
         depth = self.depth
         z = np.zeros((depth, self.a.shape[1]))
         for lag in range(1, depth + 1):
-            for i in range(max(0, lag - len(y)), lag):
-                row = len(y) + i - lag
-                if lag < len(self.b):
-                    z[i] += self.b[lag] @ u[row]
-                if lag < len(self.a):
-                    z[i] -= self.a[lag] @ y[row]
+            first = max(0, lag - len(y))
+            rows = slice(len(y) + first - lag, None)
+            if lag < len(self.b):
+                z[first:lag] += (self.b[lag] @ u[rows, :, None])[:, :, 0]
+            if lag < len(self.a):
+                z[first:lag] -= (self.a[lag] @ y[rows, :, None])[:, :, 0]
         return z
 
     def run(self, u: FloatArray, z: FloatArray) -> FloatArray:

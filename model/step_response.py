@@ -25,6 +25,7 @@ from flysid.model.fir import centred_gram, posterior_of
 from flysid.model.low_order_response import averaged_posterior
 from flysid.model.noise import noise_model
 from flysid.model.polynomials import Z95, ComplexArray
+from flysid.model.shared import digest, once
 from flysid.model.step_figures import StepCurve, StepFigure
 from flysid.model.threads import on_one_thread
 from flysid.showing import significant
@@ -123,6 +124,7 @@ class StepResponse:
         return StepCurve(self.time_s, self.step, self.covariance, self.output.unit)
 
 
+@once(lambda data, *pair, **how: (digest(data), pair, repr(sorted(how.items()))))
 @on_one_thread
 def step_response(
     data: Dataset,

@@ -9,8 +9,9 @@ from __future__ import annotations
 import random
 from collections.abc import Iterator
 
+from bench.faulty_sensors import fly
 from soak import Budget, Campaign, Outcome
-from tests.review_trials import KINDS, compare
+from tests.review_trials import KINDS, compare, logged, vehicles
 
 LOGS = 500
 
@@ -18,14 +19,16 @@ LOGS = 500
 def run(budget: Budget) -> Iterator[Outcome]:
     """One outcome per format."""
     seed = random.SystemRandom().randrange(1 << 40) if budget.seed is None else budget.seed
+    flown = fly(vehicles(seed))
     names = budget.chosen(list(KINDS))
     for name, share in zip(names, budget.shares(len(names)), strict=True):
         rng = random.Random(seed)
         outcome = Outcome(name, remark=f"seed {seed}")
+        flights = [logged(name, flight) for flight in flown]
         goes_on = share.clock()
         while outcome.trials < LOGS and goes_on():
             with outcome.trial():
-                found = compare(name, seed, rng)
+                found = compare(rng.choice(flights), rng)
             outcome.failures += [f"seed {seed}, trial {outcome.trials}: {found}"] if found else []
         yield outcome
 

@@ -2,7 +2,7 @@
 
 In a fresh clone every worker of the tests would compile the same functions. `make test` has this done beside
 the type check, which leaves a core idle. It ends with 1 where a compiled function was left out: add a quick
-test that reaches it to QUICK.
+test that reaches it to QUICK. Where nothing that is compiled has changed since, nothing is done.
 """
 
 from __future__ import annotations
@@ -16,13 +16,11 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import numba
 import pytest
 from numba.core.dispatcher import Dispatcher
 
 import flysid
-from flysid.live.receiving import warm_up
-from tests.format_trials import FORMATS, intact
-from tests.model_examples import EXAMPLES, fitted
 
 QUICK = (
     "tests/flysid/design/test_flights_on_models.py::test_a_vehicle_that_leaves_its_models_range_is_lost_and_a_turned_sign_is_turned_back",
@@ -39,32 +37,64 @@ QUICK = (
     "tests/validate/diagnose/test_detect.py::test_the_cusum_is_the_textbooks",
 )
 """The quickest tests of what models, logs and links leave out."""
+STAMP = Path(".pytest_cache", "kernels")
+"""Names the sources that the cache was last filled from."""
 REAL_LOGS = Path("../shared/logs")
 """Without them a few functions are reached by no test."""
 
 
 def main() -> None:
+    """Fill the cache, unless it was filled from these very sources."""
+    if STAMP.exists() and STAMP.read_text("utf-8") == describe_sources():
+        return
+    fill()
+    STAMP.parent.mkdir(exist_ok=True)
+    STAMP.write_text(describe_sources(), "utf-8")
+
+
+def fill() -> None:
     """Fit one model of every structure, read one log of every format, take one frame from a link."""
+    from flysid.live.receiving import warm_up
+    from tests.format_trials import FORMATS, intact
+    from tests.model_examples import EXAMPLES, fitted
+
     for name in EXAMPLES:
         fitted(name)
     for name in FORMATS:
         intact(name)
     warm_up()
     failed = pytest.main(["-q", "--no-header", "-p", "no:cacheprovider", *QUICK])
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", FutureWarning)  # of modules at their former places
-        left_out = sorted(name for name, function in compiled_functions() if not is_cached(function))
+    left_out = sorted(name for name, function in compiled_functions() if not is_cached(function))
     if failed or (left_out and REAL_LOGS.is_dir()):
         sys.exit(f"not compiled by any of these: {', '.join(left_out) or 'a test failed'}")
 
 
+def describe_sources() -> str:
+    """Numba's version, and of every compiled source its name, time and size, and how much of it is cached."""
+    lines = [numba.__version__]
+    for module, origin in compiled_modules():
+        path = Path(origin)
+        cached = sum(1 for _ in (path.parent / "__pycache__").glob(f"{path.stem}.*.nbi"))
+        lines.append(f"{module} {path.stat().st_mtime_ns} {path.stat().st_size} {cached}")
+    return "\n".join(lines)
+
+
+def compiled_modules() -> list[tuple[str, str]]:
+    """Names and paths of the modules in which something is compiled."""
+    found = []
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", FutureWarning)  # of modules at their former places
+        for module in pkgutil.walk_packages(flysid.__path__, "flysid."):
+            spec = importlib.util.find_spec(module.name)
+            if spec is not None and spec.origin and "njit" in Path(spec.origin).read_text("utf-8"):
+                found.append((module.name, spec.origin))
+    return found
+
+
 def compiled_functions() -> Iterator[tuple[str, Any]]:
     """Those at the level of a module, by their names."""
-    for found in pkgutil.walk_packages(flysid.__path__, "flysid."):
-        spec = importlib.util.find_spec(found.name)
-        if spec is None or not spec.origin or "njit" not in Path(spec.origin).read_text("utf-8"):
-            continue
-        module = importlib.import_module(found.name)
+    for module_name, _ in compiled_modules():
+        module = importlib.import_module(module_name)
         for name, value in vars(module).items():
             if isinstance(value, Dispatcher) and value.py_func.__module__ == module.__name__:
                 yield f"{module.__name__}.{name}", value

@@ -7,14 +7,13 @@ import random
 import warnings
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from functools import cache
 
 import numpy as np
 import pyarrow as pa
 
 from bench.faulty_dataflash import dataflash_bytes
 from bench.faulty_quadrotor import Flight as Flown
-from bench.faulty_sensors import fly
+from bench.faulty_quadrotor import Quadrotor
 from bench.faulty_ulog import ulog_bytes
 from bench.review_faults import draw
 from flysid.flight import BOOT, TIME, Flight
@@ -26,25 +25,22 @@ from flysid.reviews.review import review_flight
 from flysid.reviews.reviewed import Review
 
 KINDS = ("dataflash", "ulog")
-FLIGHTS = 8
+VEHICLES = 8
 SENTINELS = (float("nan"), float("inf"), 0.0, -1.0, 65535.0, 4294967.5, 1e30)
 KEPT = ("parameters", "PARM", "FMT", "FMTU", "UNIT", "MULT")
 """Streams that are whole: without them a log is of another kind."""
 
 
-@cache
-def flown(seed: int) -> tuple[Flown, ...]:
-    """Simulated flights with faults and without."""
-    return tuple(fly([trial.vehicle for trial in draw(seed, FLIGHTS // 2)]))
+def vehicles(seed: int) -> list[Quadrotor]:
+    """With faults and without."""
+    return [trial.vehicle for trial in draw(seed, VEHICLES // 2)]
 
 
-@cache
-def flights(kind: str, seed: int) -> tuple[Flight, ...]:
-    """They, as a format holds them."""
+def logged(kind: str, flown: Flown) -> Flight:
+    """A simulated flight, as a format holds it."""
     write = dataflash_bytes if kind == "dataflash" else ulog_bytes
     name = "flight.bin" if kind == "dataflash" else "flight.ulg"
-    blobs = [write(flight) for flight in flown(seed)]
-    return tuple(collect(memoryview(blob), name, find_format(kind), Limits()) for blob in blobs)
+    return collect(memoryview(write(flown)), name, find_format(kind), Limits())
 
 
 def spoil(flight: Flight, rng: random.Random) -> Flight:
@@ -80,9 +76,9 @@ def _with_sentinels(table: pa.Table, rng: random.Random) -> pa.Table:
     return table
 
 
-def compare(kind: str, seed: int, rng: random.Random) -> str:
-    """What is wrong with the review of one spoilt flight; "" where nothing is."""
-    spoilt = spoil(rng.choice(flights(kind, seed)), rng)
+def compare(flight: Flight, rng: random.Random) -> str:
+    """What is wrong with the review of a flight that was spoilt; "" where nothing is."""
+    spoilt = spoil(flight, rng)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         found = review_flight(LoggedFlight(FlightLog(spoilt)))

@@ -17,6 +17,7 @@ from flysid.ingest.excitation.excitation import excitation
 from flysid.ingest.excitation.share import share_explained
 from flysid.model.frequency.sampling import sample
 from flysid.model.polynomials import DB, Z95, ComplexArray
+from flysid.model.shared import sharing
 from flysid.model.step_response import step_response
 from flysid.model.transfer_function import TF
 from flysid.validate.transfers.identify import ChannelTransfers, identify_channel
@@ -54,6 +55,7 @@ class Score:
         return asdict(self)
 
 
+@sharing()
 def scores(record: Record) -> list[Score]:
     """Of every verb that answers within seconds; a verb that refuses the record gives one refusal."""
     found: list[Score] = []
@@ -220,7 +222,7 @@ def _step(record: Record) -> Iterator[Score]:
     true = step_truth(plant, record.data.dt_s)
     names = ("latency", "rise", "overshoot", "settling", "final value")
     try:
-        found = step_response(record.data)
+        found = step_response(record.data, 0, 0)  # as `tf` asked for it
     except FlysidError:
         yield from (Score(f"step {name}", true.get(name), None, None) for name in names)
         return

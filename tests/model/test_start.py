@@ -107,7 +107,7 @@ def test_every_structure_runs_freely_as_the_comparison_starts_it() -> None:
     assert model.free_run(segment).shape == segment.y.shape
 
 
-@pytest.mark.parametrize("name", ["arx", "oe"])
+@pytest.mark.parametrize("name", ["arx", "oe", "fir"])
 @pytest.mark.parametrize("knows_its_state", [True, False])
 def test_what_a_linear_model_says_of_its_start_is_what_its_runs_do(name: str, knows_its_state: bool) -> None:
     model = fitted(name)

@@ -12,10 +12,15 @@ import math
 import struct
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property, lru_cache
 
 from flysid.ingest.formats.blackbox.header import START
 
 # ------------------------------------------------------------------------------------------ encodings
+
+Write = Callable[[Sequence[int]], bytes]
+_ONE_BYTE = tuple(bytes([value]) for value in range(0x80))
+"""Most numbers of a log are that small."""
 
 
 def wrap(value: int) -> int:
@@ -25,11 +30,14 @@ def wrap(value: int) -> int:
 
 def unsigned_vb(value: int) -> bytes:
     value &= 0xFFFFFFFF
+    if value < len(_ONE_BYTE):
+        return _ONE_BYTE[value]
     out = bytearray()
     while value > 0x7F:
         out.append(value & 0x7F | 0x80)
         value >>= 7
-    return bytes([*out, value])
+    out.append(value)
+    return bytes(out)
 
 
 def signed_vb(value: int) -> bytes:
@@ -121,7 +129,14 @@ def groups(encodings: Sequence[int]) -> list[tuple[int, int, int]]:
 
 def encoded(values: Sequence[int], encodings: Sequence[int], version: int = 2) -> bytes:
     """Differences as the firmware writes them, in groups where the encoding has groups."""
-    write: dict[int, Callable[[Sequence[int]], bytes]] = {
+    filled = [*values, 0, 0, 0]
+    return b"".join([write(filled[part]) for part, write in _writers(tuple(encodings), version)])
+
+
+@lru_cache
+def _writers(encodings: tuple[int, ...], version: int) -> tuple[tuple[slice, Write], ...]:
+    """Which fields are written at once, and how."""
+    write: dict[int, Write] = {
         0: lambda v: signed_vb(v[0]),
         1: lambda v: unsigned_vb(v[0]),
         3: lambda v: unsigned_vb(-v[0] & 0x3FFF),
@@ -131,8 +146,7 @@ def encoded(values: Sequence[int], encodings: Sequence[int], version: int = 2) -
         9: lambda _: b"",
         10: lambda v: tag2(v, True),
     }
-    filled = [*values, 0, 0, 0]
-    return b"".join(write[code](filled[k : k + span]) for k, span, code in groups(encodings))
+    return tuple((slice(k, k + span), write[code]) for k, span, code in groups(encodings))
 
 
 # ------------------------------------------------------------------------------------------- predictors
@@ -156,6 +170,11 @@ class Fields:
         }
         chosen = [w for w in rows if kind != "P" or w in ("predictor", "encoding")]
         return [f"H Field {kind} {w}:{','.join(map(str, rows[w]))}\n".encode() for w in chosen]
+
+    @cached_property
+    def written(self) -> tuple[int, ...]:
+        """Encodings; what follows from the intervals of the header is not written."""
+        return tuple(9 if p == 6 else e for p, e in zip(self.predictor, self.encoding, strict=True))
 
 
 @dataclass
@@ -230,8 +249,8 @@ class Writer:
     def frame(self, kind: str, values: Sequence[int]) -> bytes:
         """A frame with these values (unsigned ones below 2^32); it becomes history."""
         fields = self.kinds[kind]
-        raw = [wrap(v - self.prediction(kind, k, values)) for k, v in enumerate(values)]
-        kept = [9 if p == 6 else e for p, e in zip(fields.predictor, fields.encoding, strict=True)]
+        codes = fields.predictor
+        raw = [wrap(v - self.prediction(kind, k, values) if codes[k] else v) for k, v in enumerate(values)]
         if kind in "IP" and "time" in fields.names:
             self.time_us = values[list(fields.names).index("time")]
         if kind == "I":
@@ -242,4 +261,4 @@ class Writer:
             self.home = list(values)
         else:
             self.before[kind] = list(values)
-        return kind.encode() + encoded(raw, kept, self.version)
+        return kind.encode() + encoded(raw, fields.written, self.version)

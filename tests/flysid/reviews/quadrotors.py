@@ -9,9 +9,12 @@ import numpy as np
 
 from bench.faulty_quadrotor import Flight, Quadrotor, critical_gain, draw_quadrotor
 from bench.review_faults import FAULTS
+from tests.review_trials import vehicles
 
 FlightsOf = Callable[[str], Mapping[str, Flight]]
 """The flights of a name of `fleet`, by kind."""
+SPOILT_SEED = 3
+"""Of the flights whose logs are spoilt."""
 
 
 def drawn(seed: int) -> Quadrotor:
@@ -68,4 +71,5 @@ def fleet() -> dict[str, dict[str, Quadrotor]]:
             "glitch": replace(plain, glitch_s=30.0, glitch_m=30.0),
             "hot": replace(plain, gain=1.2 * critical_gain(plain)),
         },
+        "spoilt": {str(i): vehicle for i, vehicle in enumerate(vehicles(SPOILT_SEED))},
     }

@@ -6,12 +6,13 @@ import random
 
 import pytest
 
-from tests.review_trials import KINDS, compare
-
-SEED = 3
+from tests.flysid.reviews.quadrotors import FlightsOf
+from tests.review_trials import KINDS, compare, logged
 
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("trial", range(3))
-def test_a_spoilt_log_is_reviewed(kind: str, trial: int) -> None:
-    assert not compare(kind, SEED, random.Random(trial))
+def test_a_spoilt_log_is_reviewed(kind: str, trial: int, flights_of: FlightsOf) -> None:
+    rng = random.Random(trial)
+    flown = rng.choice([*flights_of("spoilt").values()])
+    assert not compare(logged(kind, flown), rng)

@@ -14,6 +14,7 @@ from bench.step_coverage import DT_S, flown, held, polynomials, true_step
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, UsageError
 from flysid.model.low_order_response import _realise
+from flysid.model.shared import sharing
 from flysid.model.step_figures import StepCurve
 from flysid.model.step_response import step_response
 from tests.command import call
@@ -28,6 +29,14 @@ def test_coloured_noise_and_the_truth_within_the_interval() -> None:
         assert figures["final value"].value == pytest.approx(1.0, abs=0.06)
         assert figures["latency"].value == pytest.approx(42.0, abs=12.0)
         assert all(f.low is not None and f.value is not None and f.low < f.value for f in figures.values())
+
+
+def test_a_record_that_two_verbs_ask_about_is_answered_once() -> None:
+    one, same = (flown(0) for _ in range(2))
+    with sharing():
+        found = step_response(one, 0, 0, horizon_s=0.2)
+        assert step_response(same, 0, 0, horizon_s=0.2) is found
+        assert step_response(same, 0, 0, horizon_s=0.3) is not found
 
 
 def test_a_response_that_no_low_order_has_is_held_as_well() -> None:
