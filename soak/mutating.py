@@ -95,9 +95,14 @@ class Mutant:
         """The file's bytes with the change."""
         return source[: self.start] + self.after.encode() + source[self.end :]
 
-    def __str__(self) -> str:
+    @property
+    def change(self) -> str:
+        """What becomes of what, in one line."""
         before, after = (" ".join(text.split()) for text in (self.before, self.after))
-        return f"{self.place.path}:{self.line}: {before} -> {after}"
+        return f"{before} -> {after}"
+
+    def __str__(self) -> str:
+        return f"{self.place.path}:{self.line}: {self.change}"
 
 
 def find_sites(root: Path) -> list[list[Mutant]]:

@@ -12,8 +12,8 @@ import pytest
 from soak import Budget, row_27_mutants
 from soak.mutating import Mutant, draw, find_sites, sites_of
 from soak.private_tree import forget_compiled, stamp
-from soak.reach import Mentions, Place, Reach
-from soak.row_27_mutants import Bench, Record, Trial, measure, run_tests
+from soak.reach import Mentions, Place, Reach, file_of
+from soak.row_27_mutants import Bench, Equals, Record, Trial, measure, run_tests
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -157,8 +157,29 @@ def test_tests_are_found_by_line_or_through_who_names_it(tmp_path: Path) -> None
     for site in sites_of(KERNEL.encode(), "model/a.py"):
         found[site[0].line] = reach.tests_of(site[0].place, mentions)
     assert set(found) == {2, 6, 9, 11}
-    assert set(map(tuple, found.values())) == {("t.py::one", "t.py::two")}  # never that of line 1
-    assert reach.tests_of(Place("model/b.py", 1, 1, ("nobody",)), mentions) == []
+    assert all(tests == [["t.py::one"], ["t.py::two"]] for tests in found.values())  # never that of line 1
+    assert reach.tests_of(Place("model/b.py", 1, 1, ("nobody",)), mentions) == [[], []]
+
+
+def test_tests_are_bought_with_what_they_share() -> None:
+    """A fixture is paid once, the second case of a test is worth half, and no fixture is made twice."""
+    costs = {"a.py::slow": 9.0, "a.py::x[1]": 1.0, "a.py::x[2]": 1.0, "b.py::y": 1.4, "a.py::z": 0.1}
+    needs: dict[str, tuple[str, ...]] = {name: (file_of(name),) for name in costs}
+    needs["a.py::z"] = ("a.py", "fit")
+    reach = Reach(costs, {"a.py": 0.5, "b.py": 0.5, "fit": 4.0}, needs)
+    reach.lines["model/a.py"] = {1: list(costs)}
+
+    def bought(left_s: float) -> list[str]:
+        return reach.affordable(costs, left_s, set())
+
+    assert bought(0.0) == ["a.py::x[1]"]
+    assert bought(3.9) == ["a.py::x[1]", "b.py::y"]
+    assert bought(8.6) == ["a.py::x[1]", "b.py::y", "a.py::x[2]", "a.py::z"]
+    assert bought(8.4) == ["a.py::x[1]", "b.py::y", "a.py::x[2]"]
+    together = reach.side_by_side(bought(99.0))
+    assert together == ["a.py::x[1]", "a.py::x[2]", "a.py::slow", "a.py::z", "b.py::y"]
+    paid = {"a.py", "fit"}
+    assert reach.affordable(["a.py::z", "b.py::y"], 1.0, paid) == ["a.py::z"]
 
 
 def test_what_was_compiled_from_a_changed_file_is_forgotten(tmp_path: Path) -> None:
@@ -174,7 +195,7 @@ def test_what_was_compiled_from_a_changed_file_is_forgotten(tmp_path: Path) -> N
         (tmp_path / "model" / f"{name}.py").write_text(text)
         for end in ("cpython-311.pyc", "f-1.py311.nbi", "f-1.py311.1.nbc"):
             (tmp_path / "model" / "__pycache__" / f"{name}.{end}").touch()
-    assert sorted(forget_compiled(tmp_path, "model/base.py")) == [
+    assert sorted(forget_compiled(tmp_path, "model/base.py", 1)) == [
         "base.cpython-311.pyc",
         "base.f-1.py311.1.nbc",
         "base.f-1.py311.nbi",
@@ -183,6 +204,50 @@ def test_what_was_compiled_from_a_changed_file_is_forgotten(tmp_path: Path) -> N
         "user.f-1.py311.1.nbc",
         "user.f-1.py311.nbi",
     ]
+
+
+@pytest.mark.parametrize(
+    ("text", "line", "is_in_kernels"),
+    [
+        ("SIZE = 3\ndef f():\n    return 3", 1, True),
+        ("SIZE = 3\ndef f():\n    return 3", 3, False),
+        ("from numba import njit\ndef f():\n    return 3", 3, True),
+        ("from flysid.model.filters import compiled\ndef f():\n    return 3", 3, True),
+    ],
+)
+def test_kernels_of_others_stay_where_they_hold_nothing_of_the_change(
+    tmp_path: Path, text: str, line: int, is_in_kernels: bool
+) -> None:
+    (tmp_path / "model" / "__pycache__").mkdir(parents=True)
+    (tmp_path / "model" / "base.py").write_text(text)
+    (tmp_path / "model" / "user.py").write_text("from flysid.model.base import f")
+    (tmp_path / "model" / "__pycache__" / "user.f-1.py311.nbi").touch()
+    gone = forget_compiled(tmp_path, "model/base.py", line)
+    assert gone == ["user.f-1.py311.nbi"] * is_in_kernels
+
+
+def test_what_changes_nothing_is_known_by_its_line_not_by_its_number(tmp_path: Path) -> None:
+    for folder in ("model", "soak"):
+        (tmp_path / folder).mkdir()
+    (tmp_path / "soak" / "equal_changes.toml").write_text(
+        '[[change]]\nfile = "model/a.py"\nline = "x = a < b"\n'
+        'change = "a < b -> (a <= b)"\nwhy = "never equal"\n'
+    )
+    found = set()
+    for text in ("x = a < b", "# a line more\nx = a < b", "y = a < b"):
+        (tmp_path / "model" / "a.py").write_text(text)
+        equals = Equals(tmp_path)
+        found |= {(text, m.kind, equals.why(m)) for m in sites_of(text.encode(), "model/a.py")[0]}
+    assert {entry for entry in found if entry[2]} == {
+        ("x = a < b", "boundary", "never equal"),
+        ("# a line more\nx = a < b", "boundary", "never equal"),
+    }
+
+
+def test_listed_changes_that_change_nothing_are_still_there(sites: list[list[Mutant]]) -> None:
+    """A line that was changed or deleted leaves the list."""
+    equals = Equals(ROOT)
+    assert {equals.why(m) for site in sites for m in site} >= set(equals.reasons.values())
 
 
 def test_a_record_survives_a_line_that_was_cut_off(tmp_path: Path) -> None:
@@ -257,16 +322,22 @@ def test_a_campaign_goes_on_where_it_was_ended(small: Path, monkeypatch: pytest.
         file = str(trial["change"]).partition(":")[0]
         by_file.setdefault(file, set()).add(trial["noticed_by"] == "tests/model/test_known.py::test_it")
     assert by_file == {"model/known.py": {True}, "model/unknown.py": {False}}
-    assert model.remark.startswith("noticed 2 (50 %), 0 by the doors alone; not noticed: ")
+    assert model.remark.startswith(
+        "noticed 2 of 4 (50 %, 7 to 93); 0 by the doors alone; 0 change nothing; not"
+    )
     assert len(model.failures) == 2
     assert all("model/unknown.py:2: " in failure for failure in model.failures)
 
 
 SHARED = """
+import time
 import pytest
 from flysid.model.known import known
 @pytest.fixture(scope="module")
-def shared(): return known(5)
+def shared():
+    until = time.process_time() + 0.3
+    while time.process_time() < until: pass
+    return known(5)
 def test_first(shared): assert shared
 def test_second(shared): assert shared
 def test_third(): pass
@@ -286,6 +357,10 @@ def test_what_a_fixture_reaches_counts_for_all_who_use_it(small: Path) -> None:
     name = "tests/model/test_known.py::test_"
     assert set(reach.seconds) == {name + word for word in ("first", "second", "third")}
     assert reach.lines["model/known.py"][2] == [name + "first", name + "second"]
+    file = "tests/model/test_known.py"
+    assert reach.needs[name + "third"] == (file,)
+    assert reach.needs[name + "first"] == (f"shared of {file}", file)
+    assert reach.shared[f"shared of {file}"] > 0.2 > reach.seconds[name + "first"]
 
 
 DOOR = """
@@ -318,8 +393,8 @@ def test_later_code_takes_the_map_over_and_doors_count_what_they_start(small: Pa
         n: first.seconds[n] for n in first.seconds if n.startswith(both)
     }
     assert not (small / "sitecustomize.py").exists()
-    reaching = second.tests_of(Place("model/known.py", 3, 3), Mentions.find(small))
-    assert set(reaching[:2]) == {"tests/model/test_known.py::test_it", door}
+    reaching, _ = second.tests_of(Place("model/known.py", 3, 3), Mentions.find(small))
+    assert set(reaching) == {"tests/model/test_known.py::test_it", door}
 
 
 CASES = """
