@@ -166,23 +166,15 @@ class Reach:
                     counts[name] += 1
         return counts
 
-    def tests_of(self, place: Place, mentions: Mentions) -> list[list[str]]:
-        """Tests that reach a place.
+    def tests_of(self, place: Place, mentions: Mentions) -> list[str]:
+        """Node ids of the tests that reach a place.
 
         Parameters
         ----------
         place : see Place.
         mentions : of the same tree.
-
-        Returns
-        -------
-        Node ids: of those that reach the place, and of the others of the same files, which may share with
-        them what a file computes once.
         """
-        found = self._direct(place) or self._by_name(place, mentions)
-        files = {file_of(name) for name in found}
-        beside = {name for name in self.seconds if file_of(name) in files} - found
-        return [sorted(found), sorted(beside)]
+        return sorted(self._direct(place) or self._by_name(place, mentions))
 
     def affordable(self, names: Iterable[str], left_s: float, paid: set[str]) -> list[str]:
         """The tests that buy most for their seconds, at least one where there is one.

@@ -44,8 +44,6 @@ LEAST_NOTICED = 0.8
 TEST_FOLDERS = ("tests/model", "tests/validate", "tests/flysid", DOORS)
 TESTS_S = 25.0
 """CPU of the tests that reach a change, as measured under coverage, with what they share."""
-BESIDE_S = 5.0
-"""CPU of the other tests of the same files, which may share something that holds the change."""
 DOORS_S = 25.0
 """CPU of the doors that reach a change, or one of these."""
 START_S = 10.0
@@ -218,13 +216,12 @@ class Bench:
             shutil.rmtree(tree)
 
     def _judge(self, tree: Path, mutant: Mutant) -> Trial:
-        groups = self.reach.tests_of(mutant.place, self.mentions)
-        reaching = [name for group in groups for name in group]
+        reaching = self.reach.tests_of(mutant.place, self.mentions)
         doubted: list[str] = []
         cpu_s = 0.0
         count = 0
         noticed_by = NOT_NOTICED
-        for names, expected_s in self.chosen(groups):
+        for names, expected_s in self.chosen(reaching):
             count += len(names)
             noticed_by, used_s = self._notice(tree, names, expected_s, doubted)
             cpu_s += used_s
@@ -241,20 +238,12 @@ class Bench:
             round(cpu_s, 1),
         )
 
-    def chosen(self, groups: Sequence[Sequence[str]]) -> Iterator[tuple[list[str], float]]:
-        """Tests in the order of their runs, each with the CPU seconds that it may take.
-
-        Parameters
-        ----------
-        groups : tests that reach the change, and those beside them. The tests that are doors come last.
-        """
-        paid: set[str] = set()
-        reaching, beside = ([name for name in group if not name.startswith(DOORS)] for group in groups)
-        tests = self.reach.affordable(reaching, TESTS_S, paid)
-        tests += self.reach.affordable(beside, BESIDE_S, paid)
-        doors = [name for name in groups[0] if name.startswith(DOORS)]  # doors share nothing with others
+    def chosen(self, reaching: Sequence[str]) -> Iterator[tuple[list[str], float]]:
+        """Tests in the order of their runs, doors last, each run with the CPU seconds that it may take."""
+        doors = [name for name in reaching if name.startswith(DOORS)]
+        tests = [name for name in reaching if name not in doors]
         if tests:
-            yield self.reach.side_by_side(tests), TESTS_S + BESIDE_S
+            yield self.reach.side_by_side(self.reach.affordable(tests, TESTS_S, set())), TESTS_S
         if doors:
             yield self.reach.affordable(doors, DOORS_S, set()), DOORS_S
 

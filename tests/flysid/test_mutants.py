@@ -157,8 +157,8 @@ def test_tests_are_found_by_line_or_through_who_names_it(tmp_path: Path) -> None
     for site in sites_of(KERNEL.encode(), "model/a.py"):
         found[site[0].line] = reach.tests_of(site[0].place, mentions)
     assert set(found) == {2, 6, 9, 11}
-    assert all(tests == [["t.py::one"], ["t.py::two"]] for tests in found.values())  # never that of line 1
-    assert reach.tests_of(Place("model/b.py", 1, 1, ("nobody",)), mentions) == [[], []]
+    assert all(tests == ["t.py::one"] for tests in found.values())  # never that of line 1
+    assert reach.tests_of(Place("model/b.py", 1, 1, ("nobody",)), mentions) == []
 
 
 def test_tests_are_bought_with_what_they_share() -> None:
@@ -393,7 +393,7 @@ def test_later_code_takes_the_map_over_and_doors_count_what_they_start(small: Pa
         n: first.seconds[n] for n in first.seconds if n.startswith(both)
     }
     assert not (small / "sitecustomize.py").exists()
-    reaching, _ = second.tests_of(Place("model/known.py", 3, 3), Mentions.find(small))
+    reaching = second.tests_of(Place("model/known.py", 3, 3), Mentions.find(small))
     assert set(reaching) == {"tests/model/test_known.py::test_it", door}
 
 
