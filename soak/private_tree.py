@@ -5,7 +5,6 @@ from __future__ import annotations
 import ast
 import hashlib
 import shutil
-from collections.abc import Iterator
 from pathlib import Path
 
 _TESTED = ("flysid", "ingest", "model", "validate", "tests")
@@ -64,21 +63,20 @@ def forget_compiled(tree: Path, path: str, line: int) -> list[str]:
     return [file.name for file in found]
 
 
+def has_kernels(tree: ast.Module) -> bool:
+    """Whether a module compiles functions."""
+    imports = (node for node in ast.walk(tree) if isinstance(node, ast.Import | ast.ImportFrom))
+    names = {
+        name for node in imports for name in (getattr(node, "module", ""), *(n.name for n in node.names))
+    }
+    return not names.isdisjoint(_COMPILING)
+
+
 def _is_compiled_in(file: Path, line: int) -> bool:
     """Whether a kernel may hold what a line says: it is in a file with kernels, or sets a constant."""
     tree = ast.parse(file.read_bytes())
-    if any(name in _COMPILING for name in _names(tree)):
-        return True
     around = next((node for node in tree.body if node.lineno <= line <= (node.end_lineno or line)), None)
-    return not isinstance(around, ast.FunctionDef | ast.ClassDef)
-
-
-def _names(tree: ast.Module) -> Iterator[str]:
-    """What a module imports, or takes from where it is imported."""
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Import | ast.ImportFrom):
-            yield from (alias.name for alias in node.names)
-            yield getattr(node, "module", None) or ""
+    return has_kernels(tree) or not isinstance(around, ast.FunctionDef | ast.ClassDef)
 
 
 def _importers(tree: Path, path: str) -> set[str]:
