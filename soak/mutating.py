@@ -10,7 +10,7 @@ A site is one node of the syntax tree; it has one or more changes:
 Left out, since no result depends on it:
 
 - text (docstrings, f-strings, what is raised, warned of or shown as progress), annotations, decorators,
-  patterns of `match`, assertions, and the options of `field` but for its default.
+  patterns of `match`, assertions, methods of protocols, and the options of `field` but for its default.
 - seeds: one is as good as another.
 - arguments that guard or save time, but decide nothing (`strict` of zip, `check_finite`, `copy`,
   `overwrite_*`).
@@ -95,9 +95,14 @@ class Mutant:
         """The file's bytes with the change."""
         return source[: self.start] + self.after.encode() + source[self.end :]
 
-    def __str__(self) -> str:
+    @property
+    def change(self) -> str:
+        """What becomes of what, in one line."""
         before, after = (" ".join(text.split()) for text in (self.before, self.after))
-        return f"{self.place.path}:{self.line}: {before} -> {after}"
+        return f"{before} -> {after}"
+
+    def __str__(self) -> str:
+        return f"{self.place.path}:{self.line}: {self.change}"
 
 
 def find_sites(root: Path) -> list[list[Mutant]]:
@@ -165,6 +170,8 @@ def _deciding(node: ast.AST) -> Iterator[ast.AST]:
     """The children of a node but for those that decide nothing."""
     if isinstance(node, ast.JoinedStr | ast.Raise | ast.Assert | ast.pattern):
         return
+    if isinstance(node, ast.FunctionDef) and _is_promise(node):
+        return
     if isinstance(node, ast.Call) and _name(node.func) in _TELLING | _SEEDED:
         return
     if isinstance(node, ast.Assign) and any("SEED" in (_name(t) or "") for t in node.targets):
@@ -185,6 +192,12 @@ def _is_free(node: ast.AST, is_field: bool) -> bool:
     if not isinstance(node, ast.keyword):
         return False
     return node.arg in _FREE_ARGUMENTS | _SEED_ARGUMENTS or (is_field and node.arg != "default")
+
+
+def _is_promise(node: ast.FunctionDef) -> bool:
+    """A method of a protocol: it never runs, and its defaults are those of others."""
+    last = node.body[-1]
+    return isinstance(last, ast.Expr) and isinstance(last.value, ast.Constant) and last.value.value is ...
 
 
 def _name(node: ast.AST) -> str | None:

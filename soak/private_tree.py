@@ -12,6 +12,8 @@ _LEFT_OUT = shutil.ignore_patterns(
     ".git", ".venv", ".bench", ".hypothesis", ".mypy_cache", ".pytest_cache", ".ruff_cache", "_build"
 )
 _SHARED = "shared"
+_COMPILING = frozenset({"numba", "compiled"})
+"""A module that imports one of these has kernels."""
 
 
 def stamp(root: Path) -> str:
@@ -34,17 +36,23 @@ def copy_tree(root: Path, into: Path) -> Path:
     return into
 
 
-def forget_compiled(tree: Path, path: str) -> list[str]:
-    """Delete what was compiled from a file, and kernels of the modules that import it, however indirectly.
+def forget_compiled(tree: Path, path: str, line: int) -> list[str]:
+    """Delete what was compiled from a file, and kernels of others that may have compiled its line in.
 
     Numba compares a kernel's own file with its cache, not the kernels and constants that it takes from
-    others.
+    others: kernels of the modules that import the file go too, however indirectly. Functions and classes of a
+    file without kernels are in no kernel, and there they stay.
+
+    Parameters
+    ----------
+    tree, path : the file, e.g. `model/arx.py` of a tree.
+    line : of the change, from 1.
 
     Returns
     -------
     The names of the deleted files.
     """
-    stale = {path, *_importers(tree, path)}
+    stale = {path, *(_importers(tree, path) if _is_compiled_in(tree / path, line) else ())}
     found = []
     for name in sorted(stale):
         file = tree / name
@@ -53,6 +61,22 @@ def forget_compiled(tree: Path, path: str) -> list[str]:
     for file in found:
         file.unlink()
     return [file.name for file in found]
+
+
+def has_kernels(tree: ast.Module) -> bool:
+    """Whether a module compiles functions."""
+    imports = (node for node in ast.walk(tree) if isinstance(node, ast.Import | ast.ImportFrom))
+    names = {
+        name for node in imports for name in (getattr(node, "module", ""), *(n.name for n in node.names))
+    }
+    return not names.isdisjoint(_COMPILING)
+
+
+def _is_compiled_in(file: Path, line: int) -> bool:
+    """Whether a kernel may hold what a line says: it is in a file with kernels, or sets a constant."""
+    tree = ast.parse(file.read_bytes())
+    around = next((node for node in tree.body if node.lineno <= line <= (node.end_lineno or line)), None)
+    return has_kernels(tree) or not isinstance(around, ast.FunctionDef | ast.ClassDef)
 
 
 def _importers(tree: Path, path: str) -> set[str]:

@@ -1,11 +1,7 @@
 """Which tests reach a line of `model/` and `validate/`: coverage with one context a test, kept as a file.
 
-As a pytest plugin (`-p soak.reach`, with the variable REACH_FILE set) it notes, for every test that passes,
-the lines that it reaches and the CPU seconds that it takes. What a fixture of a class, a module or the
-session reaches counts for every test that uses the fixture, and what a door's processes reach for the door.
-
-A map is measured once. Later code takes it over: lines that did not change keep their tests, and only new and
-changed files of tests are measured again.
+A map is measured once, by `soak.recorder`. Later code takes it over: lines that did not change keep their
+tests, and only new and changed files of tests are measured again.
 
 Coverage does not see inside compiled kernels, and what runs once, at import (constants, defaults), belongs to
 no test. For these `Reach.tests_of` takes the tests that reach a line which names the kernel or the constant.
@@ -16,27 +12,19 @@ from __future__ import annotations
 import ast
 import hashlib
 import json
-import os
-import tempfile
-from collections.abc import Generator, Iterable, Iterator
+from collections import Counter
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from difflib import SequenceMatcher
 from functools import cached_property
 from pathlib import Path
-from typing import Any
-
-import coverage
-import pytest
 
 from soak.private_tree import imported, module_name
 
 FOLDERS = ("model", "validate")
 """Whose lines are noted."""
-REACH_FILE = "REACH_FILE"
 DOORS = "tests/doors"
-"""Whose tests start processes: what these reach is noted where `STARTED` lies on their path."""
-STARTED = {"sitecustomize.py": "import coverage\n\ncoverage.process_startup()\n"}
-_NONE = ""
+"""Whose tests start processes."""
 
 
 @dataclass(frozen=True)
@@ -98,13 +86,19 @@ class Reach:
 
     Attributes
     ----------
-    seconds : node id of every test that passed -> its CPU seconds, measured under coverage.
+    seconds : node id of every test that passed -> its CPU seconds, measured under coverage, without what it
+        shares.
+    shared : what several tests share -> its CPU seconds: a file, which is collected, and fixtures of a class,
+        a module or the session.
+    needs : node id -> what of this it needs.
     lines : file -> line -> node ids.
     texts : file -> its lines as they were measured.
     files : file of tests -> digest of what was measured.
     """
 
     seconds: dict[str, float] = field(default_factory=dict)
+    shared: dict[str, float] = field(default_factory=dict)
+    needs: dict[str, tuple[str, ...]] = field(default_factory=dict)
     lines: dict[str, dict[int, list[str]]] = field(default_factory=dict)
     texts: dict[str, list[str]] = field(default_factory=dict)
     files: dict[str, str] = field(default_factory=dict)
@@ -117,6 +111,8 @@ class Reach:
             part = json.loads(file.read_text("utf-8"))
             names = list(part["seconds"])
             whole.seconds.update(part["seconds"])
+            whole.shared.update(part["shared"])
+            whole.needs.update({name: tuple(needs) for name, needs in part["needs"].items()})
             whole.texts.update(part["texts"])
             whole.files.update(part["files"])
             for path, lines in part["lines"].items():
@@ -132,14 +128,22 @@ class Reach:
             path: {line: [number[name] for name in tests] for line, tests in kept.items()}
             for path, kept in self.lines.items()
         }
-        whole = {"seconds": self.seconds, "lines": lines, "texts": self.texts, "files": self.files}
+        whole = {
+            "seconds": self.seconds,
+            "shared": self.shared,
+            "needs": self.needs,
+            "lines": lines,
+            "texts": self.texts,
+            "files": self.files,
+        }
         file.write_text(json.dumps(whole), "utf-8")
 
     def taken_over(self, root: Path) -> Reach:
         """What still holds in a tree of later code: unchanged lines, unchanged files of tests."""
         files = {name: digest for name, digest in self.files.items() if digest_of(root / name) == digest}
-        seconds = {name: s for name, s in self.seconds.items() if name.partition("::")[0] in files}
-        taken = Reach(seconds, files=files)
+        seconds = {name: s for name, s in self.seconds.items() if file_of(name) in files}
+        needs = {name: self.needs[name] for name in seconds}
+        taken = Reach(seconds, dict(self.shared), needs, files=files)
         for path, kept in self.lines.items():
             if not (root / path).exists():
                 continue
@@ -163,26 +167,60 @@ class Reach:
         return counts
 
     def tests_of(self, place: Place, mentions: Mentions) -> list[str]:
-        """Tests that reach a place, those first that reach little else and cost little.
+        """Node ids of the tests that reach a place.
 
         Parameters
         ----------
         place : see Place.
         mentions : of the same tree.
-
-        Returns
-        -------
-        Node ids; behind those that reach the place come the others of the same files, which may share with
-        them what a file computes once.
         """
-        found = self._direct(place) or self._by_name(place, mentions)
-        files = {name.partition("::")[0] for name in found}
-        beside = {name for name in self.seconds if name.partition("::")[0] in files} - found
-        near = {name for name in beside if not name.startswith(DOORS)}  # doors share nothing
-        return [name for group in (found, near) for name in sorted(group, key=self._price)]
+        return sorted(self._direct(place) or self._by_name(place, mentions))
 
-    def _price(self, name: str) -> tuple[float, str]:
-        """Lines reached times seconds: few lines tell that a test is about these, and a second buys many."""
+    def affordable(self, names: Iterable[str], left_s: float, paid: set[str]) -> list[str]:
+        """The tests that buy most for their seconds, at least one where there is one.
+
+        A test is worth the more, the fewer lines it reaches: it is about these. The second case of a test is
+        worth half as much, and so on. What tests share is paid by the first of them.
+
+        Parameters
+        ----------
+        left_s : CPU seconds.
+        paid : what is shared and was computed already; what these tests need comes in.
+        """
+        waiting: dict[tuple[str, ...], list[str]] = {}
+        for name in sorted(names, key=self._price_alone, reverse=True):
+            waiting.setdefault(self.needs[name], []).append(name)
+        cases: Counter[str] = Counter()
+        chosen: list[str] = []
+
+        def cost(name: str) -> float:
+            return self.seconds[name] + sum(self.shared[n] for n in self.needs[name] if n not in paid)
+
+        def price(name: str) -> float:
+            return self.reached[name] * cost(name) * (1 + cases[_test_of(name)])
+
+        while waiting:
+            needs = min(waiting, key=lambda needs: price(waiting[needs][-1]))
+            name = waiting[needs].pop()
+            if not waiting[needs]:
+                del waiting[needs]
+            if chosen and cost(name) > left_s:
+                continue
+            left_s -= cost(name)
+            paid.update(needs)
+            cases[_test_of(name)] += 1
+            chosen.append(name)
+        return chosen
+
+    def side_by_side(self, names: list[str]) -> list[str]:
+        """In an order in which nothing that is shared is made twice: by file, then by what is shared."""
+        place: dict[object, int] = {}
+        for k, name in enumerate(names):
+            place.setdefault(file_of(name), k)
+            place.setdefault(self.needs[name], k)
+        return sorted(names, key=lambda name: (place[file_of(name)], place[self.needs[name]]))
+
+    def _price_alone(self, name: str) -> tuple[float, str]:
         return self.reached[name] * self.seconds[name], name
 
     def _direct(self, place: Place) -> set[str]:
@@ -205,6 +243,16 @@ class Reach:
                     found |= tests
                     waiting += [] if tests else [other]
         return found
+
+
+def file_of(name: str) -> str:
+    """`a.py` of the node id `a.py::test[case]`."""
+    return name.partition("::")[0]
+
+
+def _test_of(name: str) -> str:
+    """Without its case."""
+    return name.partition("[")[0]
 
 
 def digest_of(file: Path) -> str:
@@ -263,129 +311,3 @@ def _name_read(node: ast.AST) -> str | None:
     if isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Load):
         return node.attr
     return node.arg if isinstance(node, ast.keyword) else None
-
-
-def _cpu_seconds() -> float:
-    """CPU time of this process and of those that it waited for."""
-    times = os.times()
-    return times.user + times.system + times.children_user + times.children_system
-
-
-class Recorder:
-    """Notes the lines of every test; a pytest plugin."""
-
-    def __init__(self, file: Path) -> None:
-        self._file = file
-        self._root = Path.cwd()
-        self._context = _NONE
-        self._seconds: dict[str, float] = {}
-        self._failed: set[str] = set()
-        self._users: dict[str, tuple[str, str]] = {}
-        self._fixtures: dict[str, list[str]] = {}
-        self._started: dict[str, dict[str, set[int]]] = {}
-        include = [str(self._root / folder / "*") for folder in FOLDERS]
-        self._include = include
-        self._coverage = coverage.Coverage(data_file=None, config_file=False, include=include)
-        self._coverage.start()
-
-    def _switch(self, context: str) -> None:
-        self._context = context
-        self._coverage.switch_context(context)
-
-    @pytest.hookimpl(wrapper=True)
-    def pytest_runtest_protocol(self, item: pytest.Item) -> Generator[None, object, object]:
-        """One context for the test."""
-        self._fixtures[item.nodeid] = list(getattr(item, "fixturenames", []))
-        self._switch(item.nodeid)
-        began = _cpu_seconds()
-        try:
-            if not item.nodeid.startswith(DOORS):
-                return (yield)
-            with tempfile.TemporaryDirectory() as place:
-                self._watch_started(Path(place))
-                try:
-                    return (yield)
-                finally:
-                    del os.environ["COVERAGE_PROCESS_START"]
-                    self._started[item.nodeid] = dict(_lines_in(Path(place)))
-        finally:
-            self._seconds[item.nodeid] = _cpu_seconds() - began
-            self._switch(_NONE)
-
-    def _watch_started(self, place: Path) -> None:
-        """Have processes that begin now note their lines there."""
-        settings = place / "settings"
-        include = "".join(f"\n    {pattern}" for pattern in self._include)
-        settings.write_text(
-            f"[run]\nparallel = True\nsigterm = True\nconcurrency =\n    multiprocessing\n    thread\n"
-            f"data_file = {place / 'lines'}\ninclude ={include}\n",
-            "utf-8",
-        )
-        os.environ["COVERAGE_PROCESS_START"] = str(settings)
-
-    @pytest.hookimpl(wrapper=True)
-    def pytest_fixture_setup(
-        self, fixturedef: pytest.FixtureDef[Any], request: pytest.FixtureRequest
-    ) -> Generator[None, object, object]:
-        """A context of its own for what several tests share."""
-        if fixturedef.scope == "function":
-            return (yield)
-        outer = self._context
-        context = f"{fixturedef.argname} of {request.node.nodeid}"
-        self._users[context] = (request.node.nodeid, fixturedef.argname)
-        self._switch(context)
-        try:
-            return (yield)
-        finally:
-            self._switch(outer)
-
-    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
-        """A test that fails or is skipped here selects nothing."""
-        if not report.passed:
-            self._failed.add(report.nodeid)
-
-    def pytest_sessionfinish(self) -> None:
-        """Write the file."""
-        self._coverage.stop()
-        passed = {name: s for name, s in self._seconds.items() if name not in self._failed}
-        files = {name.partition("::")[0] for name in self._seconds}
-        reach = Reach(passed, files={name: digest_of(self._root / name) for name in sorted(files)})
-        data = self._coverage.get_data()
-        for name in sorted(data.measured_files()):
-            kept = self._kept(reach, name)
-            for line, contexts in data.contexts_by_lineno(name).items():
-                tests = {test for context in contexts for test in self._tests_behind(context)}
-                kept.setdefault(line, []).extend(sorted(tests & passed.keys()))
-        for test in sorted(self._started.keys() & passed.keys()):
-            for name, lines in self._started[test].items():
-                kept = self._kept(reach, name)
-                for line in lines:
-                    kept.setdefault(line, []).append(test)
-        reach.write(self._file)
-
-    def _kept(self, reach: Reach, name: str) -> dict[int, list[str]]:
-        path = Path(name).resolve().relative_to(self._root.resolve()).as_posix()
-        reach.texts.setdefault(path, lines_of(self._root / path))
-        return reach.lines.setdefault(path, {})
-
-    def _tests_behind(self, context: str) -> list[str]:
-        if context not in self._users:
-            return [context]
-        scope, fixture = self._users[context]
-        return [name for name, used in self._fixtures.items() if fixture in used and name.startswith(scope)]
-
-
-def _lines_in(place: Path) -> Iterator[tuple[str, set[int]]]:
-    """Files and their lines that processes have noted in a folder."""
-    found: dict[str, set[int]] = {}
-    for file in place.glob("lines.*"):
-        data = coverage.CoverageData(str(file))
-        data.read()
-        for name in data.measured_files():
-            found.setdefault(name, set()).update(data.lines(name) or ())
-    yield from found.items()
-
-
-def pytest_configure(config: pytest.Config) -> None:
-    """Start before the first test imports what it tests."""
-    config.pluginmanager.register(Recorder(Path(os.environ[REACH_FILE])), "reach recorder")

@@ -1,8 +1,8 @@
 """Runs of pytest that begin in an instant: forked from a process that has loaded the libraries already.
 
 Most of the seconds before a first test go to libraries, which no change of our own code touches. `load`
-reads them once, and every run is a fork of that process: what lies below the tree, and that alone, is
-imported anew.
+reads them once, and every run is a fork of that process. There `forget_ours` has what lies below the tree,
+and that alone, imported anew.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import select
 import signal
 import sys
 import types
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import pytest
@@ -51,17 +51,32 @@ def load() -> None:
     gc.freeze()
 
 
-def run_pytest(tree: Path, arguments: Sequence[str], environment: Mapping[str, str], limit_s: int) -> int:
+def forget_ours(kept: str = "") -> None:
+    """Forget the modules of the repository but for those of one package."""
+    for name in list(sys.modules):
+        package = name.partition(".")[0]
+        if package in OURS and package != kept:
+            del sys.modules[name]
+
+
+def run_pytest(
+    tree: Path,
+    arguments: Sequence[str],
+    environment: Mapping[str, str],
+    limit_s: int,
+    prepare: Callable[[], None] = forget_ours,
+) -> int:
     """The exit code of a run in a tree; that of a signal is negative.
 
     Parameters
     ----------
     environment : whole.
     limit_s : CPU seconds after which it is ended, or ten times that on the clock: others compute, too.
+    prepare : is called in the fork, before pytest.
     """
     pid = os.fork()
     if not pid:
-        _become_pytest(tree, arguments, environment, limit_s)
+        _become_pytest(tree, arguments, environment, limit_s, prepare)
     with os.fdopen(os.pidfd_open(pid)) as watched:
         select.select([watched], [], [], 10 * limit_s)
     with contextlib.suppress(ProcessLookupError):
@@ -70,7 +85,11 @@ def run_pytest(tree: Path, arguments: Sequence[str], environment: Mapping[str, s
 
 
 def _become_pytest(
-    tree: Path, arguments: Sequence[str], environment: Mapping[str, str], limit_s: int
+    tree: Path,
+    arguments: Sequence[str],
+    environment: Mapping[str, str],
+    limit_s: int,
+    prepare: Callable[[], None],
 ) -> None:
     """In the fork: run, and end."""
     code = int(pytest.ExitCode.INTERNAL_ERROR)
@@ -84,8 +103,7 @@ def _become_pytest(
         os.environ.clear()
         os.environ.update(environment)
         sys.path[:] = [str(tree), *(path for path in sys.path if Path(path).resolve() != ROOT)]
-        for name in [name for name in sys.modules if name.partition(".")[0] in OURS]:
-            del sys.modules[name]
+        prepare()
         sys.modules["__main__"] = types.ModuleType("__main__")  # what processes of tests would import again
         code = int(pytest.main(list(arguments)))
     finally:

@@ -2,7 +2,8 @@
 
 `soak.mutating` says which changes there are and which are left out, `soak.reach` which tests reach one. Every
 change is made in a private copy of the repository. A failure counts only if the test holds in the unchanged
-copy right afterwards. Passes when at least 80 % of the changes are noticed.
+copy right afterwards. Passes when at least 80 % are noticed of those that change anything:
+`soak/equal_changes.toml` names the others, found by reading, each with its reason.
 
 `.bench/mutants/<stamp of code and tests>` keeps the tests that reach each line, taken over from the latest
 stamp where neither line nor test has changed, and what became of each change, a line each. A campaign that
@@ -12,44 +13,42 @@ was ended goes on where it stopped, with its seed; `--seed` repeats another one,
 from __future__ import annotations
 
 import json
-import os
-import resource
 import secrets
 import shutil
 import subprocess
 import sys
 import tempfile
 import time
+import tomllib
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass, field
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from functools import partial
 from pathlib import Path
 
-import pytest
+from scipy.stats import binomtest
 
 from soak import Budget, Campaign, Outcome
 from soak.mutating import Mutant, draw, find_sites
 from soak.private_tree import copy_tree, forget_compiled, stamp
-from soak.reach import DOORS, FOLDERS, REACH_FILE, STARTED, Mentions, Reach
-from soak.ready import ONE_THREAD, load, run_pytest
-from soak.selected import FAILED_FILE, NAMES_FILE, files_of
+from soak.reach import DOORS, FOLDERS, Mentions, Reach
+from soak.ready import load
+from soak.recorder import REACH_FILE, STARTED
+from soak.running import Loaded, Ran, environment_of, run_tests
 
 ROOT = Path(__file__).resolve().parents[1]
 COUNT = 150
 LEAST_NOTICED = 0.8
 TEST_FOLDERS = ("tests/model", "tests/validate", "tests/flysid", DOORS)
-TESTS_S = 60.0
-"""CPU of the tests of one change, as measured under coverage: for 117 of 150 changes all that reach them."""
-DOORS_S = 60.0
-"""CPU of the doors of one change, which are those that reach it: all but README and the paper's reproduction,
-or one of these."""
-START_S = 20.0
-"""CPU until the first test runs: imports, and kernels compiled anew."""
-PATIENCE = 3.0
-"""A run ends after so many times its expected CPU, or ten times that on the clock: others compute, too."""
-
-OPTIONS = ("-x", "-q", "-p", "no:cacheprovider", "-p", "soak.selected")
+TURNS_S = (3.0, 25.0)
+"""CPU of the tests that reach a change, as measured under coverage, with what they share. Every change has
+the first turn before one that nobody noticed has the second, with more tests and the doors."""
+DOORS_S = 25.0
+"""CPU of the doors that reach a change, or one of these."""
 NOT_NOTICED = "not noticed"
+Run = tuple[list[str], float]
+"""Node ids, and the CPU seconds that they should take."""
+Runner = Callable[[Sequence[str], float], Ran]
 
 
 @dataclass(frozen=True)
@@ -63,6 +62,7 @@ class Trial:
     tests : how many were chosen, of `reaching` that reach the change.
     doubted : tests that failed in the unchanged copy as well, and so did not count.
     cpu_s : of all runs of this change.
+    turns : how many of TURNS_S it had.
     """
 
     key: str
@@ -73,10 +73,48 @@ class Trial:
     reaching: int
     doubted: list[str] = field(default_factory=list)
     cpu_s: float = 0.0
+    turns: int = 1
 
     @property
     def is_noticed(self) -> bool:
         return self.noticed_by != NOT_NOTICED
+
+    @property
+    def is_over(self) -> bool:
+        return self.is_noticed or self.turns == len(TURNS_S)
+
+    def __add__(self, later: Trial) -> Trial:
+        """Both turns as one."""
+        return replace(
+            later,
+            tests=self.tests + later.tests,
+            doubted=[*self.doubted, *later.doubted],
+            cpu_s=round(self.cpu_s + later.cpu_s, 1),
+        )
+
+
+class Equals:
+    """Changes that change nothing that anybody could see, as `soak/equal_changes.toml` lists them.
+
+    A change is known by its file, the text of its line, and what becomes of it: lines may move.
+
+    Attributes
+    ----------
+    reasons : by file, line and change.
+    """
+
+    def __init__(self, root: Path) -> None:
+        self._root = root
+        text = (root / "soak" / "equal_changes.toml").read_text("utf-8")
+        self.reasons: dict[tuple[str, str, str], str] = {
+            (c["file"], c["line"], c["change"]): c["why"] for c in tomllib.loads(text).get("change", [])
+        }
+
+    def why(self, mutant: Mutant) -> str:
+        """The reason; "" for a change that is not listed."""
+        path = mutant.place.path
+        line = (self._root / path).read_text("utf-8").splitlines()[mutant.line - 1].strip()
+        return self.reasons.get((path, line, mutant.change), "")
 
 
 class Record:
@@ -104,8 +142,9 @@ class Record:
             file.write(f"{end}{json.dumps(asdict(trial))}\n")
 
     def waiting(self, mutants: Sequence[Mutant]) -> list[Mutant]:
-        """Those that were not tried yet."""
-        return [mutant for mutant in mutants if mutant.key not in self.trials]
+        """Those that were not tried, then those that have a turn left."""
+        new = [mutant for mutant in mutants if mutant.key not in self.trials]
+        return new + [m for m in mutants if m.key in self.trials and not self.trials[m.key].is_over]
 
     def _is_cut(self) -> bool:
         text = self._file.read_bytes() if self._file.exists() else b""
@@ -130,39 +169,6 @@ def open_record(folder: Path, seed: int | None, drawn: Callable[[int], Sequence[
     return Record(folder / f"{secrets.randbits(32)}.jsonl")
 
 
-@dataclass(frozen=True)
-class Ran:
-    """A run of pytest: whether none failed, what failed, the CPU seconds of it and its children."""
-
-    passed: bool
-    failed: list[str]
-    cpu_s: float
-
-
-def run_tests(tree: Path, names: Sequence[str], expected_s: float) -> Ran:
-    """Run tests in a tree until the first fails; what takes far longer than expected fails, too."""
-    limit_s = int(PATIENCE * (START_S + expected_s))
-    began = _children_s()
-    with tempfile.TemporaryDirectory() as place:
-        wanted, failed = Path(place) / "names", Path(place) / "failed"
-        wanted.write_text("\n".join(names), "utf-8")
-        failed.touch()
-        environment = _environment(tree) | {NAMES_FILE: str(wanted), FAILED_FILE: str(failed)}
-        code = run_pytest(tree, [*OPTIONS, *files_of(names)], environment, limit_s)
-        blamed = failed.read_text("utf-8").splitlines()
-    passed = code in (pytest.ExitCode.OK, pytest.ExitCode.NO_TESTS_COLLECTED)
-    return Ran(passed, blamed, _children_s() - began)
-
-
-def _children_s() -> float:
-    used = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return used.ru_utime + used.ru_stime
-
-
-def _environment(tree: Path) -> dict[str, str]:
-    return os.environ | ONE_THREAD | {"PYTHONPATH": str(tree)}
-
-
 @dataclass
 class Bench:
     """The unchanged copy, and what is known of it.
@@ -170,77 +176,86 @@ class Bench:
     Attributes
     ----------
     whole : the copy.
+    loaded : a process that has imported it.
     reach, mentions : which tests reach what.
     """
 
     whole: Path
+    loaded: Loaded
     reach: Reach
     mentions: Mentions
 
-    def attempt(self, mutant: Mutant) -> Trial:
-        """Change a fresh copy, and look for a test that notices."""
-        tree = copy_tree(self.whole, self.whole.parent / "changed")
-        try:
-            file = tree / mutant.place.path
-            file.write_bytes(mutant.apply(file.read_bytes()))
-            forget_compiled(tree, mutant.place.path)
-            return self._judge(tree, mutant)
-        finally:
-            shutil.rmtree(tree)
-
-    def _judge(self, tree: Path, mutant: Mutant) -> Trial:
+    def attempt(self, mutant: Mutant, before: Trial | None) -> Trial:
+        """Change a fresh copy, and look for a test that notices: the turn after those it had."""
+        turn = before.turns if before else 0
         reaching = self.reach.tests_of(mutant.place, self.mentions)
-        doors = [name for name in reaching if name.startswith(DOORS)]
-        tests = [name for name in reaching if name not in doors]
-        groups = self.affordable(tests, TESTS_S), self.affordable(doors, DOORS_S)
-        chosen = [name for group in groups for name in group]
-        runs = [(group, sum(self.reach.seconds[name] for name in group)) for group in groups if group]
-        doubted: list[str] = []
-        cpu_s = 0.0
-        noticed_by = NOT_NOTICED
-        for names, expected_s in runs:
-            noticed_by, used_s = self._notice(tree, names, expected_s, doubted)
-            cpu_s += used_s
-            if noticed_by != NOT_NOTICED:
-                break
-        return Trial(
+        runs = list(self.chosen(reaching, turn))
+        noticed_by, doubted, cpu_s = self._judge(mutant, runs, turn) if runs else (NOT_NOTICED, [], 0.0)
+        count = sum(len(names) for names, _ in runs)
+        trial = Trial(
             mutant.key,
             str(mutant),
             mutant.kind,
             noticed_by,
-            len(chosen),
+            count,
             len(reaching),
             doubted,
             round(cpu_s, 1),
+            turn + 1,
         )
+        return before + trial if before else trial
 
-    def affordable(self, names: Sequence[str], left_s: float) -> list[str]:
-        """As many of the tests as the seconds allow, in their order; at least one where there is one."""
-        chosen: list[str] = []
-        for name in names:
-            if not chosen or self.reach.seconds[name] <= left_s:
-                chosen.append(name)
-                left_s -= self.reach.seconds[name]
-        return chosen
+    def _judge(self, mutant: Mutant, runs: Sequence[Run], turn: int) -> tuple[str, list[str], float]:
+        """What notices, which tests were in doubt, and the CPU seconds.
 
-    def _notice(
-        self, tree: Path, names: list[str], expected_s: float, doubted: list[str]
-    ) -> tuple[str, float]:
-        """The test that fails in a changed tree, not in the unchanged one; the CPU seconds of all runs."""
+        Processes that tests start see a change in the last turn, which has a tree of its own.
+        """
+        if turn + 1 < len(TURNS_S) and self.loaded.can(mutant):
+            return self._look(partial(self.loaded.run, mutant), partial(self.loaded.run, None), runs)
+        tree = copy_tree(self.whole, self.whole.parent / "changed")
+        try:
+            file = tree / mutant.place.path
+            file.write_bytes(mutant.apply(file.read_bytes()))
+            forget_compiled(tree, mutant.place.path, mutant.line)
+            return self._look(partial(run_tests, tree), partial(run_tests, self.whole), runs)
+        finally:
+            shutil.rmtree(tree)
+
+    def _look(self, run: Runner, run_unchanged: Runner, runs: Sequence[Run]) -> tuple[str, list[str], float]:
+        """The test that fails with the change, not without it; the others that fail; the CPU seconds."""
+        doubted: list[str] = []
         cpu_s = 0.0
-        while names:
-            ran = run_tests(tree, names, expected_s)
+        waiting = list(runs)
+        while waiting:
+            names, expected_s = waiting.pop(0)
+            ran = run(names, expected_s)
             cpu_s += ran.cpu_s
             if ran.passed:
-                break
+                continue
             blamed = ran.failed or names
-            again = run_tests(self.whole, blamed, expected_s)
+            again = run_unchanged(blamed, expected_s)
             cpu_s += again.cpu_s
             if again.passed:
-                return blamed[0] if ran.failed else f"time or crash in {names[0]} or later", cpu_s
+                noticed_by = blamed[0] if ran.failed else f"time or crash in {names[0]} or later"
+                return noticed_by, doubted, cpu_s
             doubted += blamed
-            names = [name for name in names if name not in blamed]
-        return NOT_NOTICED, cpu_s
+            left = [name for name in names if name not in blamed]
+            waiting[:0] = [(left, expected_s)] if left else []
+        return NOT_NOTICED, doubted, cpu_s
+
+    def chosen(self, reaching: Sequence[str], turn: int) -> Iterator[Run]:
+        """Tests of a turn in the order of their runs, each run with the CPU seconds that it may take.
+
+        Doors come in the last turn, after the others.
+        """
+        doors = [name for name in reaching if name.startswith(DOORS)]
+        tests = [name for name in reaching if name not in doors]
+        before = self.reach.affordable(tests, TURNS_S[turn - 1], set()) if turn else []
+        chosen = [n for n in self.reach.affordable(tests, TURNS_S[turn], set()) if n not in set(before)]
+        if chosen:
+            yield self.reach.side_by_side(chosen), TURNS_S[turn]
+        if doors and turn + 1 == len(TURNS_S):
+            yield self.reach.affordable(doors, DOORS_S, set()), DOORS_S
 
 
 def measure(whole: Path, folder: Path) -> Reach:
@@ -270,11 +285,11 @@ def _measure_files(whole: Path, names: Sequence[str], file: Path) -> None:
     """Run files of tests under coverage, and the processes that they start."""
     for name, text in STARTED.items():
         (whole / name).write_text(text, "utf-8")
-    command = [sys.executable, "-m", "pytest", "-q", "-p", "soak.reach", "-p", "no:cacheprovider", *names]
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "soak.recorder", "-p", "no:cacheprovider", *names]
     subprocess.run(
         command,
         cwd=whole,
-        env=_environment(whole) | {REACH_FILE: str(file)},
+        env=environment_of(whole) | {REACH_FILE: str(file)},
         stdout=subprocess.DEVNULL,
         check=False,  # a test that fails under coverage is left out
     )
@@ -291,45 +306,58 @@ def run(budget: Budget) -> Iterator[Outcome]:
     with tempfile.TemporaryDirectory() as place:
         whole = copy_tree(ROOT, Path(place) / "whole")
         subprocess.run(
-            [sys.executable, "-m", "tests.kernels"], cwd=whole, env=_environment(whole), check=True
+            [sys.executable, "-m", "tests.kernels"], cwd=whole, env=environment_of(whole), check=True
         )
-        bench = Bench(whole, measure(whole, folder), Mentions.find(whole))
-        sites = find_sites(whole)
-        record = open_record(folder, budget.seed, lambda seed: draw(sites, seed, COUNT))
-        mutants = draw(sites, record.seed, COUNT)
-        waiting = record.waiting(mutants)
-        say(f"seed {record.seed}: {len(waiting)} of {len(mutants)} changes to try, at {len(sites)} sites")
-        for mutant in waiting:
-            if not goes_on():
-                break
-            if _folder(mutant) in budget.chosen(FOLDERS):
+        with Loaded(whole) as loaded:
+            bench = Bench(whole, loaded, measure(whole, folder), Mentions.find(whole))
+            sites = find_sites(whole)
+            record = open_record(folder, budget.seed, lambda seed: draw(sites, seed, COUNT))
+            mutants = [m for m in draw(sites, record.seed, COUNT) if _folder(m) in budget.chosen(FOLDERS)]
+            waiting = record.waiting(mutants)
+            say(f"seed {record.seed}: {len(waiting)} of {len(mutants)} changes to try, at {len(sites)} sites")
+            while waiting and goes_on():
+                mutant = waiting[0]
                 began = time.monotonic()
-                record.add(bench.attempt(mutant))
+                record.add(bench.attempt(mutant, record.trials.get(mutant.key)))
                 say(f"{time.monotonic() - began:.0f} s, {describe(record.trials[mutant.key])}")
-        yield from outcomes([m for m in mutants if m.key in record.trials], record, budget)
+                waiting = record.waiting(mutants)
+        yield from outcomes([m for m in mutants if m.key in record.trials], record, Equals(whole), budget)
 
 
-def outcomes(mutants: Sequence[Mutant], record: Record, budget: Budget) -> Iterator[Outcome]:
+def outcomes(mutants: Sequence[Mutant], record: Record, equals: Equals, budget: Budget) -> Iterator[Outcome]:
     """Counts by folder; a failure a change that was not noticed, where these are too many."""
     for name in budget.chosen(FOLDERS):
-        trials = [record.trials[m.key] for m in mutants if _folder(m) == name]
-        missed = [trial for trial in trials if not trial.is_noticed]
-        outcome = Outcome(name, len(trials))
-        noticed = len(trials) - len(missed)
-        share = noticed / max(1, len(trials))
-        by_doors = sum(DOORS in trial.noticed_by for trial in trials)
-        kinds = Counter(trial.kind for trial in missed)
-        left = ", ".join(f"{n} {kind}" for kind, n in kinds.most_common()) or "none"
-        doubted = {test for trial in trials for test in trial.doubted}
+        own = [m for m in mutants if _folder(m) == name]
+        noticed = [m for m in own if record.trials[m.key].is_noticed]
+        reasons = {m: equals.why(m) for m in own if m not in noticed}
+        missed = [m for m, why in reasons.items() if not why]
+        outcome = Outcome(name, len(own))
         outcome.remark = (
-            f"noticed {noticed} ({100 * share:.0f} %), {by_doors} by the doors alone; not noticed: {left}; "
-            f"tests that fail unchanged: {len(doubted)}; seed {record.seed}"
+            f"noticed {share_of(len(noticed), len(noticed) + len(missed))}; "
+            f"{sum(DOORS in record.trials[m.key].noticed_by for m in noticed)} by the doors alone; "
+            f"{len(reasons) - len(missed)} change nothing; not noticed: {counts_of(m.kind for m in missed)}; "
+            f"tests that fail unchanged: {len({t for m in own for t in record.trials[m.key].doubted})}; "
+            f"seed {record.seed}"
         )
-        if trials and share < LEAST_NOTICED:
-            outcome.failures += [trial.change for trial in missed]
-        for trial in missed:
-            say(describe(trial))
+        if len(noticed) < LEAST_NOTICED * (len(noticed) + len(missed)):
+            outcome.failures += [str(m) for m in missed]
+        for m, why in reasons.items():
+            say(describe(record.trials[m.key]) + (f": {why}" if why else ""))
         yield outcome
+
+
+def share_of(count: int, of: int) -> str:
+    """A share with its exact 95 % interval (Clopper and Pearson, 1934, Biometrika 26)."""
+    if not of:
+        return "0 of 0"
+    ends = binomtest(count, of).proportion_ci()
+    low, high = (f"{100 * end:.0f}" for end in (ends.low, ends.high))
+    return f"{count} of {of} ({100 * count / of:.0f} %, {low} to {high})"
+
+
+def counts_of(words: Iterable[str]) -> str:
+    """`2 number, 1 sign`."""
+    return ", ".join(f"{n} {word}" for word, n in Counter(words).most_common()) or "none"
 
 
 def describe(trial: Trial) -> str:

@@ -1,19 +1,19 @@
-"""The soak's changes of our own code: one node each, the same for a seed, and a campaign that goes on."""
+"""The soak's changes of our own code: one node each, the same for a seed, and the tests that are bought."""
 
 from __future__ import annotations
 
 import ast
-import json
-import shutil
+import sys
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 
-from soak import Budget, row_27_mutants
 from soak.mutating import Mutant, draw, find_sites, sites_of
-from soak.private_tree import forget_compiled, stamp
-from soak.reach import Mentions, Place, Reach
-from soak.row_27_mutants import Bench, Record, Trial, measure, run_tests
+from soak.patching import find_patch
+from soak.private_tree import forget_compiled
+from soak.reach import Mentions, Place, Reach, file_of
+from soak.row_27_mutants import Equals, Record, Trial
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -102,6 +102,7 @@ def test_no_boundary_is_shifted_beside_what_is_measured(text: str) -> None:
         "tell(a, 3)",
         "warnings.warn(a, stacklevel=3)",
         "assert a < 3",
+        "class P(Protocol):\n    def f(self, a: int = 3) -> int:\n        '3 of them'\n        ...",
         "x = np.random.default_rng(3)",
         "_SEED = 3",
         "fit(x, seed=3)",
@@ -157,8 +158,29 @@ def test_tests_are_found_by_line_or_through_who_names_it(tmp_path: Path) -> None
     for site in sites_of(KERNEL.encode(), "model/a.py"):
         found[site[0].line] = reach.tests_of(site[0].place, mentions)
     assert set(found) == {2, 6, 9, 11}
-    assert set(map(tuple, found.values())) == {("t.py::one", "t.py::two")}  # never that of line 1
+    assert all(tests == ["t.py::one"] for tests in found.values())  # never that of line 1
     assert reach.tests_of(Place("model/b.py", 1, 1, ("nobody",)), mentions) == []
+
+
+def test_tests_are_bought_with_what_they_share() -> None:
+    """A fixture is paid once, the second case of a test is worth half, and no fixture is made twice."""
+    costs = {"a.py::slow": 9.0, "a.py::x[1]": 1.0, "a.py::x[2]": 1.0, "b.py::y": 1.4, "a.py::z": 0.1}
+    needs: dict[str, tuple[str, ...]] = {name: (file_of(name),) for name in costs}
+    needs["a.py::z"] = ("a.py", "fit")
+    reach = Reach(costs, {"a.py": 0.5, "b.py": 0.5, "fit": 4.0}, needs)
+    reach.lines["model/a.py"] = {1: list(costs)}
+
+    def bought(left_s: float) -> list[str]:
+        return reach.affordable(costs, left_s, set())
+
+    assert bought(0.0) == ["a.py::x[1]"]
+    assert bought(3.9) == ["a.py::x[1]", "b.py::y"]
+    assert bought(8.6) == ["a.py::x[1]", "b.py::y", "a.py::x[2]", "a.py::z"]
+    assert bought(8.4) == ["a.py::x[1]", "b.py::y", "a.py::x[2]"]
+    together = reach.side_by_side(bought(99.0))
+    assert together == ["a.py::x[1]", "a.py::x[2]", "a.py::slow", "a.py::z", "b.py::y"]
+    paid = {"a.py", "fit"}
+    assert reach.affordable(["a.py::z", "b.py::y"], 1.0, paid) == ["a.py::z"]
 
 
 def test_what_was_compiled_from_a_changed_file_is_forgotten(tmp_path: Path) -> None:
@@ -174,7 +196,7 @@ def test_what_was_compiled_from_a_changed_file_is_forgotten(tmp_path: Path) -> N
         (tmp_path / "model" / f"{name}.py").write_text(text)
         for end in ("cpython-311.pyc", "f-1.py311.nbi", "f-1.py311.1.nbc"):
             (tmp_path / "model" / "__pycache__" / f"{name}.{end}").touch()
-    assert sorted(forget_compiled(tmp_path, "model/base.py")) == [
+    assert sorted(forget_compiled(tmp_path, "model/base.py", 1)) == [
         "base.cpython-311.pyc",
         "base.f-1.py311.1.nbc",
         "base.f-1.py311.nbi",
@@ -183,6 +205,95 @@ def test_what_was_compiled_from_a_changed_file_is_forgotten(tmp_path: Path) -> N
         "user.f-1.py311.1.nbc",
         "user.f-1.py311.nbi",
     ]
+
+
+@pytest.mark.parametrize(
+    ("text", "line", "is_in_kernels"),
+    [
+        ("SIZE = 3\ndef f():\n    return 3", 1, True),
+        ("SIZE = 3\ndef f():\n    return 3", 3, False),
+        ("from numba import njit\ndef f():\n    return 3", 3, True),
+        ("from flysid.model.filters import compiled\ndef f():\n    return 3", 3, True),
+    ],
+)
+def test_kernels_of_others_stay_where_they_hold_nothing_of_the_change(
+    tmp_path: Path, text: str, line: int, is_in_kernels: bool
+) -> None:
+    (tmp_path / "model" / "__pycache__").mkdir(parents=True)
+    (tmp_path / "model" / "base.py").write_text(text)
+    (tmp_path / "model" / "user.py").write_text("from flysid.model.base import f")
+    (tmp_path / "model" / "__pycache__" / "user.f-1.py311.nbi").touch()
+    gone = forget_compiled(tmp_path, "model/base.py", line)
+    assert gone == ["user.f-1.py311.nbi"] * is_in_kernels
+
+
+PATCHED = """
+LIMIT = 3
+def plain(x, by=3):
+    return x > 3
+class Box:
+    size = 3
+    @property
+    def width(self):
+        return [3 for _ in (1,)][0]
+def outer():
+    def inner():
+        return 3
+    return inner
+def made(x):
+    return x > LIMIT
+kept = outer()
+"""
+
+
+def test_the_body_of_a_function_is_patched_where_it_stands(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Constants, defaults and class bodies have acted already; so have functions made inside others."""
+    (tmp_path / "model").mkdir()
+    file = tmp_path / "model" / "patched.py"
+    file.write_text(PATCHED)
+    loaded = ModuleType("flysid.model.patched")
+    loaded.__file__ = str(file)
+    exec(compile(PATCHED, str(file), "exec"), vars(loaded))
+    monkeypatch.setitem(sys.modules, "flysid.model.patched", loaded)
+    mutants = [m for site in sites_of(PATCHED.encode(), "model/patched.py") for m in site]
+    news = {m.line: m for m in mutants if m.before == "3" and m.after == "4"}
+    patches = {line: find_patch(tmp_path, mutant) for line, mutant in news.items()}
+    assert {line for line, patch in patches.items() if patch} == {4, 9, 12}
+    for patch in patches.values():
+        if patch:
+            patch.apply()
+    assert loaded.plain(3.5) is False
+    assert loaded.Box().width == loaded.outer()() == 4
+    assert (loaded.LIMIT, loaded.Box.size, loaded.plain.__defaults__, loaded.kept()) == (3, 3, (3,), 3)
+    file.write_text(f"import numba\n{PATCHED}")
+    moved = [m for site in sites_of(file.read_bytes(), "model/patched.py") for m in site]
+    assert not any(find_patch(tmp_path, m) for m in moved)
+
+
+def test_what_changes_nothing_is_known_by_its_line_not_by_its_number(tmp_path: Path) -> None:
+    for folder in ("model", "soak"):
+        (tmp_path / folder).mkdir()
+    (tmp_path / "soak" / "equal_changes.toml").write_text(
+        '[[change]]\nfile = "model/a.py"\nline = "x = a < b"\n'
+        'change = "a < b -> (a <= b)"\nwhy = "never equal"\n'
+    )
+    found = set()
+    for text in ("x = a < b", "# a line more\nx = a < b", "y = a < b"):
+        (tmp_path / "model" / "a.py").write_text(text)
+        equals = Equals(tmp_path)
+        found |= {(text, m.kind, equals.why(m)) for m in sites_of(text.encode(), "model/a.py")[0]}
+    assert {entry for entry in found if entry[2]} == {
+        ("x = a < b", "boundary", "never equal"),
+        ("# a line more\nx = a < b", "boundary", "never equal"),
+    }
+
+
+def test_listed_changes_that_change_nothing_are_still_there(sites: list[list[Mutant]]) -> None:
+    """A line that was changed or deleted leaves the list."""
+    equals = Equals(ROOT)
+    assert {equals.why(m) for site in sites for m in site} >= set(equals.reasons.values())
 
 
 def test_a_record_survives_a_line_that_was_cut_off(tmp_path: Path) -> None:
@@ -196,152 +307,3 @@ def test_a_record_survives_a_line_that_was_cut_off(tmp_path: Path) -> None:
     assert list(again.trials) == ["a"]
     again.add(third)
     assert list(Record(file).trials) == ["a", "c"]
-
-
-@pytest.fixture
-def small(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A repository of two functions, a test that judges one of them, and one that merely calls the other."""
-    root = tmp_path / "small"
-    for folder in ("model", "validate", "flysid", "tests/model", "tests/validate", "tests/flysid"):
-        (root / folder).mkdir(parents=True)
-    for package in ("flysid", "tests"):
-        (root / package / "__init__.py").touch()
-    (root / "flysid" / "model").symlink_to("../model")
-    shutil.copytree(ROOT / "soak", root / "soak")
-    (root / "tests" / "kernels.py").touch()
-    (root / "model" / "known.py").write_text("def known(x):\n    return x > 3\n")
-    (root / "model" / "unknown.py").write_text("def unknown(x):\n    return x > 3\n")
-    (root / "tests" / "model" / "test_known.py").write_text(
-        "from flysid.model.known import known\nfrom flysid.model.unknown import unknown\n"
-        "def test_it(): assert [known(x) for x in (2, 3, 3.5, 4, 5)] == [False, False, True, True, True]\n"
-        "def test_call(): unknown(1)\n"
-    )
-    monkeypatch.setattr(row_27_mutants, "ROOT", root)
-    monkeypatch.setattr(row_27_mutants, "COUNT", 4)
-    monkeypatch.setenv("PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1")  # half of the time
-    return root
-
-
-def _records(root: Path) -> list[dict[str, object]]:
-    (file,) = (root / ".bench" / "mutants" / stamp(root)).glob("*.jsonl")
-    return [json.loads(line) for line in file.read_text().splitlines()]
-
-
-def test_a_campaign_goes_on_where_it_was_ended(small: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    attempt = Bench.attempt
-    tried: list[str] = []
-
-    def killed(self: Bench, mutant: Mutant) -> Trial:
-        if len(tried) == 2:
-            raise KeyboardInterrupt
-        tried.append(mutant.key)
-        return attempt(self, mutant)
-
-    monkeypatch.setattr(Bench, "attempt", killed)
-    with pytest.raises(KeyboardInterrupt):
-        list(row_27_mutants.run(Budget()))
-    assert len(_records(small)) == 2
-
-    def goes_on(self: Bench, mutant: Mutant) -> Trial:
-        tried.append(mutant.key)
-        return attempt(self, mutant)
-
-    monkeypatch.setattr(Bench, "attempt", goes_on)
-    measured = {file: file.stat().st_mtime_ns for file in small.rglob("tests-*.json")}
-    model, validate = row_27_mutants.run(Budget())
-    assert len(set(tried)) == len(tried) == 4
-    assert {file: file.stat().st_mtime_ns for file in small.rglob("tests-*.json")} == measured
-    assert (model.trials, validate.trials) == (4, 0)
-    by_file: dict[str, set[bool]] = {}
-    for trial in _records(small):
-        file = str(trial["change"]).partition(":")[0]
-        by_file.setdefault(file, set()).add(trial["noticed_by"] == "tests/model/test_known.py::test_it")
-    assert by_file == {"model/known.py": {True}, "model/unknown.py": {False}}
-    assert model.remark.startswith("noticed 2 (50 %), 0 by the doors alone; not noticed: ")
-    assert len(model.failures) == 2
-    assert all("model/unknown.py:2: " in failure for failure in model.failures)
-
-
-SHARED = """
-import pytest
-from flysid.model.known import known
-@pytest.fixture(scope="module")
-def shared(): return known(5)
-def test_first(shared): assert shared
-def test_second(shared): assert shared
-def test_third(): pass
-def test_fails(): assert not known(5)
-"""
-
-
-def measured(small: Path, stamp: str) -> Reach:
-    folder = small / ".bench" / "mutants" / stamp
-    folder.mkdir(parents=True)
-    return measure(small, folder)
-
-
-def test_what_a_fixture_reaches_counts_for_all_who_use_it(small: Path) -> None:
-    (small / "tests" / "model" / "test_known.py").write_text(SHARED)
-    reach = measured(small, "now")
-    name = "tests/model/test_known.py::test_"
-    assert set(reach.seconds) == {name + word for word in ("first", "second", "third")}
-    assert reach.lines["model/known.py"][2] == [name + "first", name + "second"]
-
-
-DOOR = """
-import os, subprocess, sys
-def test_door():
-    program = "from flysid.model.known import known; known(5)"
-    path = os.environ["PYTHONPATH"]
-    subprocess.run([sys.executable, "-c", program], env=os.environ | {"PYTHONPATH": path}, check=True)
-"""
-
-
-def test_later_code_takes_the_map_over_and_doors_count_what_they_start(small: Path) -> None:
-    """Lines that moved keep their tests; only files of tests that are new or changed are run again."""
-    model = small / "tests" / "model"
-    (model / "test_unknown.py").write_text("from flysid.model.unknown import *\ndef test_u(): unknown(1)\n")
-    first = measured(small, "first")
-    assert first.lines["model/known.py"][2] == ["tests/model/test_known.py::test_it"]
-    known = small / "model" / "known.py"
-    known.write_text("# a line more\n" + known.read_text())
-    (model / "test_unknown.py").write_text("def test_u(): pass\n")
-    (model / "test_known.py").touch()  # the content is what counts
-    (small / "tests" / "doors").mkdir()
-    (small / "tests" / "doors" / "test_pages.py").write_text(DOOR)
-    second = measured(small, "second")
-    door = "tests/doors/test_pages.py::test_door"
-    assert second.lines["model/known.py"][3] == ["tests/model/test_known.py::test_it", door]
-    assert second.lines["model/unknown.py"][2] == ["tests/model/test_known.py::test_call"]
-    both = "tests/model/test_known.py::test_"
-    assert {n: second.seconds[n] for n in second.seconds if n.startswith(both)} == {
-        n: first.seconds[n] for n in first.seconds if n.startswith(both)
-    }
-    assert not (small / "sitecustomize.py").exists()
-    reaching = second.tests_of(Place("model/known.py", 3, 3), Mentions.find(small))
-    assert set(reaching[:2]) == {"tests/model/test_known.py::test_it", door}
-
-
-CASES = """
-import pytest
-@pytest.mark.parametrize("x", [1, 2], ids=["one - of two", "two"])
-def test_case(x): assert x == 2
-def test_other(): assert False
-"""
-
-
-def test_the_tests_that_are_named_run_in_their_order(small: Path) -> None:
-    """A case whose name is gone says nothing; a crash fails without a name."""
-    file = small / "tests" / "model" / "test_cases.py"
-    file.write_text(CASES)
-    name = "tests/model/test_cases.py::test_"
-    gone = run_tests(small, [name + "case[three]"], 1.0)
-    assert (gone.passed, gone.failed) == (True, [])
-    mixed = run_tests(small, [name + "case[two]", name + "case[one - of two]", name + "other"], 1.0)
-    assert (mixed.passed, mixed.failed) == (False, [name + "case[one - of two]"])
-    assert run_tests(small, ["tests/model"], 1.0).failed != []
-    file.write_text("import os\ndef test_other(): os.abort()\n")
-    crashed = run_tests(small, [name + "other"], 1.0)
-    assert (crashed.passed, crashed.failed) == (False, [])
-    file.write_text("import nothing_of_this_name")
-    assert run_tests(small, [name + "other"], 1.0).failed == ["tests/model/test_cases.py"]

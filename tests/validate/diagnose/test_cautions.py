@@ -101,3 +101,24 @@ def test_a_gain_above_what_the_flights_show_is_cautioned() -> None:
         told = [t for t in cautions({"roll": c}, {"roll": diagnose(c)}) if "responds " in t.text]
         assert bool(told) is warned
         assert all("of roll" in t.text for t in told)
+
+
+def test_one_step_error_that_changes_by_less_than_half_is_cautioned() -> None:
+    """And only where the free run changes by more than 10 %: else there is nothing to flatter."""
+
+    def is_told(free: float, one: float) -> bool:
+        c = compared()
+        changes = {"free_run": free, "1": one}
+        entries = tuple(
+            replace(
+                e, pairs={k: replace(p, change_pct=changes.get(e.horizon, free)) for k, p in e.pairs.items()}
+            )
+            for e in c.entries
+        )
+        c = replace(c, entries=entries)
+        return any("One step ahead" in t.text for t in cautions({"c": c}, {"c": diagnose(c)}))
+
+    assert is_told(-40.0, -19.0)
+    assert is_told(40.0, 5.0)
+    assert not is_told(-40.0, -21.0)
+    assert not is_told(-9.0, -1.0)
