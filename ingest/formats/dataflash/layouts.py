@@ -189,7 +189,9 @@ def make_layout(name: str, form: str, labels: tuple[str, ...], length: int) -> R
     names: list[str] = []
     for i, _ in enumerate(form):
         label = labels[i].strip() if i < len(labels) and labels[i].strip() else f"field{i + 1}"
-        names.append(label if label not in names else f"{label}_{i + 1}")
+        while label in names:
+            label += f"_{i + 1}"
+        names.append(label)
     kinds = [
         BINARY_TEXT if (name, n) in BINARY_FIELDS else CHARACTERS[c] for n, c in zip(names, form, strict=True)
     ]

@@ -233,6 +233,9 @@ def test_messages_inside_another_count_where_its_time_is_impossible(time_us: int
 
 
 def test_labels_are_made_unique_and_complete() -> None:
+    twice = make_layout("X", "BBB", ("A_3", "A", "A"), 6)
+    assert twice is not None
+    assert twice.dtype.names == ("A_3", "A", "A_3_3")
     layout = make_layout("X", "BBB", ("A", "A"), 6)
     assert layout is not None
     assert [f.name for f in layout.fields] == ["A", "A_2", "field3"]
