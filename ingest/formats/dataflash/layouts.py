@@ -151,7 +151,7 @@ def may_define(raw: npt.NDArray[np.uint8], at: npt.NDArray[np.int64]) -> npt.NDA
     last = len(raw) - 1
     name = raw[np.minimum(at + HEADER_BYTES + 2, last)]
     form = raw[np.minimum(at + HEADER_BYTES + 6, last)]
-    found: npt.NDArray[np.bool_] = _FIRST_OF_NAMES[name] & _FIRST_OF_FORMATS[form]
+    found: npt.NDArray[np.bool_] = FIRST_OF_NAMES[name] & _FIRST_OF_FORMATS[form]
     return found
 
 
@@ -162,7 +162,7 @@ def _bytes_in(characters: str) -> npt.NDArray[np.bool_]:
     return table
 
 
-_FIRST_OF_NAMES = _bytes_in(string.ascii_letters + string.digits)
+FIRST_OF_NAMES = _bytes_in(string.ascii_letters + string.digits)
 _FIRST_OF_FORMATS = _bytes_in("".join(CHARACTERS) + "\0")
 
 

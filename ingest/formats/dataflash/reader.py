@@ -27,8 +27,8 @@ from flysid.ingest.formats.common.columns import ByteMatrix, RecordLayout, gathe
 from flysid.ingest.formats.common.gps_weeks import WEEK_NS, note_of, weeks_lost
 from flysid.ingest.formats.common.vehicle_time import Clocked, Source, VehicleTime
 from flysid.ingest.formats.dataflash.frames import LOOK_AHEAD, Messages, Walker
-from flysid.ingest.formats.dataflash.inner import HEAD
 from flysid.ingest.formats.dataflash.layouts import FMT_ID, HEADER_BYTES, Definition, Units
+from flysid.ingest.formats.dataflash.rules import HEAD
 
 SNIFF_BYTES = 16384
 FIRST_BYTES = 2048
