@@ -1,9 +1,10 @@
 """Row 30: 500 hostile files, one at a time, among 100 sound logs: the 100 are ingested every time.
 
 By folder, by path, from a bucket (SeaweedFS) and in the studio. The sound logs are one of each format, and
-tables. They are ingested once. Before each trial a few that are drawn are taken out of the data, with whatever
-else came in, so that a trial reads those anew beside the hostile file and finds the rest unchanged. What was
-tried is noted in `build/soak`, by the commit that it was tried on: the same command goes on from there.
+tables. They are ingested once. Before each trial a few that are drawn leave the data, with whatever else
+came in (in a bucket: a few get another content), so that a trial reads those anew beside the hostile file
+and finds the rest unchanged. What was tried is noted in `build/soak`, by the commit that it was tried on:
+the same command goes on from there.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import shutil
 import subprocess
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
+from hashlib import sha256
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -25,7 +27,7 @@ from soak import Budget, Campaign, Outcome
 from tests.command import call
 from tests.flysid.studio.server import studio
 from tests.hostile_files import contents, kinds, lay, suffix_of
-from tests.ingest.lake.sound_logs import sound_mixture
+from tests.ingest.lake.sound_logs import sound_mixture, sound_table
 from tests.s3server import seaweedfs
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -168,17 +170,24 @@ def from_a_bucket(folder: Path) -> Iterator[Trial | None]:
                 place.put(f"in/{name}", content)
             _ingest(given, lake, folder)
 
+            now = {name: sha256(content).hexdigest() for name, content in SOUND_LOGS.items()}
+            tables = [name for name in SOUND_LOGS if name.endswith(".csv")]
+
             def trial(kind: str, seed: int) -> set[str]:
                 draw = random.Random(seed)
-                for flight in _outdated(lake, draw):
-                    place.delete([found.key for found in place.list(f"lake/flights/{flight}/")])
+                for name in draw.sample(tables, ANEW):
+                    content = sound_table(SOUND + draw.getrandbits(30))
+                    place.put(f"in/{name}", content)
+                    now[name] = sha256(content).hexdigest()
                 hostile = f"in/hostile{suffix_of(kind)}"
                 if kind in contents():
                     place.put(hostile, contents()[kind](draw))
                 try:
-                    return _ingest(given, lake, folder)
+                    _ingest(given, lake, folder)
                 finally:
                     place.delete([hostile] if kind in contents() else [])
+                there = {(facts.log, facts.sha256) for facts in flysid.open(lake).facts}
+                return {name for name, content in now.items() if (name, content) in there}
 
             yield trial
     finally:
