@@ -1,18 +1,23 @@
 """Row 30: 500 hostile files, one at a time, among 100 sound logs: the 100 are ingested every time.
 
-By folder, by path, from a bucket (SeaweedFS) and in the studio. What was tried is noted in `build/soak`, by
-the commit that it was tried on: the same command goes on from there.
+By folder, by path, from a bucket (SeaweedFS) and in the studio. The sound logs are one of each format, and
+tables. They are ingested once. Before each trial a few that are drawn leave the data, with whatever else
+came in (in a bucket: a few get another content), so that a trial reads those anew beside the hostile file
+and finds the rest unchanged. What was tried is noted in `build/soak`, by the commit that it was tried on:
+the same command goes on from there.
 """
 
 from __future__ import annotations
 
 import json
 import random
+import shutil
 import subprocess
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
+from hashlib import sha256
 from pathlib import Path
-from tempfile import TemporaryDirectory, mkdtemp
+from tempfile import TemporaryDirectory
 
 import pytest
 
@@ -22,13 +27,15 @@ from soak import Budget, Campaign, Outcome
 from tests.command import call
 from tests.flysid.studio.server import studio
 from tests.hostile_files import contents, kinds, lay, suffix_of
-from tests.ingest.lake.sound_logs import sound_table, write_sound
+from tests.ingest.lake.sound_logs import sound_mixture, sound_table
 from tests.s3server import seaweedfs
 
 ROOT = Path(__file__).resolve().parents[1]
 SOUND = 100
 FILES = 500
-SOUND_NAMES = {f"sound{number:02}.csv" for number in range(SOUND)}
+ANEW = 5
+"""Sound logs that a trial reads anew."""
+SOUND_LOGS = sound_mixture(SOUND)
 Trial = Callable[[str, int], set[str]]
 """A kind and a seed; the names of the logs that became flights."""
 
@@ -84,7 +91,7 @@ def tried(trial: Trial, number: int, outcome: Outcome) -> dict[str, object]:
     failure = ""
     with outcome.trial():
         try:
-            kept = len(trial(kind, number) & SOUND_NAMES)
+            kept = len(trial(kind, number) & SOUND_LOGS.keys())
         except Exception as error:  # noqa: BLE001 - this is what the trials look for
             failure = f"{kind}, seed {number}: {type(error).__name__}: {error}"
     if kept < SOUND and not failure:
@@ -92,40 +99,57 @@ def tried(trial: Trial, number: int, outcome: Outcome) -> dict[str, object]:
     return {"kept": kept, "failure": failure}
 
 
-def _taken_in(given: list[Path], folder: Path) -> set[str]:
-    data = Path(mkdtemp(dir=folder)) / "data"
+def _ingest(given: list[Path] | list[str], data: Path | str, folder: Path) -> set[str]:
+    """Names of the logs that the data holds afterwards."""
     done = call("ingest", *given, "-o", data, cwd=folder)
     if done.returncode not in (0, 3) or "Traceback" in done.stderr:
         raise RuntimeError(f"exit {done.returncode}: {done.stderr[-300:]}")
     return {facts.log for facts in flysid.open(data).facts}
 
 
-def _laid(kind: str, seed: int, folder: Path) -> tuple[list[Path], Path]:
-    """Sound logs and a hostile file in a folder of their own."""
-    place = Path(mkdtemp(dir=folder))
-    return write_sound(place, SOUND), lay(kind, place, random.Random(seed))
+def _outdated(data: Path | str, draw: random.Random) -> list[str]:
+    """Flights to take out of the data: a few sound ones, and those that earlier trials brought in."""
+    facts = flysid.open(data).facts
+    sound = sorted(fact.id for fact in facts if fact.log in SOUND_LOGS)
+    return [*draw.sample(sound, ANEW), *(fact.id for fact in facts if fact.log not in SOUND_LOGS)]
+
+
+def _write(folder: Path) -> list[Path]:
+    folder.mkdir()
+    for name, content in SOUND_LOGS.items():
+        (folder / name).write_bytes(content)
+    return [folder / name for name in SOUND_LOGS]
+
+
+def _locally(folder: Path, given: Callable[[list[Path], Path], list[Path]]) -> Trial:
+    """A trial that lays a hostile file beside the sound logs, and takes in what is `given`."""
+    logs, data = folder / "logs", folder / "data"
+    sound = _write(logs)
+    _ingest(list(sound), data, folder)
+
+    def trial(kind: str, seed: int) -> set[str]:
+        draw = random.Random(seed)
+        for flight in _outdated(data, draw):
+            shutil.rmtree(data / "flights" / flight)
+        hostile = lay(kind, logs, draw)
+        try:
+            return _ingest(given(sound, hostile), data, folder)
+        finally:
+            shutil.rmtree(hostile) if hostile.is_dir() and not hostile.is_symlink() else hostile.unlink()
+
+    return trial
 
 
 @contextmanager
 def by_folder(folder: Path) -> Iterator[Trial]:
     """`flysid ingest FOLDER`."""
-
-    def trial(kind: str, seed: int) -> set[str]:
-        _, hostile = _laid(kind, seed, folder)
-        return _taken_in([hostile.parent], folder)
-
-    yield trial
+    yield _locally(folder, lambda _, hostile: [hostile.parent])
 
 
 @contextmanager
 def by_path(folder: Path) -> Iterator[Trial]:
     """`flysid ingest LOG LOG ...`."""
-
-    def trial(kind: str, seed: int) -> set[str]:
-        sound, hostile = _laid(kind, seed, folder)
-        return _taken_in([*sound, hostile], folder)
-
-    yield trial
+    yield _locally(folder, lambda sound, hostile: [*sound, hostile])
 
 
 @contextmanager
@@ -140,17 +164,30 @@ def from_a_bucket(folder: Path) -> Iterator[Trial | None]:
         with pytest.MonkeyPatch.context() as patch:
             for name, value in (server.environment | {"XDG_CACHE_HOME": str(folder / "cache")}).items():
                 patch.setenv(name, value)
+            place = Place("s3://tests/trials")
+            given, lake = [place.at("in")], place.at("lake")
+            for name, content in SOUND_LOGS.items():
+                place.put(f"in/{name}", content)
+            _ingest(given, lake, folder)
+
+            now = {name: sha256(content).hexdigest() for name, content in SOUND_LOGS.items()}
+            tables = [name for name in SOUND_LOGS if name.endswith(".csv")]
 
             def trial(kind: str, seed: int) -> set[str]:
-                place = Place(f"s3://tests/{seed}")
-                for number, name in enumerate(sorted(SOUND_NAMES)):
-                    place.put(f"in/{name}", sound_table(number))
+                draw = random.Random(seed)
+                for name in draw.sample(tables, ANEW):
+                    content = sound_table(SOUND + draw.getrandbits(30))
+                    place.put(f"in/{name}", content)
+                    now[name] = sha256(content).hexdigest()
+                hostile = f"in/hostile{suffix_of(kind)}"
                 if kind in contents():
-                    place.put(f"in/hostile{suffix_of(kind)}", contents()[kind](random.Random(seed)))
-                done = call("ingest", place.at("in"), "-o", place.at("lake"), cwd=folder)
-                if done.returncode not in (0, 3) or "Traceback" in done.stderr:
-                    raise RuntimeError(f"exit {done.returncode}: {done.stderr[-300:]}")
-                return {facts.log for facts in flysid.open(place.at("lake")).facts}
+                    place.put(hostile, contents()[kind](draw))
+                try:
+                    _ingest(given, lake, folder)
+                finally:
+                    place.delete([hostile] if kind in contents() else [])
+                there = {(facts.log, facts.sha256) for facts in flysid.open(lake).facts}
+                return {name for name, content in now.items() if (name, content) in there}
 
             yield trial
     finally:
@@ -161,7 +198,7 @@ def from_a_bucket(folder: Path) -> Iterator[Trial | None]:
 def in_the_studio(folder: Path) -> Iterator[Trial]:
     """A hostile log is dropped on the page; the listing answers with all flights."""
     data = folder / "data"
-    call("ingest", *write_sound(folder / "logs", SOUND), "-o", data, cwd=folder)
+    _ingest(list(_write(folder / "logs")), data, folder)
     with studio(data) as running:
 
         def trial(kind: str, seed: int) -> set[str]:

@@ -11,11 +11,12 @@ from flysid.errors import FormatError
 from flysid.ingest.formats.base import Limits, collect
 from flysid.ingest.formats.registry import FORMATS
 from tests.format_trials import sample
+from tests.samplelogs.dataflash import TYPES
 
 MARKS: Mapping[str, tuple[bytes, ...]] = {
     "blackbox": (b"H Product", b"\nI", b"P", b"E\0", b"S"),
     "crazyflie": (b"\xff",),
-    "dataflash": (b"\xa3\x95\x80", b"\xa3\x95"),
+    "dataflash": (b"\xa3\x95", *(b"\xa3\x95" + bytes([number]) for number in TYPES)),
     "mcap": tuple(bytes([op, 0x40]) + bytes(7) for op in (3, 4, 5, 6)),
     "navdata": (b"\x88\x77\x66\x55", b"\x89\x77\x66\x55"),
     "rosbag": (b"\x20\0\0\0\4\0\0\0op=\2", b"op=\5"),
@@ -23,14 +24,15 @@ MARKS: Mapping[str, tuple[bytes, ...]] = {
     "ulog": (b"\x08\0D\0\0", b"\x2f\x73\x13\x20\x25\x0c\xbb\x12"),
 }
 Garbage = Callable[[str, int, random.Random], bytes]
-MARK_EVERY = 16
+MARK_EVERY = (6, 9, 16)
 SECONDS_A_MB = 0.05
 
 
 def marked(name: str, size: int, rng: random.Random) -> bytes:
     """Random bytes with a mark of the format every few bytes."""
     out = bytearray(rng.randbytes(size))
-    for at in range(0, size - 2 * MARK_EVERY, MARK_EVERY):
+    step = rng.choice(MARK_EVERY)
+    for at in range(0, size - 2 * max(MARK_EVERY), step):
         mark = rng.choice(MARKS[name])
         out[at : at + len(mark)] = mark
     return bytes(out)

@@ -231,7 +231,7 @@ def _setting_within(left: FloatArray, utc_ns: IntArray, memory: int) -> int:
     before = np.minimum.accumulate(left)
     behind = np.minimum.accumulate(left[::-1])[::-1]
     moved = behind[places] - before[places - 1]
-    near = np.array([left[i : i + memory].min() - left[max(i - memory, 0) : i].min() for i in places])
+    near = _least_of(left, memory)[places] - _least_of(left[::-1], memory)[len(left) - places]
     sizes = np.where(moved * near > 0, np.minimum(np.abs(moved), np.abs(near)), 0.0)
     lasts = np.where(moved > 0, utc_ns[-1] - utc_ns[places], utc_ns[places - 1] - utc_ns[0])
     sizes[(lasts <= sizes) & (sizes < LEAP_NS)] = 0.0
@@ -240,6 +240,18 @@ def _setting_within(left: FloatArray, utc_ns: IntArray, memory: int) -> int:
         return 0
     alike = places[sizes > best / 2]
     return int(alike[0] if moved[sizes.argmax()] > 0 else alike[-1])
+
+
+def _least_of(values: FloatArray, width: int) -> FloatArray:
+    """(n,) the least of the values at [i, i + width), of those there are: spans double up to it."""
+    least = np.concatenate([values, np.full(width, np.inf)])
+    span = 1
+    while 2 * span <= width:
+        least = np.minimum(least[:-span], least[span:])
+        span *= 2
+    rest = width - span
+    found: FloatArray = np.minimum(least[: len(values)], least[rest : rest + len(values)])
+    return found
 
 
 def interpolate(at: IntArray, knots: IntArray, values: IntArray, slope: float) -> IntArray:

@@ -151,7 +151,7 @@ def may_define(raw: npt.NDArray[np.uint8], at: npt.NDArray[np.int64]) -> npt.NDA
     last = len(raw) - 1
     name = raw[np.minimum(at + HEADER_BYTES + 2, last)]
     form = raw[np.minimum(at + HEADER_BYTES + 6, last)]
-    found: npt.NDArray[np.bool_] = _FIRST_OF_NAMES[name] & _FIRST_OF_FORMATS[form]
+    found: npt.NDArray[np.bool_] = FIRST_OF_NAMES[name] & _FIRST_OF_FORMATS[form]
     return found
 
 
@@ -162,7 +162,7 @@ def _bytes_in(characters: str) -> npt.NDArray[np.bool_]:
     return table
 
 
-_FIRST_OF_NAMES = _bytes_in(string.ascii_letters + string.digits)
+FIRST_OF_NAMES = _bytes_in(string.ascii_letters + string.digits)
 _FIRST_OF_FORMATS = _bytes_in("".join(CHARACTERS) + "\0")
 
 
@@ -189,7 +189,9 @@ def make_layout(name: str, form: str, labels: tuple[str, ...], length: int) -> R
     names: list[str] = []
     for i, _ in enumerate(form):
         label = labels[i].strip() if i < len(labels) and labels[i].strip() else f"field{i + 1}"
-        names.append(label if label not in names else f"{label}_{i + 1}")
+        while label in names:
+            label += f"_{i + 1}"
+        names.append(label)
     kinds = [
         BINARY_TEXT if (name, n) in BINARY_FIELDS else CHARACTERS[c] for n, c in zip(names, form, strict=True)
     ]

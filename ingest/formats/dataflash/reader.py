@@ -27,8 +27,8 @@ from flysid.ingest.formats.common.columns import ByteMatrix, RecordLayout, gathe
 from flysid.ingest.formats.common.gps_weeks import WEEK_NS, note_of, weeks_lost
 from flysid.ingest.formats.common.vehicle_time import Clocked, Source, VehicleTime
 from flysid.ingest.formats.dataflash.frames import LOOK_AHEAD, Messages, Walker
-from flysid.ingest.formats.dataflash.inner import HEAD
 from flysid.ingest.formats.dataflash.layouts import FMT_ID, HEADER_BYTES, Definition, Units
+from flysid.ingest.formats.dataflash.rules import HEAD
 
 SNIFF_BYTES = 16384
 FIRST_BYTES = 2048
@@ -37,6 +37,8 @@ SYSTEM = 1
 GPS_EPOCH_NS = 315_964_800 * SECOND_NS
 LEAP_SECONDS = ((1_483_228_800, 18), (1_435_708_800, 17), (1_341_100_800, 16), (1_230_768_000, 15), (0, 14))
 MAX_NS = (1 << 63) - 1
+MOST_WEEKS = MAX_NS // 2 // WEEK_NS  # the sum of weeks, milliseconds, lost weeks and 1980 stays a number
+MOST_MS = MAX_NS // 8 // 1_000_000
 TELLING = frozenset({"UNIT", "MULT", "FMTU", "MSG", "PARM", "DSF"})
 TIME_COLUMNS = frozenset({"TimeUS", "TimeMS", "T", "Time", "GMS", "GWk", "Week", "Wk"})
 FIRMWARE = re.compile(
@@ -244,7 +246,7 @@ def _week_field(names: tuple[str, ...]) -> str:
 
 
 def _gps_ns(records: npt.NDArray[np.void], names: tuple[str, ...]) -> IntArray | None:
-    """GPS time in nanoseconds since 1980; None where the message has no week and milliseconds."""
+    """GPS time in nanoseconds since 1980, 0 where no date is as late; None without week and milliseconds."""
     week = _week_field(names)
     within = next((n for n in ("GMS", "TimeMS", "Time") if n in names), "")
     if (
@@ -254,7 +256,9 @@ def _gps_ns(records: npt.NDArray[np.void], names: tuple[str, ...]) -> IntArray |
         or records.dtype[within].kind not in "iu"
     ):
         return None
-    return records[week].astype(np.int64) * WEEK_NS + records[within].astype(np.int64) * 1_000_000
+    is_date = (records[week] <= MOST_WEEKS) & (records[within] <= MOST_MS)
+    weeks, milliseconds = (np.where(is_date, records[n], 0).astype(np.int64) for n in (week, within))
+    return weeks * WEEK_NS + milliseconds * 1_000_000
 
 
 def note_utc(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import random
 import struct
 from collections import defaultdict
 from pathlib import Path
@@ -16,10 +17,13 @@ import flysid
 from flysid.flight import Flight, field_scale, field_unit
 from flysid.ingest.formats.base import Limits, collect
 from flysid.ingest.formats.common.clock import SECOND_NS
+from flysid.ingest.formats.dataflash import frames, rules
 from flysid.ingest.formats.dataflash.layouts import CHARACTERS, make_layout
 from flysid.ingest.formats.registry import FORMATS
+from tests.format_trials import sample
 from tests.ingest.formats.things import apart
 from tests.inner_headers import plant_headers
+from tests.marked_garbage import marked
 from tests.samplelogs import dataflash_text as text_sample
 from tests.samplelogs.dataflash import CODES, TYPES, build, fmt, pack
 
@@ -233,6 +237,9 @@ def test_messages_inside_another_count_where_its_time_is_impossible(time_us: int
 
 
 def test_labels_are_made_unique_and_complete() -> None:
+    twice = make_layout("X", "BBB", ("A_3", "A", "A"), 6)
+    assert twice is not None
+    assert twice.dtype.names == ("A_3", "A", "A_3_3")
     layout = make_layout("X", "BBB", ("A", "A"), 6)
     assert layout is not None
     assert [f.name for f in layout.fields] == ["A", "A_2", "field3"]
@@ -292,6 +299,25 @@ def test_line_ends_beside_damage_are_part_of_it(garbage: bytes) -> None:
     assert flight.rows == collect(memoryview(blob), "a.log", TEXT, Limits()).rows
     assert [(r.start, r.end) for r in flight.damage.regions] == [(at, at + len(garbage))]
     assert flight.damage.bytes_skipped == len(garbage)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_compiled_rules_find_what_the_plain_ones_find(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """They take over where a log is dense with headers: what is found must not depend on who looked."""
+    sound = sample("dataflash")
+    middle = len(sound) // 2
+    blob = sound[:middle] + marked("dataflash", 3000, random.Random(seed)) + sound[middle:]
+    found = []
+    for is_costly in (True, False):
+        monkeypatch.setattr(frames, "_is_costly", lambda _, decided=is_costly: decided)
+        flight = read(blob, batch_bytes=1000 if seed % 2 else 1 << 20)
+        found.append((flight.damage, {name: table.to_pydict() for name, table in flight.tables.items()}))
+    assert repr(found[0]) == repr(found[1])
+
+
+def test_random_times_are_in_no_order() -> None:
+    """Two headers by chance stated times of centuries, one behind the other, and became messages."""
+    assert not rules.is_in_order(rules.LAST_NS, rules.NO_TIME, rules.LAST_NS)
 
 
 def test_a_fmt_whose_length_and_name_are_damaged_costs_its_own_messages_only() -> None:

@@ -56,6 +56,23 @@ def test_weeks_that_a_dataflash_log_lacks_are_added_and_said(tmp_path: Path, los
     assert flight["GPS"]["GWk"].to_pylist() == [TRUE_WEEK - lost] * 100
 
 
+@pytest.mark.parametrize("letters", ["QBIH", "QBQQ", "QBqq"])
+def test_a_week_that_no_calendar_holds_dates_nothing_and_loses_nothing(tmp_path: Path, letters: str) -> None:
+    """A damaged week, the first or any, lost the whole log."""
+    form = struct.Struct("<" + letters)
+    blob = _fmt(128, 89, "FMT", "BBnNZ", "Type,Length,Name,Format,Columns")
+    blob += _fmt(20, form.size + 3, "GPS", letters, "TimeUS,Status,GMS,GWk")
+    for k in range(20):
+        week = 15_000 if k in (0, 7) else TRUE_WEEK
+        fields = (1_000_000 + 200_000 * k, 3, 200_000_000 + 200 * k, week)
+        blob += HEAD + bytes([20]) + form.pack(*fields)
+    (tmp_path / "a.bin").write_bytes(blob)
+    flight = flysid.read(tmp_path / "a.bin")
+    assert flight["GPS"].num_rows == 20
+    assert began(flight) == pytest.approx(GPS_S + TRUE_WEEK * WEEK_S + 200_000 - 18, abs=0.3)
+    assert call("doctor", "a.bin", cwd=tmp_path).returncode == 0
+
+
 @pytest.mark.parametrize("lost", [0, 1024])
 def test_weeks_that_a_ulog_lacks_are_added_and_said(tmp_path: Path, lost: int) -> None:
     layout = b"vehicle_gps_position:uint64_t timestamp;uint64_t time_utc_usec;"

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
+
+from flysid.ingest.formats.registry import FORMATS
+from tests.format_trials import module_of, sample
 
 SOUND = 12
 
@@ -19,3 +23,10 @@ def write_sound(folder: Path, count: int = SOUND) -> list[Path]:
     for number, path in enumerate(paths):
         path.write_bytes(sound_table(number))
     return paths
+
+
+def sound_mixture(count: int) -> Mapping[str, bytes]:
+    """Sound logs by name: one of each format, and tables."""
+    samples = {f"sound_{kind}{module_of(kind).SUFFIX}": sample(kind) for kind in FORMATS}
+    tables = {f"sound{number:02}.csv": sound_table(number) for number in range(count - len(samples))}
+    return samples | tables
