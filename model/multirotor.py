@@ -47,7 +47,7 @@ from flysid.model.rotorcraft.rotor_axis import (
     steps_ahead,
 )
 from flysid.model.settings import Settings
-from flysid.model.start import FreeRuns
+from flysid.model.start import OneRule
 from flysid.model.threads import on_one_thread
 from flysid.showing import counted
 
@@ -158,7 +158,7 @@ class Multirotor(Settings):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class FittedMultirotor(FreeRuns):
+class FittedMultirotor(OneRule):
     """A physical model; the laws of `flysid.model.base` hold.
 
     Attributes
@@ -377,10 +377,6 @@ class FittedMultirotor(FreeRuns):
                 slow = np.inf
         radius = float(np.exp(-self.dt_s / slow)) if slow > 0.0 else 0.0
         return (Rule("R1", "always", words, gain, slow, radius, 1.0),)
-
-    def firing(self, u: FloatArray, y: FloatArray) -> FloatArray:  # noqa: ARG002
-        """(N, 1) ones: physics always holds."""
-        return np.ones((len(np.asarray(y)), 1))
 
     def __str__(self) -> str:
         lines = [f"physical model, {counted(self.n_parameters, 'parameter')}, sample time {self.dt_s:g} s"]

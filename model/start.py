@@ -224,6 +224,14 @@ class FreeRuns:
         return run_from_window(self, segment, window)
 
 
+class OneRule(FreeRuns):
+    """A fitted model of one rule that always holds."""
+
+    def firing(self, u: FloatArray, y: FloatArray) -> FloatArray:  # noqa: ARG002
+        """(N, 1) ones."""
+        return np.ones((len(np.asarray(y)), 1))
+
+
 def run_from_window(
     model: Timed, segment: Segment, window: int, drifting: tuple[bool, ...] | None = None
 ) -> FloatArray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,7 +14,7 @@ from flysid.cli.addresses import SOURCE
 from flysid.cli.bounds import POSITIVE, Number
 from flysid.cli.checks import Words
 from flysid.cli.display import Display, progress_options
-from flysid.cli.options import channels_option, target_options
+from flysid.cli.options import channels_option, gather, target_options
 from flysid.cli.output import align_columns, print_json, printable, say
 from flysid.cli.ratedesign import AXES, design_rates
 from flysid.cli.source import flight_options, reading_options
@@ -22,8 +23,10 @@ from flysid.errors import UsageError
 
 if TYPE_CHECKING:
     from flysid.design.designed import Design
+    from flysid.design.designing import Wish
     from flysid.design.rule_design import RuleDesign
     from flysid.ingest.lake.chosen_flights import Selection
+    from flysid.loops.gain_bounds import RateBounds
 
 FIRMWARES = ("pid", "px4", "ardupilot", "tum-ardrone")
 
@@ -47,64 +50,119 @@ LARGEST_MS = 1.6
 """Of a position loop, where none is given."""
 
 
+@dataclass(frozen=True)
+class Given:
+    """The options of a design, by their names."""
+
+    axes: tuple[str, ...]
+    channels: tuple[str, ...]
+    method: str
+    firmware: str
+    old: str | None
+    ms: float | None
+    peak: float
+    noise: float | None
+    limit: float | None
+    gain: tuple[float, float] | None
+    delay: tuple[float, float] | None
+    feed_forward: bool
+    data: Path | None
+
+    def bounds(self) -> RateBounds:
+        """Of rate loops."""
+        from flysid.loops.gain_bounds import RateBounds
+
+        given = {name: value for name, value in (("ms", self.ms), ("noise", self.noise)) if value is not None}
+        return RateBounds(**given)
+
+    def wish(self) -> Wish:
+        """For the position loop of a run's channels; raises UsageError where options contradict."""
+        from flysid.design.designing import Wish
+        from flysid.design.drawn_plants import Spread
+
+        if self.method == "pdc" and (self.firmware != "pid" or self.old is not None or self.feed_forward):
+            raise UsageError(
+                "--for, --old and --feed-forward are for the gains of a PID",
+                hint="leave them out, or --method pid",
+            )
+        return Wish(
+            self.channels,
+            self.firmware,
+            old_parameters(self.old, self.firmware),
+            LARGEST_MS if self.ms is None else self.ms,
+            self.peak,
+            self.noise,
+            self.limit,
+            Spread(self.gain or (1.0, 1.0), self.delay or (0.0, 0.0)),
+            feedforward=self.feed_forward,
+        )
+
+
+design_options = gather(
+    "given",
+    Given,
+    click.option(
+        "--axis", "axes", multiple=True, type=click.Choice(AXES), help="Of a log: only this axis; repeatable."
+    ),
+    channels_option,
+    click.option(
+        "--method",
+        type=click.Choice(["pid", "pdc"]),
+        default="pid",
+        show_default=True,
+        help="pdc: gains for every rule of the TS model, with a proof; needs --limit.",
+    ),
+    click.option(
+        "--for",
+        "firmware",
+        type=click.Choice(FIRMWARES),
+        default="pid",
+        show_default=True,
+        help="Names and units of the gains.",
+    ),
+    click.option(
+        "--old",
+        cls=ProjectFile,
+        metavar="FILE",
+        help="Parameter file with the present gains; 'published' for those that come with tum-ardrone.",
+    ),
+    click.option(
+        "--ms",
+        type=Number(min=1.0, min_open=True),
+        help="Largest sensitivity peak (Ms) on any plant.  [default: 1.6; of rate loops 1.7]",
+    ),
+    click.option(
+        "--peak",
+        default=1.15,
+        type=Number(min=1.0, min_open=True),
+        show_default=True,
+        help="Largest peak of reference to position on any plant.",
+    ),
+    click.option(
+        "--noise",
+        type=POSITIVE,
+        help="Largest input per m/s of noise; of rate loops the most that noise to the motors may grow, as a "
+        "factor.  [default: 5 % of what was flown; of rate loops 1.5]",
+    ),
+    click.option("--limit", type=POSITIVE, help="Input limit, in its unit."),
+    click.option(
+        "--gain",
+        cls=Setting,
+        callback=a_range,
+        metavar="LOW..HIGH",
+        help="Range of the plant's gain, as a factor.",
+    ),
+    click.option(
+        "--delay", cls=Setting, callback=a_range, metavar="LOW..HIGH", help="Range of additional delay, s."
+    ),
+    click.option("--feed-forward", is_flag=True, help="Also find the input per unit of reference speed."),
+    click.option("--data", type=click.Path(path_type=Path), help="The run's data, if they have moved."),
+)
+
+
 @click.command("design")
 @click.argument("source", metavar="RUN|LOG", type=SOURCE)
-@click.option(
-    "--axis", "axes", multiple=True, type=click.Choice(AXES), help="Of a log: only this axis; repeatable."
-)
-@channels_option
-@click.option(
-    "--method",
-    type=click.Choice(["pid", "pdc"]),
-    default="pid",
-    show_default=True,
-    help="pdc: gains for every rule of the TS model, with a proof; needs --limit.",
-)
-@click.option(
-    "--for",
-    "firmware",
-    type=click.Choice(FIRMWARES),
-    default="pid",
-    show_default=True,
-    help="Names and units of the gains.",
-)
-@click.option(
-    "--old",
-    cls=ProjectFile,
-    metavar="FILE",
-    help="Parameter file with the present gains; 'published' for those that come with tum-ardrone.",
-)
-@click.option(
-    "--ms",
-    type=Number(min=1.0, min_open=True),
-    help="Largest sensitivity peak (Ms) on any plant.  [default: 1.6; of rate loops 1.7]",
-)
-@click.option(
-    "--peak",
-    default=1.15,
-    type=Number(min=1.0, min_open=True),
-    show_default=True,
-    help="Largest peak of reference to position on any plant.",
-)
-@click.option(
-    "--noise",
-    type=POSITIVE,
-    help="Largest input per m/s of noise; of rate loops the most that noise to the motors may grow, as a "
-    "factor.  [default: 5 % of what was flown; of rate loops 1.5]",
-)
-@click.option("--limit", type=POSITIVE, help="Input limit, in its unit.")
-@click.option(
-    "--gain",
-    cls=Setting,
-    callback=a_range,
-    metavar="LOW..HIGH",
-    help="Range of the plant's gain, as a factor.",
-)
-@click.option(
-    "--delay", cls=Setting, callback=a_range, metavar="LOW..HIGH", help="Range of additional delay, s."
-)
-@click.option("--feed-forward", is_flag=True, help="Also find the input per unit of reference speed.")
-@click.option("--data", type=click.Path(path_type=Path), help="The run's data, if they have moved.")
+@design_options
 @target_options("-o", "--out", replaced="folder", help="Folder for design.json, old.param, new.param.")
 @click.option("--json", "as_json", is_flag=True, help="Print the design as JSON.")
 @flight_options
@@ -114,19 +172,7 @@ LARGEST_MS = 1.6
 def command(
     context: click.Context,
     source: Path,
-    axes: tuple[str, ...],
-    channels: tuple[str, ...],
-    method: str,
-    firmware: str,
-    old: str | None,
-    ms: float | None,
-    peak: float,
-    noise: float | None,
-    limit: float | None,
-    gain: tuple[float, float] | None,
-    delay: tuple[float, float] | None,
-    feed_forward: bool,
-    data: Path | None,
+    given: Given,
     out: Path | None,
     as_json: bool,
     selection: Selection,
@@ -146,40 +192,21 @@ def command(
     plant, the output says why and what to fly (exit code 3: a channel was refused; of logs, every axis). The
     gains have not been flown.
     """
-    from flysid.design.designing import Wish, design_run
-    from flysid.design.drawn_plants import Spread
+    from flysid.design.designing import design_run
     from flysid.design.rule_design import design_rules
-    from flysid.loops.gain_bounds import RateBounds
     from flysid.validate.runs.run import RUN_FILE, open_run
 
     if not (source / RUN_FILE).is_file():
         if source.exists():  # what is missing is named where it is read
             refuse_given(context, OF_RUNS, "logs", "designs the rate loops that flew", OF_ONE_KIND)
-        given = {name: value for name, value in (("ms", ms), ("noise", noise)) if value is not None}
-        bounds = RateBounds(**given)
-        return design_rates(source, axes, bounds, selection, told, out, as_json=as_json, display=display)
-    refuse_given(context, OF_LOGS, "a run", "designs the position loop of its channels", OF_ONE_KIND)
-    of_rules = method == "pdc"
-    if of_rules and (firmware != "pid" or old is not None or feed_forward):
-        raise UsageError(
-            "--for, --old and --feed-forward are for the gains of a PID",
-            hint="leave them out, or --method pid",
+        return design_rates(
+            source, given.axes, given.bounds(), selection, told, out, as_json=as_json, display=display
         )
-    spread = Spread(gain or (1.0, 1.0), delay or (0.0, 0.0))
-    wish = Wish(
-        channels,
-        firmware,
-        old_parameters(old, firmware),
-        LARGEST_MS if ms is None else ms,
-        peak,
-        noise,
-        limit,
-        spread,
-        feedforward=feed_forward,
-    )
-    find: Callable[..., Design | RuleDesign] = design_rules if of_rules else design_run
+    refuse_given(context, OF_LOGS, "a run", "designs the position loop of its channels", OF_ONE_KIND)
+    wish = given.wish()
+    find: Callable[..., Design | RuleDesign] = design_rules if given.method == "pdc" else design_run
     with display.shown():
-        design = find(open_run(source), wish, data)
+        design = find(open_run(source), wish, given.data)
     if as_json:
         print_json(design.to_dict())
     else:

@@ -104,7 +104,7 @@ def picture_options(what: str) -> Callable[[F], F]:
 
     def checked(plot: Path | None, force: bool) -> Path | None:
         if plot is not None:
-            from flysid.validate.show.pictures import check_picture
+            from flysid.pictures import check_picture
 
             check_picture(plot)
             check_target(plot, force, makes_folders=False)

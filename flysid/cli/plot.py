@@ -73,7 +73,7 @@ def command(
     if not term:
         check_target(target, force, makes_folders=is_page(target))
         if not is_page(target):
-            from flysid.validate.show.pictures import check_picture
+            from flysid.pictures import check_picture
 
             check_picture(target)
     if recipe:

@@ -53,9 +53,9 @@ def command(paper: str, as_json: bool, figures: Path | None, display: Display) -
 
     ardrone-ts: Takagi-Sugeno identification of the AR.Drone's longitudinal, lateral and vertical loops.
     """
+    from flysid.pictures import require_matplotlib
     from flysid.validate.paper.printed import CANNOT_REPRODUCE
     from flysid.validate.paper.reproduction import draw_figures, reproduce_ardrone_ts, to_document
-    from flysid.validate.show.pictures import require_matplotlib
 
     if figures is not None:
         require_matplotlib()

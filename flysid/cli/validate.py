@@ -70,12 +70,12 @@ def command(
     Models are judged in free run: they see the inputs and a window at the start, nothing else. Exit code 3:
     a fitted channel could not be judged; 4: --fail-if holds.
     """
+    from flysid.pictures import require_matplotlib
     from flysid.validate.compare.condition import check_condition
     from flysid.validate.runs.expected import expected_of_run
     from flysid.validate.runs.judge import judge_run
     from flysid.validate.runs.run import REPORT, models_of, open_run
     from flysid.validate.show.finish import finish, remember, write_finished
-    from flysid.validate.show.pictures import require_matplotlib
 
     target = output if output is not None else run / REPORT
     if figures is not None:

@@ -10,6 +10,7 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -19,6 +20,7 @@ from flysid.cli import complete
 from flysid.cli.addresses import SOURCE
 from flysid.cli.bounds import ALARM_RATE, POSITIVE
 from flysid.cli.losses import say_damage
+from flysid.cli.options import gather
 from flysid.cli.output import ExitCode, check_target, print_lines, printable, say
 from flysid.cli.trust import Own, ProjectFile, Setting
 from flysid.cli.vehicleexport import is_vehicle
@@ -34,23 +36,59 @@ if TYPE_CHECKING:
 KINDS = ("udp:", "udpout:", "tcp:", "serial:")
 
 
+@dataclass(frozen=True)
+class Watched:
+    """Which channels are watched, by which model, how strictly."""
+
+    false_alarms: float
+    label: str | None
+    channels: tuple[str, ...]
+    data: Path | None
+
+
+@dataclass(frozen=True)
+class Reception:
+    """How a link is received; a log has no use for any of it."""
+
+    output: Path | None
+    heartbeat: bool
+    seconds: float | None
+
+
+watched_options = gather(
+    "watched",
+    Watched,
+    click.option(
+        "--false-alarms",
+        default=0.1,
+        type=ALARM_RATE,
+        show_default=True,
+        metavar="RATE",
+        help="False alarms per hour of flight, over all channels.",
+    ),
+    click.option(
+        "--model", "label", cls=Setting, help="ts, arx, ...  [default: each channel's best linear one]"
+    ),
+    click.option("--channel", "channels", cls=Setting, multiple=True, help="Only this channel; repeatable."),
+    click.option("--data", type=SOURCE, help="The run's data, if it has moved."),
+)
+
+reception_options = gather(
+    "reception",
+    Reception,
+    click.option(
+        "-o", "--output", type=click.Path(path_type=Path), help="Also record the link to this file."
+    ),
+    click.option("--heartbeat", cls=Own, is_flag=True, help="Send heartbeats; otherwise nothing is sent."),
+    click.option("--for", "seconds", type=POSITIVE, metavar="S", help="Stop after this many seconds."),
+)
+
+
 @click.command("watch")
 @click.argument("run", type=click.Path(path_type=Path))
 @click.argument("source", metavar="LINK|LOG")
-@click.option(
-    "--false-alarms",
-    default=0.1,
-    type=ALARM_RATE,
-    show_default=True,
-    metavar="RATE",
-    help="False alarms per hour of flight, over all channels.",
-)
-@click.option("--model", "label", cls=Setting, help="ts, arx, ...  [default: each channel's best linear one]")
-@click.option("--channel", "channels", cls=Setting, multiple=True, help="Only this channel; repeatable.")
-@click.option("--data", type=SOURCE, help="The run's data, if it has moved.")
-@click.option("-o", "--output", type=click.Path(path_type=Path), help="Also record the link to this file.")
-@click.option("--heartbeat", cls=Own, is_flag=True, help="Send heartbeats; otherwise nothing is sent.")
-@click.option("--for", "seconds", type=POSITIVE, metavar="S", help="Stop after this many seconds.")
+@watched_options
+@reception_options
 @click.option(
     "--exec",
     "hook",
@@ -73,13 +111,8 @@ KINDS = ("udp:", "udpout:", "tcp:", "serial:")
 def command(
     run: Path,
     source: str,
-    false_alarms: float,
-    label: str | None,
-    channels: tuple[str, ...],
-    data: Path | None,
-    output: Path | None,
-    heartbeat: bool,
-    seconds: float | None,
+    watched: Watched,
+    reception: Reception,
     hook: str | None,
     recipe: str,
     fail: bool,
@@ -98,13 +131,13 @@ def command(
         return watch_vehicle(run, Path(source), recipe, fail=fail, as_json=as_json)
 
     opened = open_run(run)
-    check_watch(opened, source, channels, label, hook)
-    if not is_link(source) and (output is not None or heartbeat or seconds is not None):
+    check_watch(opened, source, watched, hook)
+    if not is_link(source) and reception != Reception(None, False, None):
         raise UsageError("-o, --heartbeat and --for are for a LINK", path=source, hint="leave them out")
-    if output is not None:
-        check_target(output, force=False)
+    if reception.output is not None:
+        check_target(reception.output, force=False)
     say("calibrating on held-out flights", quiet)
-    watches = calibrate(opened, data, channels, label, false_alarms)
+    watches = calibrate(opened, watched.data, watched.channels, watched.label, watched.false_alarms)
     for one in watches:
         for text in one.visibility:
             say(text, quiet)
@@ -118,7 +151,7 @@ def command(
             call(hook, event)
 
     if is_link(source):
-        follow(opened, watches, source, output, heartbeat, seconds, tell)
+        follow(opened, watches, source, reception, tell)
     else:
         look_back(opened, watches, Path(source), tell, quiet)
     say(counted(len(alarms), "alarm"), quiet)
@@ -130,9 +163,7 @@ def is_link(source: str) -> bool:
     return source.startswith(KINDS)
 
 
-def check_watch(
-    run: Run, source: str, channels: tuple[str, ...], label: str | None, hook: str | None
-) -> None:
+def check_watch(run: Run, source: str, watched: Watched, hook: str | None) -> None:
     """What can be known wrong before flights are read.
 
     Raises
@@ -143,8 +174,10 @@ def check_watch(
         from flysid.live.links import parse_link
 
         parse_link(source)
-    run.check_channels(channels)
-    known = dict.fromkeys(m for c in run.channels if c.name in (channels or (c.name,)) for m in c.models)
+    run.check_channels(watched.channels)
+    chosen = (c for c in run.channels if c.name in (watched.channels or (c.name,)))
+    known = dict.fromkeys(m for c in chosen for m in c.models)
+    label = watched.label
     if label is not None and label not in known:
         raise UsageError(f"the run has no model {label!r}", path=run.folder, hint=one_of(list(known), label))
     if not is_link(source) and not Path(source).is_file():
@@ -210,9 +243,7 @@ def follow(
     run: Run,
     watches: list[ChannelWatch],
     link: str,
-    output: Path | None,
-    heartbeat: bool,
-    seconds: float | None,
+    reception: Reception,
     tell: Callable[[Event], None],
 ) -> None:
     """Watch a link until interrupted, or the time is over."""
@@ -224,17 +255,20 @@ def follow(
 
     follower = Follower(watches, recipe_of(run, "a link"), tell)
     warm_up()
-    opened = open_link(link, sends=heartbeat)
+    opened = open_link(link, sends=reception.heartbeat)
     stop = threading.Event()
     thread = threading.Thread(target=follower.run, args=(stop,), name="watch", daemon=True)
     thread.start()
     try:
-        if output is not None:
-            record(Recording([opened], output, heartbeat=heartbeat, listener=follower.listen), seconds, True)
+        if reception.output is not None:
+            recording = Recording(
+                [opened], reception.output, heartbeat=reception.heartbeat, listener=follower.listen
+            )
+            record(recording, reception.seconds, True)
         else:
-            beat = heartbeat_of(None) if heartbeat else None
+            beat = heartbeat_of(None) if reception.heartbeat else None
             receiver = Receiver([opened], follower.listen, heartbeat=beat, nap_s=WATCH_NAP_S)
-            receive(receiver.run, seconds)
+            receive(receiver.run, reception.seconds)
             receiver.close()
     finally:
         stop.set()

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
-from flysid.errors import UsageError, WriteError
 from flysid.escaping import picture_text
 from flysid.loops.forecast import STEP_RATE_HZ, Forecast
+from flysid.pictures import check_picture, save_picture
 
 
 def draw_forecasts(found: Sequence[Forecast], path: Path) -> None:
@@ -17,12 +17,11 @@ def draw_forecasts(found: Sequence[Forecast], path: Path) -> None:
 
     Raises
     ------
-    UsageError : matplotlib is not installed. WriteError : the file cannot be written.
+    UsageError : matplotlib is missing, or the ending is not known. WriteError : the file cannot be written.
     """
-    try:
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        raise UsageError("a picture needs matplotlib", hint="pip install 'flysid[plot]'") from error
+    check_picture(path)
+    from matplotlib.figure import Figure
+
     figure = Figure(figsize=(9.0, 3.2 * len(found)), layout="constrained")
     rows = figure.subplots(len(found), 2, squeeze=False)
     for one, (gain, step) in zip(found, rows, strict=True):
@@ -34,7 +33,4 @@ def draw_forecasts(found: Sequence[Forecast], path: Path) -> None:
         gain.set(xlabel="Hz", ylabel="dB", title=picture_text(f"{one.axis}: setpoint to rate"))
         step.set(xlabel="s", title="step of the setpoint")
         step.legend(fontsize=8)
-    try:
-        figure.savefig(path)
-    except OSError as error:
-        raise WriteError(f"cannot be written: {error.strerror}", path=path) from error
+    save_picture(figure, path)

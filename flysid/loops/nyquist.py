@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 
 from flysid.dataset import FloatArray
-from flysid.errors import UsageError, WriteError
 from flysid.escaping import picture_text
 from flysid.loops.judged import Judged
 from flysid.loops.margins import smooth
 from flysid.loops.stick_response import ComplexArray
+from flysid.pictures import check_picture, save_picture
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,12 +50,11 @@ def draw_nyquist(judged: Sequence[Judged], path: Path) -> None:
 
     Raises
     ------
-    UsageError : matplotlib is not installed. WriteError : the file cannot be written.
+    UsageError : matplotlib is missing, or the ending is not known. WriteError : the file cannot be written.
     """
-    try:
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        raise UsageError("a picture needs matplotlib", hint="pip install 'flysid[plot]'") from error
+    check_picture(path)
+    from matplotlib.figure import Figure
+
     figure = Figure(figsize=(6.0, 6.0), layout="constrained")
     axes = figure.subplots()
     turn = np.exp(2j * np.pi * np.linspace(0.0, 1.0, 200))
@@ -72,7 +71,4 @@ def draw_nyquist(judged: Sequence[Judged], path: Path) -> None:
     axes.set(xlim=(-3.0, 1.5), ylim=(-3.0, 1.5), xlabel="real", ylabel="imaginary", aspect="equal")
     axes.set_title("Open loop; discs: 95 % region; dashed: Ms = 2")
     axes.legend(fontsize=7, loc="lower right")
-    try:
-        figure.savefig(path)
-    except OSError as error:
-        raise WriteError(f"cannot be written: {error.strerror}", path=path) from error
+    save_picture(figure, path)

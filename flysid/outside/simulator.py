@@ -20,7 +20,7 @@ from flysid.model.arguments import as_columns, as_record, check_start
 from flysid.model.base import Rule
 from flysid.model.freerun import saturate
 from flysid.model.noise import output_error_ahead
-from flysid.model.start import STEPS, FreeRuns, lags_inside_window
+from flysid.model.start import STEPS, OneRule, lags_inside_window
 
 FAR = 1e12
 SHIFT = 1e-4
@@ -60,7 +60,7 @@ def running(words: str) -> Iterator[None]:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Simulated(FreeRuns):
+class Simulated(OneRule):
     """A simulator with the laws of `flysid.model.base`; it cannot be stored.
 
     Attributes
@@ -130,10 +130,6 @@ class Simulated(FreeRuns):
         """A description that always holds."""
         unknown = np.full((len(self.outputs), len(self.inputs)), np.nan)
         return (Rule("R1", "always", self.simulator.words, unknown, np.nan, np.nan, 1.0),)
-
-    def firing(self, u: FloatArray, y: FloatArray) -> FloatArray:  # noqa: ARG002
-        """(N, 1) ones."""
-        return np.ones((len(np.asarray(y)), 1))
 
     def __str__(self) -> str:
         return "\n".join([self.simulator.words, *(f"- {note}" for note in self.notes)])

@@ -9,12 +9,12 @@ import numpy as np
 
 from flysid.dataset import FloatArray
 from flysid.escaping import picture_text
+from flysid.pictures import save_picture
 from flysid.reviews.field_spectra import FieldSpectrum
 from flysid.reviews.gyro import throttle_of
 from flysid.reviews.logged import LoggedFlight
 from flysid.reviews.spectrum_pictures import decibels, heat_map
 from flysid.spectra.spectrum import spread_over
-from flysid.validate.show.pictures import save_picture
 
 
 def draw_spectra(

@@ -84,11 +84,6 @@ class MeasuredResponse:
 
         return np.asarray(stdtrit(self.freedom, 0.5 + level / 2.0)[:, None] * self.error)
 
-    def gain_interval_db(self, level: float = 0.95) -> tuple[FloatArray, FloatArray]:
-        """(lower, upper), (F, n_u) each."""
-        spread = DB * self.half_width(level)
-        return self.gain_db - spread, self.gain_db + spread
-
     def trusted(self, source: int = 0, among: npt.NDArray[np.bool_] | None = None) -> FloatArray:
         """(F,) 1 inside the widest band (in octaves) where the coherence counts, else 0; see `band`.
 

@@ -22,7 +22,7 @@ from flysid.errors import UsageError
 from flysid.filters import apply_filter
 from flysid.model import own_constants
 from flysid.model.arguments import as_columns, check_start
-from flysid.model.base import Rule, write_document
+from flysid.model.base import write_document
 from flysid.model.capabilities import Coefficient, FrequencyResponse
 from flysid.model.control_form import ControlForm, control_of_difference
 from flysid.model.documents import (
@@ -33,17 +33,16 @@ from flysid.model.documents import (
     with_null,
 )
 from flysid.model.freerun import Difference, far, saturate
-from flysid.model.linear.laws import always, is_stable, predict_ahead
+from flysid.model.linear.laws import LinearLaws
 from flysid.model.linear.text import conclusion, describe
-from flysid.model.linear.uncertainty import coefficients_of, draw_steps, free_run_band, response_of
+from flysid.model.linear.uncertainty import coefficients_of, response_of
 from flysid.model.noise import k_step_ahead
 from flysid.model.own_constants import OwnConstants
 from flysid.model.polynomials import ComplexArray
-from flysid.model.start import FreeRuns
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class FittedLinear(FreeRuns):
+class FittedLinear(LinearLaws):
     """A linear model; the laws of `flysid.model.base` hold.
 
     Attributes
@@ -152,23 +151,6 @@ class FittedLinear(FreeRuns):
         system = replace(self.system, b=b)
         return replace(self, inputs=tuple(inputs), system=system, u_origin=origin, free=tuple(moved))
 
-    def predict(self, u: FloatArray, y: FloatArray, k: int = 1) -> FloatArray:
-        """(N, n_y) prediction from outputs at least k steps old; the first n_init + k - 1 rows are NaN.
-
-        Raises
-        ------
-        UsageError : shapes do not fit, or k < 1.
-        """
-        return predict_ahead(self, u, y, k, self._ahead)
-
-    def rules(self) -> tuple[Rule, ...]:
-        """One rule that always holds."""
-        return always(self, conclusion(self))
-
-    def firing(self, u: FloatArray, y: FloatArray) -> FloatArray:  # noqa: ARG002
-        """(N, 1) ones: the single rule always fires."""
-        return np.ones((len(np.asarray(y)), 1))
-
     # -- what people ask of a linear model ---------------------------------------------------------------
 
     @cached_property
@@ -183,11 +165,6 @@ class FittedLinear(FreeRuns):
         found = np.asarray(np.linalg.eigvals(companion), dtype=np.complex128)
         found = found[np.abs(found) > 1e-12]
         return np.asarray(found[np.argsort(-np.abs(found), kind="stable")])
-
-    @property
-    def is_stable(self) -> bool:
-        """Every pole lies inside the unit circle."""
-        return is_stable(self)
 
     @cached_property
     def dc_gain(self) -> FloatArray:
@@ -207,28 +184,6 @@ class FittedLinear(FreeRuns):
         UsageError : a frequency beyond the Nyquist frequency.
         """
         return response_of(self, omega)
-
-    def simulation_band(
-        self, u: FloatArray, y0: FloatArray | None = None, *, draws: int = 200, seed: int = 0
-    ) -> tuple[FloatArray, FloatArray]:
-        """(lower, upper), (N, n_y) each: pointwise 95 % band of the free run, the parameters being unsure.
-
-        To first order in the parameters, which are drawn from their normal distribution.
-
-        Raises
-        ------
-        UsageError : the model carries no covariance.
-        """
-        return free_run_band(self, self._move, self._known_covariance(), draws, seed, u=u, y0=y0)
-
-    def draws(self, count: int = 200, seed: int = 0) -> list[FittedLinear]:
-        """Models whose parameters are drawn from their normal distribution; some may be unstable.
-
-        Raises
-        ------
-        UsageError : the model carries no covariance.
-        """
-        return [self._move(step) for step in draw_steps(self._known_covariance(), count, seed)]
 
     def coefficients(self) -> list[Coefficient]:
         """Estimated entries of A and B, signed as in y(k) = ...; none where there is no covariance."""
@@ -312,6 +267,9 @@ class FittedLinear(FreeRuns):
         return np.stack(
             [apply_filter(np.ones(1), self.ma[:, i], right[:, i]) for i in range(y.shape[1])], axis=1
         )
+
+    def _conclusion(self) -> str:
+        return conclusion(self)
 
     def _known_covariance(self) -> FloatArray:
         if not np.isfinite(self.covariance).all() or not len(self.free):

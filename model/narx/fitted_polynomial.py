@@ -32,7 +32,7 @@ from flysid.model.narx.polynomial_terms import (
 from flysid.model.own_constants import OwnConstants
 from flysid.model.polynomials import Z95
 from flysid.model.rules.recursion import companion
-from flysid.model.start import FreeRuns
+from flysid.model.start import OneRule
 from flysid.showing import counted, significant
 
 MOST_LAG = 100_000
@@ -80,7 +80,7 @@ class Units:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class FittedPolyNARX(FreeRuns):
+class FittedPolyNARX(OneRule):
     """A polynomial NARX model; the laws of `flysid.model.base` hold.
 
     Attributes
@@ -202,10 +202,6 @@ class FittedPolyNARX(FreeRuns):
             gain = np.full(linear.b.shape[1:], np.nan)
         words = "; ".join(self.equation(i) for i in range(len(self.outputs)))
         return (Rule("R1", "always", words, gain, float(slow), float(found), 1.0),)
-
-    def firing(self, u: FloatArray, y: FloatArray) -> FloatArray:  # noqa: ARG002
-        """(N, 1) ones: the equation always holds."""
-        return np.ones((len(np.asarray(y)), 1))
 
     # -- what an engineer asks of it ---------------------------------------------------------------------
 

@@ -21,7 +21,7 @@ from flysid.dataset import FloatArray, Signal
 from flysid.errors import UsageError
 from flysid.model import own_constants
 from flysid.model.arguments import as_columns, check_start
-from flysid.model.base import Rule, write_document
+from flysid.model.base import write_document
 from flysid.model.capabilities import FrequencyResponse
 from flysid.model.control_form import ControlForm, control_of_states, with_registers
 from flysid.model.documents import (
@@ -31,13 +31,11 @@ from flysid.model.documents import (
     signals_of,
 )
 from flysid.model.freerun import far, saturate
-from flysid.model.linear.laws import always, is_stable, predict_ahead
+from flysid.model.linear.laws import LinearLaws
 from flysid.model.linear.text import gains_text
-from flysid.model.linear.uncertainty import draw_steps, free_run_band
 from flysid.model.noise import output_error_ahead
 from flysid.model.own_constants import OwnConstants
 from flysid.model.polynomials import ComplexArray, modes_of
-from flysid.model.start import FreeRuns
 from flysid.model.subspace.covariance_bands import response_of
 from flysid.model.subspace.kalman import ahead, filtered_states, free_states, output_of, resting_state
 from flysid.model.subspace.triangle import Realisation
@@ -45,7 +43,7 @@ from flysid.showing import counted
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class FittedStateSpace(FreeRuns):
+class FittedStateSpace(LinearLaws):
     """A linear model in state space; the laws of `flysid.model.base` hold.
 
     Attributes
@@ -122,23 +120,6 @@ class FittedStateSpace(FreeRuns):
         run = output_of(system, free_states(system, du[n:], start), du[n:])
         return np.concatenate([y0[:n], self.limited(run)])
 
-    def predict(self, u: FloatArray, y: FloatArray, k: int = 1) -> FloatArray:
-        """(N, n_y) prediction from outputs at least k steps old; the first n_init + k - 1 rows are NaN.
-
-        Raises
-        ------
-        UsageError : shapes do not fit, or k < 1.
-        """
-        return predict_ahead(self, u, y, k, self._ahead)
-
-    def rules(self) -> tuple[Rule, ...]:
-        """One rule that always holds."""
-        return always(self, self._conclusion())
-
-    def firing(self, u: FloatArray, y: FloatArray) -> FloatArray:  # noqa: ARG002
-        """(N, 1) ones: the single rule always fires."""
-        return np.ones((len(np.asarray(y)), 1))
-
     # -- what people ask of a linear model ---------------------------------------------------------------
 
     @cached_property
@@ -146,11 +127,6 @@ class FittedStateSpace(FreeRuns):
         """Poles in z, slowest first."""
         found = np.asarray(np.linalg.eigvals(self.realisation.a), dtype=np.complex128)
         return np.asarray(found[np.argsort(-np.abs(found), kind="stable")])
-
-    @property
-    def is_stable(self) -> bool:
-        """Every pole lies inside the unit circle."""
-        return is_stable(self)
 
     @cached_property
     def dc_gain(self) -> FloatArray:
@@ -185,28 +161,6 @@ class FittedStateSpace(FreeRuns):
         UsageError : a frequency beyond the Nyquist frequency.
         """
         return response_of(self, omega)
-
-    def simulation_band(
-        self, u: FloatArray, y0: FloatArray | None = None, *, draws: int = 200, seed: int = 0
-    ) -> tuple[FloatArray, FloatArray]:
-        """(lower, upper), (N, n_y) each: pointwise 95 % band of the free run, the parameters being unsure.
-
-        To first order in the parameters, which are drawn from their normal distribution.
-
-        Raises
-        ------
-        UsageError : the model carries no covariance.
-        """
-        return free_run_band(self, self._move, self._known_covariance(), draws, seed, u=u, y0=y0)
-
-    def draws(self, count: int = 200, seed: int = 0) -> list[FittedStateSpace]:
-        """Models whose numbers are drawn from their normal distribution; some may be unstable.
-
-        Raises
-        ------
-        UsageError : the model carries no covariance.
-        """
-        return [self._move(step) for step in draw_steps(self._known_covariance(), count, seed)]
 
     def to_control(self, form: ControlForm = "auto") -> Any:
         """The model as control.StateSpace, or for "tf" as control.TransferFunction; offsets are left out.

@@ -48,7 +48,6 @@ REPORT = "report"
 """Folder of the report inside a run, where none is named."""
 DOCUMENT = "report.json"
 PAGE = "report.html"
-SENTENCES = ("aligned", "dead_times", "loops", "nonlinear")
 Constants = Literal["auto", "yes", "no"]
 LIBRARIES = ("numpy", "scipy", "numba", "pyarrow", "pymavlink", "mcap")
 

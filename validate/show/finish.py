@@ -14,6 +14,7 @@ from flysid.errors import StoreError, UsageError
 from flysid.escaping import one_line
 from flysid.extras import Extra, Missing, extra
 from flysid.files import replacing_folder, write_atomically
+from flysid.pictures import require_matplotlib
 from flysid.progress import tell
 from flysid.showing import fold
 from flysid.validate.compare.condition import matching_channels
@@ -25,7 +26,6 @@ from flysid.validate.show.page.html import plain_page
 from flysid.validate.show.page.narrative import worse_than_constant
 from flysid.validate.show.page.page import fill
 from flysid.validate.show.paperfigures import figure_files
-from flysid.validate.show.pictures import require_matplotlib
 from flysid.validate.show.tables import to_csv, to_markdown
 from flysid.validate.show.terminal import summary, table
 

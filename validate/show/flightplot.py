@@ -12,8 +12,8 @@ import numpy as np
 from flysid.errors import UsageError
 from flysid.escaping import picture_text
 from flysid.ingest.lake.timeline import Timeline, Trace
+from flysid.pictures import check_picture, save_picture
 from flysid.validate.show.page.decimate import extremes
-from flysid.validate.show.pictures import check_picture, save_picture
 
 INK = "#5b6275"
 SHADE = "#efefec"

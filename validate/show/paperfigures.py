@@ -15,6 +15,7 @@ from markupsafe import Markup
 
 from flysid.errors import UsageError
 from flysid.escaping import picture_text
+from flysid.pictures import check_picture, picture_bytes, require_matplotlib
 from flysid.validate.compare.comparison import Comparison
 from flysid.validate.compare.trials import FREE_RUN, run_trials
 from flysid.validate.show.page.describe import Page
@@ -23,7 +24,6 @@ from flysid.validate.show.page.modelpanels import Panel
 from flysid.validate.show.page.overlay import WIDE, drawn
 from flysid.validate.show.page.sections import Section
 from flysid.validate.show.page.svg import BASELINE, CONTENDER, HALF
-from flysid.validate.show.pictures import check_picture, picture_bytes, require_matplotlib
 from flysid.validate.show.sheets import Sheet, height_of, stroke_of
 
 if TYPE_CHECKING:

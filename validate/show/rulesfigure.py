@@ -18,10 +18,10 @@ from flysid.errors import UsageError
 from flysid.files import write_atomically, writing_to
 from flysid.model.base import Fitted
 from flysid.model.start import as_modelled, run_from_window, start_window
+from flysid.pictures import check_picture, picture_bytes, require_matplotlib
 from flysid.validate.diagnose.responses import steady_outputs
 from flysid.validate.show.page.rulefigures import SHOWN_FROM
 from flysid.validate.show.paperfigures import axis_label
-from flysid.validate.show.pictures import check_picture, picture_bytes, require_matplotlib
 from flysid.validate.show.sheets import stroke_of
 
 if TYPE_CHECKING:

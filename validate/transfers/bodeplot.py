@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 from markupsafe import Markup
 
+from flysid.pictures import check_picture, save_picture
 from flysid.validate.diagnose.bands import BandCurve, ResponseBand
 from flysid.validate.show.page.figures import Points, bode
 from flysid.validate.show.page.overlay import Role
 from flysid.validate.show.page.svg import CONTENDER, HALF, text
-from flysid.validate.show.pictures import check_picture, save_picture
 from flysid.validate.show.sheets import Sheet
 from flysid.validate.transfers.identify import ChannelTransfers
 

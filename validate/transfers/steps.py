@@ -15,9 +15,9 @@ from flysid.ingest.align.recipe import load_recipe
 from flysid.ingest.lake.lake import Lake
 from flysid.model.frequency.response import measure_response
 from flysid.model.step_response import StepResponse, step_response
+from flysid.pictures import check_picture, save_picture
 from flysid.progress import tell
 from flysid.showing import fold
-from flysid.validate.show.pictures import check_picture, save_picture
 from flysid.validate.transfers.agreement import response_caution
 
 

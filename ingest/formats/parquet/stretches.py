@@ -19,7 +19,6 @@ from flysid.ingest.formats.base import Limits
 
 FREE_BYTES = 64 << 20  # below this, the ratio is not held against a file
 CELL_BYTES = 8
-BITS = 8
 DAMAGE = (pa.ArrowException, OSError, ValueError, OverflowError, KeyError, IndexError)
 TEXT = "BYTE_ARRAY"
 FIXED = "FIXED_LEN_BYTE_ARRAY"
