@@ -16,7 +16,7 @@ filters of several bandwidths, then Levenberg-Marquardt; all in difference coord
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 
 import numpy as np
@@ -26,15 +26,24 @@ from flysid.errors import FitError
 from flysid.filters import ONE, apply_filter
 from flysid.model.compiled_filters import differences, free_responses, is_stable
 from flysid.model.polynomials import free_basis, monic_basis, stabilise
-from flysid.model.refine import Refinement, levenberg_marquardt, upper_triangle
+from flysid.model.refine import Refinement, levenberg_marquardt
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Record:
     """One segment of one output, as deviations: u (N, n_u), y (N,)."""
 
     u: FloatArray
     y: FloatArray
+    _last: dict[tuple[float | bytes, ...], FloatArray] = field(default_factory=dict, init=False, repr=False)
+
+    def forced(self, transfer: Transfer) -> FloatArray:
+        """(N,) `Transfer.forced` along it; the last is kept, as instruments and derivatives follow a cost."""
+        key = transfer.key
+        if key not in self._last:
+            self._last.clear()
+            self._last[key] = transfer.forced(self.u)
+        return self._last[key]
 
 
 @dataclass(frozen=True)
@@ -80,6 +89,11 @@ class Transfer:
     a: FloatArray
     b: tuple[FloatArray, ...]
     c: float
+
+    @property
+    def key(self) -> tuple[float | bytes, ...]:
+        """What tells it from any other."""
+        return self.a.tobytes(), *(b.tobytes() for b in self.b), self.c
 
     def forced(self, u: FloatArray) -> FloatArray:
         """(N,) response from zero state to inputs that were zero before."""
@@ -197,7 +211,7 @@ class OutputError:
         first = self.start_row()
         parts = []
         for record in self.usable():
-            error = (transfer.forced(record.u) - record.y)[first:]
+            error = (record.forced(transfer) - record.y)[first:]
             parts.append(without(self._nuisance(transfer.a, len(error)), error))
         return parts
 
@@ -252,7 +266,7 @@ class OutputError:
     def _record_jacobian(self, transfer: Transfer, record: Record) -> tuple[FloatArray, FloatArray]:
         orders = self.orders
         first = self.start_row()
-        forced = transfer.forced(record.u)
+        forced = record.forced(transfer)
         error = (forced - record.y)[first:]
         space = self._nuisance(transfer.a, len(error))
         residual = without(space, error)
@@ -263,14 +277,8 @@ class OutputError:
             response[first:] += self._drift(transfer.a, error)
         rows = slice(first, len(forced))
         through = apply_filter(ONE, transfer.a, response)
-        columns = [-differences(through, orders.na, 0, rows, monic=True)]
-        for j, (count, delay) in enumerate(zip(orders.nb, orders.nk, strict=True)):
-            if count:
-                through = apply_filter(ONE, transfer.a, record.u[:, j])
-                columns.append(differences(through, count, delay, rows, monic=False))
-        if orders.offset:
-            columns.append(apply_filter(ONE, transfer.a, np.ones(len(forced)))[first:, None])
-        jacobian = np.hstack(columns)
+        past = -differences(through, orders.na, 0, rows, monic=True)
+        jacobian = np.hstack([past, *self._driven_columns(record.u, transfer.a, rows)])
         return residual, without(space, jacobian)
 
     def refine(self, theta: FloatArray, *, max_iterations: int) -> Refinement:
@@ -287,45 +295,42 @@ class OutputError:
 
     def filtered_least_squares(self, a_filter: FloatArray, model: Transfer | None) -> FloatArray:
         """A y = B u + c on signals filtered with 1/a_filter; with a model, its free run is the instrument."""
-        phi_parts = []
-        z_parts = []
-        y_parts = []
-        for record in self.usable():
-            phi, y = self._filtered_rows(record.u, record.y, a_filter)
-            if model is None:
-                z = phi
-            else:
-                z, _ = self._filtered_rows(record.u, model.forced(record.u), a_filter)
-            phi_parts.append(phi)
-            z_parts.append(z)
-            y_parts.append(y)
-        phi = np.concatenate(phi_parts)
-        z = np.concatenate(z_parts)
-        y = np.concatenate(y_parts)
-        return _instrumental(phi, z, y)
+        parts = [self._filtered_rows(record, a_filter, model) for record in self.usable()]
+        phi = np.concatenate([part[0] for part in parts])
+        z = phi if model is None else np.concatenate([part[1] for part in parts])
+        return _instrumental(phi, z, np.concatenate([part[2] for part in parts]))
 
     def _filtered_rows(
-        self, u: FloatArray, y: FloatArray, a_filter: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
+        self, record: Record, a_filter: FloatArray, model: Transfer | None
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Regressors, instruments and target; without a model the regressors are their own instruments."""
         orders = self.orders
-        first = self.orders.depth
-        rows = slice(first, len(y))
-        through = apply_filter(ONE, a_filter, y)
-        columns = [-differences(through, orders.na, 0, rows, monic=True)]
-        for j, (count, delay) in enumerate(zip(orders.nb, orders.nk, strict=True)):
-            if count:
-                columns.append(
-                    differences(apply_filter(ONE, a_filter, u[:, j]), count, delay, rows, monic=False)
-                )
-        if orders.offset:
-            columns.append(apply_filter(ONE, a_filter, np.ones(len(y)))[first:, None])
-        target = through
+        rows = slice(orders.depth, len(record.y))
+        target = apply_filter(ONE, a_filter, record.y)
+        driven = self._driven_columns(record.u, a_filter, rows)
+        phi = np.hstack([-differences(target, orders.na, 0, rows, monic=True), *driven])
         for _ in range(orders.na):
             target = np.diff(target, prepend=0.0)
-        phi = np.hstack(columns)
-        goal = target[rows]
-        space = self._nuisance(a_filter, len(goal))
-        return without(space, phi), without(space, goal)
+        space = self._nuisance(a_filter, len(phi))
+        known = without(space, phi)
+        goal = without(space, target[rows])
+        if model is None:
+            return known, known, goal
+        run = apply_filter(ONE, a_filter, record.forced(model))
+        z = np.hstack([-differences(run, orders.na, 0, rows, monic=True), *driven])
+        return known, without(space, z), goal
+
+    def _driven_columns(self, u: FloatArray, a: FloatArray, rows: slice) -> list[FloatArray]:
+        """What B and the constant multiply: differences of the inputs behind 1/A, and its step response."""
+        orders = self.orders
+        columns = [
+            differences(apply_filter(ONE, a, u[:, j]), count, delay, rows, monic=False)
+            for j, (count, delay) in enumerate(zip(orders.nb, orders.nk, strict=True))
+            if count
+        ]
+        if orders.offset:
+            columns.append(apply_filter(ONE, a, np.ones(len(u)))[rows, None])
+        return columns
 
 
 def lines(rows: int) -> FloatArray:
@@ -339,15 +344,15 @@ def lines(rows: int) -> FloatArray:
 
 def _instrumental(phi: FloatArray, z: FloatArray, y: FloatArray) -> FloatArray:
     """Solve Zᵀ Phi theta = Zᵀ y with columns scaled to length one."""
-    lengths = np.linalg.norm(phi, axis=0)
-    scale = np.where(lengths > 0, lengths, 1.0)
-    if z is phi:
-        triangle = upper_triangle(phi / scale, y)
-        solution = np.linalg.lstsq(triangle[:, :-1], triangle[:, -1], rcond=1e-14)[0]
-        return np.asarray(solution / scale)
-    z_lengths = np.linalg.norm(z, axis=0)
-    zs = z / np.where(z_lengths > 0, z_lengths, 1.0)
+    scale = _lengths(phi)
+    zs = z / (scale if z is phi else _lengths(z))
     return np.linalg.lstsq(zs.T @ (phi / scale), zs.T @ y, rcond=1e-14)[0] / scale
+
+
+def _lengths(columns: FloatArray) -> FloatArray:
+    """Of columns; 1 where there is nothing."""
+    lengths = np.sqrt((columns * columns).sum(axis=0))
+    return np.where(lengths > 0, lengths, 1.0)
 
 
 def filter_polynomial(n: int, pole: float) -> FloatArray:

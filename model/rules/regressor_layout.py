@@ -123,7 +123,7 @@ class Layout:
         """Simulated columns: the outputs, then the hidden states."""
         return self.n_y + self.hidden
 
-    @property
+    @cached_property
     def moving(self) -> int:
         """Rows before the first computed one that the free run depends on."""
         z = (a.depth for a in self.antecedents if a.column < self.n)
@@ -145,7 +145,7 @@ class Layout:
         """Rows that a simulation starts from."""
         return max([self.orders.depth, *(a.depth for a in self.antecedents)])
 
-    @property
+    @cached_property
     def regressors(self) -> list[tuple[int, int]]:
         """(column, lag) of every regressor; column -1 is the constant."""
         past = [(i, lag) for i in range(self.n) for lag in range(1, self.orders.na + 1)]
