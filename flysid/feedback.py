@@ -99,7 +99,7 @@ def feedback(data: Dataset, *, matters: float = 0.02, passed: float = 0.5) -> tu
     matters : share of the output's variance, 0 to 1, from which an answer of the inputs counts as a loop.
     passed : what the loader's low-pass leaves of such an answer; behind it `matters` is that much less. An
         AR.Drone under a position controller shows 1.7 and 1.9 %, and 3.0 and 5.4 % if the low-pass is not
-        accounted for; of 56 merged tables without a loop two are above 1 % beyond doubt, and as many above 2 %.
+        accounted for; of 56 merged tables without a loop two are above 1 % beyond doubt, two above 2 %.
 
     Raises
     ------
