@@ -27,7 +27,8 @@ def test_a_switch_is_named_and_a_battery_that_empties_is_not(seed: int) -> None:
     rng = np.random.default_rng(seed)
     share = np.linspace(0.0, 1.0, 6000)
     loss = rng.uniform(0.3, 0.6)
-    assert "gains were changed in flight" in told(1.0 - loss * (share > rng.uniform(0.2, 0.8)), rng)
+    switched = np.where(share > rng.uniform(0.2, 0.8), 1.0 - loss, 1.0)
+    assert "gains were changed in flight" in told(switched, rng)
     drifts = told(1.0 - loss * share, rng)
     assert "changed" not in drifts
     assert drifts.startswith("recorded over rebuilt drifts from")
