@@ -48,6 +48,8 @@ JITTER = "jitter_s"
 """Mark of a segment: how far the stamps of its inputs scatter around an even rate, standard deviation."""
 LOWPASS = "lowpass_ratio"
 """Mark of a segment that passed the loader's low-pass: how much faster its sources were; else absent."""
+LOWPASS_BETA = 5.0
+"""Shape of the Kaiser window of that low-pass: how far down it holds what it should stop."""
 
 
 @dataclass(frozen=True, eq=False)

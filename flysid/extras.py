@@ -96,6 +96,7 @@ class Extra(Enum):
     # beside what is printed
     MEASURED = "the measured response in figures"
     FIT_SHARE = "the share that the free run explains"
+    STAMPS = "what the stamps leave open of the delay"
     WHOSE = "whose the measured response is"
     SETS_TABLE = "the table of the sets of gains"
     RULE_TABLES = "the tables of rules"

@@ -26,7 +26,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from flysid.dataset import LOWPASS, Dataset, FloatArray
+from flysid.dataset import LOWPASS, LOWPASS_BETA, Dataset, FloatArray
+from flysid.errors import UsageError
 
 BIASED = "Free-run fits (OE, TF, refined ARX) may be biased"
 REMEDY = (
@@ -45,16 +46,6 @@ HALFWAY = np.sinc(np.arange(-24.5, 25.0)) * np.kaiser(50, 5.0)
 """(50,) taps that give a smooth input half a sample earlier."""
 SLOW = 0.5 * np.sinc(0.5 * np.arange(-12.0, 13.0)) * np.kaiser(25, 5.0)
 """(25,) taps of a low-pass that has faded where the loader's falls to a half, at 0.4 of the grid's rate."""
-LEAK = 2e-3
-"""Of the output's spread: what the loader's low-pass, 54 dB down, leaves of what it should stop."""
-MATTERS = 0.02
-"""Share of the output's variance from which an answer of the inputs matters."""
-MATTERS_SMOOTH = 0.01
-"""The same behind the loader's low-pass, which takes about half of an answer away with what it smears.
-
-An AR.Drone under a position controller shows 1.7 and 1.9 %, 3.0 and 5.4 % if the low-pass is not accounted
-for. In 56 merged tables without a loop as many are above 1 % beyond doubt as above 2 %, two.
-"""
 SMALLEST = 1e-6
 """Of the largest direction of the regressors: smaller ones do not count, and what they explain is left."""
 
@@ -76,7 +67,7 @@ class Feedback:
     p_value: float
     share: float
     look_s: float
-    matters: float = MATTERS
+    matters: float
 
     @property
     def closed(self) -> bool:
@@ -100,14 +91,28 @@ class Feedback:
         return f"{self.seen} {BIASED}: {REMEDY}." if self.closed else ""
 
 
-def feedback(data: Dataset) -> tuple[Feedback, ...]:
+def feedback(data: Dataset, *, matters: float = 0.02, passed: float = 0.5) -> tuple[Feedback, ...]:
     """One answer per output. Segments too short for the test are left out.
+
+    Parameters
+    ----------
+    matters : share of the output's variance, 0 to 1, from which an answer of the inputs counts as a loop.
+    passed : what the loader's low-pass leaves of such an answer; behind it `matters` is that much less. An
+        AR.Drone under a position controller shows 1.7 and 1.9 %, and 3.0 and 5.4 % if the low-pass is not
+        accounted for; of 56 merged tables without a loop two are above 1 % beyond doubt, two above 2 %.
+
+    Raises
+    ------
+    UsageError : a share that is none.
 
     Examples
     --------
     >>> feedback(train)[0].closed  # train: see `flysid.Dataset`
     False
     """
+    for name, share in (("matters", matters), ("passed", passed)):
+        if not 0.0 < share <= 1.0:
+            raise UsageError(f"{name} is {share:g}", hint="a share above 0, at most 1")
     every = max(int(GRID_S / data.dt_s + 1e-6), _held([s.u for s in data.segments]))
     dt_s = every * data.dt_s
     lags = _look_ahead(dt_s)
@@ -117,10 +122,15 @@ def feedback(data: Dataset) -> tuple[Feedback, ...]:
     for j, output in enumerate(data.outputs):
         signals = _scale(data, j, every, ORDER + 6 * lags)
         rows = [_rows(y, u, lags, every, is_smooth=is_smooth) for y, u in signals]
-        p, share = _later_inputs(rows, lags, LEAK if is_smooth else SMALLEST)
-        matters = MATTERS_SMOOTH if is_smooth else MATTERS
-        found.append(Feedback(output.name, names, p, share, lags * dt_s, matters))
+        p, share = _later_inputs(rows, lags, _leak() if is_smooth else SMALLEST)
+        least = passed * matters if is_smooth else matters
+        found.append(Feedback(output.name, names, p, share, lags * dt_s, least))
     return tuple(found)
+
+
+def _leak() -> float:
+    """Of the output's spread: what the loader's low-pass leaves of what it should stop (Kaiser, 1974)."""
+    return float(10.0 ** (-(LOWPASS_BETA / 0.1102 + 8.7) / 20.0))
 
 
 def _look_ahead(dt_s: float, *, look_s: float = 1.0, fewest: int = 5, most: int = 25) -> int:

@@ -19,6 +19,8 @@ from flysid.model.polynomials import ComplexArray
 
 STATIC = ("saturation", "dead zone", "Hammerstein", "Wiener")
 MOVING = ("backlash", "drag", "friction", "scheduling")
+LEAST_POWER = 1e-9
+"""Of the strongest line: below that a response is what the window leaks."""
 REALISATIONS = 48
 """Noise-free records whose mean is the truth of a plant with memory."""
 
@@ -81,12 +83,13 @@ def _rub(v: FloatArray, most: float) -> FloatArray:
 
 
 def best_linear(u: FloatArray, y: FloatArray, dt_s: float) -> Callable[[FloatArray], ComplexArray]:
-    """The response at rad/s of the best linear model of records (R, N)."""
+    """The response at rad/s of the best linear model of records (R, N); NaN where they have no power."""
     window = np.hanning(u.shape[1])
     spectra = [np.fft.rfft((x - x.mean(axis=1, keepdims=True)) * window, axis=1) for x in (u, y)]
     cross = np.sum(spectra[1] * np.conj(spectra[0]), axis=0)
     power = np.sum(np.abs(spectra[0]) ** 2, axis=0)
     three = np.ones(3)
-    g = np.convolve(cross, three, "same") / np.maximum(np.convolve(power, three, "same"), 1e-300)
+    total = np.convolve(power, three, "same")
+    g = np.where(total > LEAST_POWER * total.max(), np.convolve(cross, three, "same"), np.nan) / total
     omega = 2.0 * np.pi * np.fft.rfftfreq(u.shape[1], dt_s)
     return lambda at: np.interp(at, omega, g.real) + 1j * np.interp(at, omega, g.imag)

@@ -109,19 +109,21 @@ def _transfer(record: Record, channel: ChannelTransfers) -> Iterator[Score]:
     yield Score("tf band", 1.0, *((1.0, 1.0) if band else (None, None)))
     if measured is None or band is None:
         return
-    inside = np.flatnonzero((measured.omega >= band[0]) & (measured.omega <= band[1]))
+    within = (measured.omega >= band[0]) & (measured.omega <= band[1])
+    inside = np.flatnonzero(within & np.isfinite(record.response(measured.omega)))
     rng = np.random.default_rng(record.seed)
     picked = np.sort(rng.choice(inside, min(POINTS, len(inside)), replace=False))
     omega = measured.omega[picked]
     true = np.log(record.response(omega))
     half = np.maximum(measured.half_width()[picked, 0], PRINTED)
+    turn = np.maximum(measured.phase_half_width()[picked, 0], PRINTED)
     seen = np.log(measured.response[picked, 0]) - true
     g, db, deg = channel.response(0, 0, omega)
     model = np.log(g) - true
     for k in range(len(picked)):
         turned = float(np.angle(np.exp(1j * seen[k].imag)))
         yield Score("tf measured gain", 0.0, seen[k].real - half[k], seen[k].real + half[k])
-        yield Score("tf measured phase", 0.0, turned - half[k], turned + half[k])
+        yield Score("tf measured phase", 0.0, turned - turn[k], turned + turn[k])
         own = max(db[k] / DB, PRINTED)
         yield Score("tf model gain", 0.0, model[k].real - own, model[k].real + own)
         turned = float(np.angle(np.exp(1j * model[k].imag)))

@@ -96,13 +96,16 @@ def compare(
     check = TermCheck(term, miss, slope, scaled=scaled)
     if term == "I" or check.fits:
         return check
-    return replace(check, cause=_switch(np.flatnonzero(at) / rate_hz, one, other, scaled))
+    return replace(check, cause=show_change(np.flatnonzero(at) / rate_hz, one, other, scaled))
 
 
-def _switch(
+def show_change(
     time_s: FloatArray, one: FloatArray, other: FloatArray, scaled: float, *, least_s: float = 3.0
 ) -> str:
     """From when on another gain flew, where two gains give the recorded term and one does not; else "".
+
+    Where a gain that drifts gives it better than two, nothing was switched: a battery that empties, for one,
+    looks like that, and the drift is all that is shown.
 
     Parameters
     ----------
@@ -122,8 +125,15 @@ def _switch(
     at = middle.start + k
     away = one - other * np.where(np.arange(len(one)) <= at, before[k], after[k])
     miss = float(np.sqrt(away @ away / (one @ one)))
-    if miss > min(LARGEST_MISS, 0.5 * scaled):
+    drift = np.polynomial.chebyshev.chebvander(2.0 * (time_s - time_s[0]) / np.ptp(time_s) - 1.0, 3)
+    weights = np.linalg.lstsq(drift * other[:, None], one, rcond=None)[0]
+    away = one - other * (drift @ weights)
+    drifting = float(np.sqrt(away @ away / (one @ one)))
+    if min(miss, drifting) > min(LARGEST_MISS, 0.5 * scaled):
         return ""
+    if drifting <= miss:
+        first, last = (drift @ weights)[[0, -1]]
+        return f"recorded over rebuilt drifts from {first:.2f} to {last:.2f} over the flight"
     return (
         f"recorded over rebuilt is {before[k]:.2f} until {time_s[at]:.0f} s and {after[k]:.2f} from there: "
         "gains were changed in flight, or another profile was chosen"

@@ -169,7 +169,7 @@ def make_plan(
     u = np.zeros((n, len(axes)))
     share = n // len(axes)
     for j, axis in enumerate(axes):
-        u[j * share : (j + 1) * share, j] = one(np.arange(share) / rate_hz, band_hz, axis.peak)
+        u[j * share : (j + 1) * share, j] = one(np.arange(share) / rate_hz, band_hz, axis.peak, len(axes))
     return FlightPlan(kind, tuple(axes), band_hz, rate_hz, u)
 
 
@@ -217,11 +217,13 @@ def _lines(axes: int, band_hz: tuple[float, float], seconds: float) -> list[Line
     lines = np.arange(first, math.floor(high * seconds + 1e-9) + 1)
     enough = max(CYCLES / low, (LINES_AN_AXIS * axes + 1) / (high - low))
     if first < CYCLES or len(lines) < LINES_AN_AXIS * axes:
+        shown = lowest_hz("multisine", axes, seconds)
+        upper = max(high, 1.1 * shown + (LINES_AN_AXIS * axes + 1) / seconds)
         of_axes = "1 axis" if axes == 1 else f"{axes} axes"
         raise UsageError(
             f"{seconds:g} s is too short: {len(lines)} frequencies for {of_axes} between {low:g} and "
             f"{high:g} Hz, the lowest {low * seconds:.2g} times",
-            hint=_what_would_do(axes, band_hz, seconds, enough),
+            hint=_what_would_do(enough, seconds, band_hz, (shown, upper)),
         )
     return shared_out(lines, axes)
 
@@ -232,16 +234,17 @@ def lowest_hz(kind: str, axes: int, seconds: float) -> float:
     return 1.01 * cycles / seconds
 
 
-def _what_would_do(axes: int, band_hz: tuple[float, float], seconds: float, enough: float) -> str:
+def _what_would_do(
+    enough: float, seconds: float, band_hz: tuple[float, float], shown_hz: tuple[float, float]
+) -> str:
     """A longer flight where one battery lasts for it, else the band that this time can show."""
-    low, high = band_hz
+    low = band_hz[0]
     if enough <= LONGEST_S:
         return f"--seconds {math.ceil(enough)}, fewer axes at once, or a band that begins higher"
-    shown = lowest_hz("multisine", axes, seconds)
-    upper = max(high, shown + (LINES_AN_AXIS * axes + 1) / seconds)
+    begin = float(f"{1.05 * shown_hz[0]:.2g}")
     return (
-        f"--band {shown:.2g} {upper:.3g}: what {seconds:g} s can show; {low:.2g} Hz would take "
-        f"{enough / 3600.0:.2g} hours at one go, which no battery lasts"
+        f"--band {begin:g} {max(shown_hz[1], 2.0 * begin):.3g}: what {seconds:g} s can show; {low:.2g} Hz "
+        f"would take {enough / 3600.0:.2g} hours at one go, which no battery lasts"
     )
 
 
@@ -250,29 +253,38 @@ def _multisines(lines: Sequence[Lines], axes: Sequence[CommandedAxis], n: int) -
     return np.column_stack([a.peak * c / np.abs(c).max() for a, c in zip(axes, columns, strict=True)])
 
 
-def _chirp(time_s: FloatArray, band_hz: tuple[float, float], peak: float) -> FloatArray:
-    """A sweep that swells over its first cycle and fades over its last second's worth of cycles."""
+def _chirp(time_s: FloatArray, band_hz: tuple[float, float], peak: float, axes: int) -> FloatArray:
+    """A sweep that swells over its first cycle and fades over its last second's worth of cycles.
+
+    `axes`: how many have to be flown one after another.
+    """
     low, high = band_hz
     length = len(time_s) * (time_s[1] - time_s[0]) if len(time_s) > 1 else 0.0
     if length < 2 * CYCLES / low:
+        seconds = axes * length
+        # a row more for every axis, as rows are shared out whole
+        enough = axes * (2 * CYCLES / low + 2.0 * time_s[1]) if length else math.inf
         raise UsageError(
             f"{length:g} s an axis is too short for a sweep from {low:g} Hz",
-            hint=f"{2 * CYCLES / low:g} s for every axis, or a band that begins higher",
+            hint=_what_would_do(enough, seconds, band_hz, (lowest_hz("chirp", axes, seconds), high)),
         )
     swell = np.minimum(1.0, time_s * low)
     fade = np.minimum(1.0, (length - time_s) * high / CYCLES)
     return np.asarray(manoeuvres.chirp(time_s, band_hz, peak) * np.minimum(swell, fade))
 
 
-def _doublets(time_s: FloatArray, band_hz: tuple[float, float], peak: float) -> FloatArray:
+def _doublets(time_s: FloatArray, band_hz: tuple[float, float], peak: float, axes: int) -> FloatArray:
     """Doublets with most power in the middle of the band, a rest as long after each, by turns up and down."""
     pulse_s = 0.4 / math.sqrt(band_hz[0] * band_hz[1])
     starts = np.arange(pulse_s, time_s[-1] - 4.0 * pulse_s if len(time_s) else 0.0, 4.0 * pulse_s)
     if len(starts) < CYCLES:
+        enough = axes * (4 * CYCLES + 6) * pulse_s
+        seconds = axes * (time_s[-1] + time_s[1]) if len(time_s) > 1 else 0.0
+        quicker = enough / seconds if seconds else math.inf
         raise UsageError(
             f"room for {counted(len(starts), 'doublet')} of {2 * pulse_s:.2g} s an axis; "
             f"{CYCLES} are the least",
-            hint=f"{math.ceil((4 * CYCLES + 6) * pulse_s)} s for every axis, or a band that begins higher",
+            hint=_what_would_do(enough, seconds, band_hz, (quicker * band_hz[0], quicker * band_hz[1])),
         )
     shapes = [manoeuvres.doublet(time_s, s, pulse_s, peak * (-1) ** k) for k, s in enumerate(starts)]
     return np.asarray(np.sum(shapes, axis=0))

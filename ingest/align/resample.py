@@ -16,6 +16,7 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
+from flysid.dataset import LOWPASS_BETA
 from flysid.stretch import FloatArray
 
 IntArray = npt.NDArray[np.int64]
@@ -269,13 +270,13 @@ def hold_tolerance_ns(series: RecordedSignal, grid_ns: IntArray) -> int:
 def lowpass(ratio: int, *, cutoff: float = 0.4) -> FloatArray:
     """(2 * 5 * ratio + 1,) taps of a zero-phase low-pass for decimation by `ratio`; they sum to 1.
 
-    A sinc with a Kaiser window (beta 5): within 1 % up to 0.25 of the grid's rate, down 54 dB from 0.6 on.
+    A sinc with a Kaiser window: within 1 % up to 0.25 of the grid's rate, down 54 dB from 0.6 on.
 
     `cutoff`: of the grid's rate, where the low-pass has fallen to one half.
     """
     half = TAPS_PER_SIDE * ratio
     n = np.arange(-half, half + 1)
-    taps = np.sinc(2 * cutoff * n / ratio) * np.kaiser(2 * half + 1, 5.0)
+    taps = np.sinc(2 * cutoff * n / ratio) * np.kaiser(2 * half + 1, LOWPASS_BETA)
     return np.asarray(taps / taps.sum())
 
 

@@ -57,6 +57,7 @@ class LoopCurve:
         smooth = _smoother(x, error, POWERS)
         own = smooth @ raw
         away = _scatter(error, measured.correlation[source][np.ix_(inside, inside)])
+        away = away + _turned(measured.omega[inside] * measured.late_s)
         other = _smoother(x, error, POWERS + 1) @ raw
         return cls(x, np.vstack([own, other, own + away @ smooth.T]))
 
@@ -154,6 +155,11 @@ def _median_of(error: FloatArray) -> FloatArray:
     from scipy.ndimage import median_filter
 
     return np.asarray(median_filter(error, NEIGHBOURS, mode="nearest"))
+
+
+def _turned(turn: FloatArray) -> ComplexArray:
+    """(D, M) what draws of a delay that all points share do to ln G; `turn`: (M,) its standard error, rad."""
+    return np.asarray(1j * np.random.default_rng(1).standard_normal((DRAWS, 1)) * turn)
 
 
 def _scatter(error: FloatArray, correlation: FloatArray) -> ComplexArray:

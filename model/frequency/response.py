@@ -52,6 +52,7 @@ class MeasuredResponse:
     correlation : (n_u, F, F) correlation of the points' errors: neighbours share data.
     shared : largest coherence between two inputs, averaged over the frequencies; 0 for one input.
     reference : signals that drive a loop from outside, through which the response was measured.
+    late_s : standard error of a delay that all points share, which the stamps of the record leave open.
     """
 
     omega: FloatArray
@@ -66,6 +67,7 @@ class MeasuredResponse:
     inputs: tuple[Signal, ...]
     output: Signal
     reference: tuple[str, ...] = ()
+    late_s: float = 0.0
 
     @property
     def gain_db(self) -> FloatArray:
@@ -79,10 +81,18 @@ class MeasuredResponse:
         return np.asarray(np.degrees(np.unwrap(np.angle(self.response), axis=0)))
 
     def half_width(self, level: float = 0.95) -> FloatArray:
-        """(F, n_u) half width of the interval on ln |G| and on the phase in rad (Student's t)."""
+        """(F, n_u) half width of the interval on ln |G| (Student's t), and on the phase in rad but for what
+        stamps leave open."""
         from scipy.special import stdtrit
 
         return np.asarray(stdtrit(self.freedom, 0.5 + level / 2.0)[:, None] * self.error)
+
+    def phase_half_width(self, level: float = 0.95) -> FloatArray:
+        """(F, n_u) half width of the interval on the phase, rad; it holds what the stamps leave open."""
+        from scipy.special import ndtri
+
+        late = float(ndtri(0.5 + level / 2.0)) * self.omega * self.late_s
+        return np.hypot(self.half_width(level), late[:, None])
 
     def trusted(self, source: int = 0, among: npt.NDArray[np.bool_] | None = None) -> FloatArray:
         """(F,) 1 inside the widest band (in octaves) where the coherence counts, else 0; see `band`.

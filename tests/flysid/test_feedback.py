@@ -9,6 +9,7 @@ import pytest
 from scipy.signal import lfilter
 
 from flysid.dataset import LOWPASS, Dataset, FloatArray
+from flysid.errors import UsageError
 from flysid.feedback import feedback
 from flysid.ingest.align.resample import lowpass
 from flysid.model.oe import OE
@@ -54,6 +55,17 @@ def closed_loop(gain: float, lag: int, seed: int) -> Dataset:
         y[k] = x[k] + v[k]
         u[k] = r[k] - gain * y[max(k - lag, 0)]
     return Dataset.from_arrays(u, y, DT_S, inputs=["theta"], outputs=["v_x"])
+
+
+def test_how_much_of_an_answer_matters_is_a_setting() -> None:
+    data = closed_loop(5.0, 2, 0)
+    (plain,) = feedback(data)
+    assert plain.closed
+    assert not feedback(data, matters=min(1.0, 1.01 * plain.share))[0].closed
+    smooth = replace(data, segments=tuple(replace(s, marks={LOWPASS: 5.0}) for s in data.segments))
+    assert feedback(smooth, matters=0.1, passed=0.3)[0].matters == pytest.approx(0.03)
+    with pytest.raises(UsageError, match="matters is 0"):
+        feedback(data, matters=0.0)
 
 
 @pytest.mark.parametrize("kind", ["chirp", "multisine", "smooth", "steps"])

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,7 +13,6 @@ from flysid.errors import UsageError
 from flysid.ingest.align.recipe import Recipe, load_recipe
 from flysid.model.frequency.loop_figures import COMMAND, LOOP
 from flysid.validate.compare.condition import check_condition
-from flysid.validate.transfers.identify import check_reference, command_groups
 
 FIGURE = {"value": 1.0, "low": 1.0, "high": 1.0}
 """Of the right types; the numbers mean nothing."""
@@ -69,3 +69,19 @@ class Figures:
                 groups["loop"] = LOOP
             body[name] = {group: dict.fromkeys(names, FIGURE) for group, names in groups.items()}
         return {"channels": body}
+
+
+def command_groups(inputs: Sequence[str], outputs: Sequence[str]) -> list[str]:
+    """What the figures of a channel's commands go by: every output's, input by input."""
+    if len(inputs) * len(outputs) == 1:
+        return ["command"]
+    return [f"command_{source}_{output}" for output in outputs for source in inputs]
+
+
+def check_reference(reference: Sequence[str]) -> None:
+    """Raise UsageError where margins cannot be had: they need the one signal that drives the loop."""
+    if len(reference) != 1:
+        raise UsageError(
+            "margins belong to the loop cut open, which a response from command to output does not show",
+            hint="name the one signal that drives the loop: --reference FIELD",
+        )

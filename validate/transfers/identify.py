@@ -16,13 +16,14 @@ import numpy as np
 import numpy.typing as npt
 
 from flysid.dataset import Dataset, FloatArray
-from flysid.errors import DataError, FitError, RecipeError, UsageError
+from flysid.errors import DataError, FitError, RecipeError
 from flysid.extras import Extra, extra
 from flysid.feedback import Feedback, feedback
 from flysid.ingest.align.quick import driven_by
 from flysid.ingest.align.recipe import load_recipe
 from flysid.ingest.lake.lake import Lake
 from flysid.model.detrend import Trend
+from flysid.model.frequency.continuous_transfer import ContinuousTransfer
 from flysid.model.frequency.controller_inverse import LoopView, view_loop
 from flysid.model.frequency.loop_figures import (
     COMMAND,
@@ -50,9 +51,14 @@ from flysid.validate.transfers.agreement import (
     NEAR_DEG,
     agree,
     cautions_beside,
+    in_a_loop,
     measured_document,
+    misfit,
+    response_rows,
     transfer_figures,
 )
+from flysid.validate.transfers.expected_figures import check_reference, command_groups
+from flysid.validate.transfers.stamps import Stamps, read_stamps
 
 NOT_MEASURED = "see what is missing"
 
@@ -66,6 +72,7 @@ class ChannelTransfers:
     measured : per output; None where the response cannot be measured, `unmeasured` says why.
     fit_pct : per output, of the free run over the flights that it was fitted to.
     loops : per output, whether the input answers it; none where a reference was named.
+    stamps : per output, what they leave open of its delay.
     reference : signals through which the response was measured.
     views : per output, whose the measured response is; None where that cannot be told.
     figures : of the closed loop from its command ("command"), of the one cut open ("loop"); see
@@ -80,6 +87,7 @@ class ChannelTransfers:
     unmeasured: str
     fit_pct: tuple[float | None, ...]
     loops: tuple[Feedback, ...]
+    stamps: tuple[Stamps, ...]
     reference: tuple[str, ...] = ()
     views: tuple[LoopView | None, ...] = ()
     figures: Mapping[str, Sequence[LoopFigure]] = field(default_factory=dict)
@@ -99,7 +107,7 @@ class ChannelTransfers:
         said = [self.title]
         for i, output in enumerate(self.data.outputs):
             for j in range(len(self.data.inputs)):
-                transfer = self.model.transfer(i, j)
+                transfer = self.transfer(i, j)
                 known = self.measured[i] is not None
                 text = transfer.told(self.band(i, j)) if known else str(transfer)
                 said += ["", text, self._band(i, j)]
@@ -119,7 +127,7 @@ class ChannelTransfers:
             return f"no measured frequency response: {self.unmeasured}"
         band = self.band(output, source)
         if self.is_looped(output):
-            return _in_a_loop(band, self._follows(output))
+            return in_a_loop(band, self._follows(output))
         of = (
             f"the coherence of {' and '.join(self.reference)} with input and output" if self.reference else ""
         )
@@ -161,33 +169,58 @@ class ChannelTransfers:
         measured = self.measured[output]
         if measured is None:
             return None
-        near = self.agrees(output, source)
-        if not self.is_looped(output):
-            return measured.band(source, near)
-        view = self._view(output)
-        return None if view is None else measured.band(source, near & view.plants)
+        near = agree(measured, source, self._modelled(output, source, measured.omega)[0])
+        return measured.band(source, near & self._plants(output, measured))
 
-    def agrees(self, output: int, source: int) -> npt.NDArray[np.bool_]:
-        """(F,) where the model follows the measured response; see `validate.agreement`."""
-        measured = self.measured[output]
-        assert measured is not None
-        return agree(measured, source, self.response(output, source, measured.omega)[0])
+    def _plants(self, output: int, measured: MeasuredResponse) -> npt.NDArray[np.bool_]:
+        """(F,) where the measured response is the plant's."""
+        if not self.is_looped(output):
+            return np.ones(len(measured.omega), dtype=bool)
+        view = self._view(output)
+        return np.zeros(len(measured.omega), dtype=bool) if view is None else view.plants
+
+    def transfer(self, output: int, source: int) -> ContinuousTransfer:
+        """The transfer function; an estimated dead time is as unsure as its stamps are."""
+        found = self.model.transfer(output, source)
+        if not found.dead_time.error > 0.0:
+            return found
+        covariance = found.covariance.copy()
+        covariance[-1, -1] += self.stamps[output].late_s ** 2
+        return replace(found, covariance=covariance)
 
     def response(
         self, output: int, source: int, omega: FloatArray
     ) -> tuple[ComplexArray, FloatArray, FloatArray]:
-        """The sampled model at omega: response, and half widths of the 95 % bands in dB and degrees."""
+        """The sampled model at omega: response, and half widths of the 95 % bands in dB and degrees.
+
+        They hold what its parameters do not know: what parts it from the measured response, and what the
+        stamps leave open of its delay.
+        """
+        g, gain, turn = self._modelled(output, source, omega)
+        measured = self.measured[output]
+        off = np.zeros(len(g))
+        if measured is not None:
+            here = self._modelled(output, source, measured.omega)[0]
+            missed = misfit(measured, source, here, self._plants(output, measured))
+            off = np.interp(np.log(omega), np.log(measured.omega), missed)
+        late = omega * self.stamps[output].late_s
+        db = DB * Z95 * np.hypot(gain, off)
+        return g, db, np.degrees(Z95 * np.sqrt(turn**2 + off**2 + late**2))
+
+    def _modelled(
+        self, output: int, source: int, omega: FloatArray
+    ) -> tuple[ComplexArray, FloatArray, FloatArray]:
+        """The sampled model at omega: response, standard errors of ln |G| and of the phase in rad."""
         found = self.model.frequency_response(omega)
         column = [s.name for s in self.model.inputs].index(self.data.inputs[source].name)
         g = found.response[:, output, column]
         relative = found.magnitude_error[:, output, column] / np.maximum(np.abs(g), 1e-300)
-        db = DB * Z95 * relative
-        return g, db, np.degrees(Z95 * found.phase_error[:, output, column])
+        return g, relative, found.phase_error[:, output, column]
 
     def phases(self, output: int, source: int, measured: MeasuredResponse) -> tuple[FloatArray, FloatArray]:
         """(measured, modelled) phase in degrees on the measured frequencies: the model's without jumps, the
         measured one within half a turn of it."""
-        g, _, _ = self.response(output, source, measured.omega)
+        g = self._modelled(output, source, measured.omega)[0]
         model = np.degrees(np.unwrap(np.angle(g)))
         trusted = measured.trusted(source) > 0
         raw = np.degrees(np.angle(measured.response[:, source]))
@@ -203,24 +236,9 @@ class ChannelTransfers:
         measured = self.measured[output]
         if measured is None:
             return rows
-        g, _, _ = self.response(output, source, measured.omega)
+        g = self._modelled(output, source, measured.omega)[0]
         shown, phase = self.phases(output, source, measured)
-        width = measured.half_width()[:, source]
-        for k, omega in enumerate(measured.omega):
-            rows.append(
-                (
-                    f"{omega:.4g}",
-                    f"{omega / 2 / np.pi:.3g}",
-                    f"{measured.gain_db[k, source]:.2f}",
-                    _width(DB * width[k]),
-                    f"{shown[k]:.1f}",
-                    _width(np.degrees(width[k])),
-                    f"{measured.coherence[k, source]:.2f}",
-                    f"{20 * np.log10(max(abs(g[k]), 1e-300)):.2f}",
-                    f"{phase[k]:.1f}",
-                )
-            )
-        return rows
+        return [*rows, *response_rows(measured, source, shown, (g, phase))]
 
     def to_dict(self) -> dict[str, Any]:
         """JSON types only."""
@@ -231,7 +249,7 @@ class ChannelTransfers:
             "dt_s": self.data.dt_s,
             "fit_pct": list(self.fit_pct),
             "transfers": [
-                self.model.transfer(i, j).to_dict() | self._transfer_figures(i, j)
+                self.transfer(i, j).to_dict() | self._transfer_figures(i, j)
                 for i in range(len(self.data.outputs))
                 for j in range(len(self.data.inputs))
             ],
@@ -252,29 +270,10 @@ class ChannelTransfers:
 
     def _transfer_figures(self, output: int, source: int) -> dict[str, Any]:
         """Gain and modes with 95 % intervals, None for what the trusted band does not carry."""
-        transfer = self.model.transfer(output, source)
+        transfer = self.transfer(output, source)
         measured = self.measured[output] is not None
         band = self.band(output, source) if measured else (0.0, np.inf)
         return transfer_figures(transfer, band)
-
-
-def _in_a_loop(band: tuple[float, float] | None, follows: Sequence[tuple[float, float]]) -> str:
-    """What can be trusted of a response that was measured in a closed loop, without what drives it."""
-    where = " and ".join(f"{low:.3g} to {high:.3g}" for low, high in follows)
-    law = "where it reacts to the output the measured response is -1/controller"
-    law += f": so from {where} rad/s" if where else ""
-    said = f"no band can be trusted: a loop is closed, and {law}"
-    if band is not None:
-        said = (
-            f"a loop is closed, and {law}. Trust it from {band[0]:.3g} to {band[1]:.3g} rad/s "
-            f"({band[0] / 2 / np.pi:.2g} to {band[1] / 2 / np.pi:.2g} Hz) only, where the coherence is above "
-            "0.6 and the loop does not bend it"
-        )
-    return f"{said}. Name what drives the loop: --reference FIELD"
-
-
-def _width(value: float) -> str:
-    return f"{value:.2g}" if np.isfinite(value) and value < 1000 else "-"
 
 
 def identify(
@@ -346,9 +345,23 @@ def identify_channel(name: str, data: Dataset, estimator: TF, reference_at: str 
         else extra(Extra.WHOSE, partial(view_loop, data, i, seen), None, name)
         for i, seen in enumerate(measured)
     )
-    whole = ChannelTransfers(name, plant, model, measured, why, fits, loops, names, views)
+    whole = ChannelTransfers(
+        name, plant, model, measured, why, fits, loops, (Stamps(0.0),) * len(measured), names, views
+    )
+    stamps = tuple(_stamps(whole, i) for i in range(len(measured)))
+    late = tuple(m and replace(m, late_s=s.late_s) for m, s in zip(measured, stamps, strict=True))
+    whole = replace(whole, stamps=stamps, measured=late)
     cautions = tuple(dict.fromkeys(_cautions(whole)))
     return replace(whole, figures=_all_figures(whole, data, estimator, reference_at), cautions=cautions)
+
+
+def _stamps(channel: ChannelTransfers, output: int) -> Stamps:
+    """What the stamps leave open; in a loop a free run follows the noise, and tells nothing of clocks."""
+    data, model = channel.data, channel.model
+    if channel.reference or channel.is_looped(output):
+        return read_stamps(data, None, output)
+    make = partial(read_stamps, data, model, output)
+    return extra(Extra.STAMPS, make, Stamps(0.0), channel.name)
 
 
 def _cautions(channel: ChannelTransfers) -> Iterator[str]:
@@ -357,7 +370,8 @@ def _cautions(channel: ChannelTransfers) -> Iterator[str]:
         if band := channel.band(i, j):
             is_open = not channel.reference and not channel.is_looped(i)
             measured = channel.measured[i] if is_open else None
-            yield from cautions_beside(channel.data, channel.model.transfer(i, j), measured, (i, j), band)
+            transfer = channel.transfer(i, j)
+            yield from cautions_beside(channel.data, transfer, measured, (i, j), band, channel.stamps[i])
 
 
 def _fit_pct(model: FittedTF, data: Dataset) -> tuple[float | None, ...]:
@@ -386,7 +400,7 @@ def _all_figures(
             elif channel.is_looped(i):
                 figures = unknown(COMMAND, "a loop is closed around it, and nothing named drives that loop")
             else:
-                make = partial(_command_figures, data, estimator, (i, j))
+                make = partial(_command_figures, data, estimator, (i, j), channel.stamps[i])
                 figures = list(extra(Extra.LOOP_FIGURES, make, (), channel.name))
             found[next(names)] = figures
     if not reference_at:
@@ -396,26 +410,13 @@ def _all_figures(
     return found | {"loop": loop_figures(loop)}
 
 
-def _command_figures(data: Dataset, estimator: TF, place: tuple[int, int]) -> list[LoopFigure]:
+def _command_figures(
+    data: Dataset, estimator: TF, place: tuple[int, int], stamps: Stamps
+) -> list[LoopFigure]:
     """Of one output and input, on frequencies near enough for a peak of light damping."""
     output, source = place
-    return command_figures(_measured(data, output, estimator, FIGURE_POINTS), source)
-
-
-def command_groups(inputs: Sequence[str], outputs: Sequence[str]) -> list[str]:
-    """What the figures of a channel's commands go by: every output's, input by input."""
-    if len(inputs) * len(outputs) == 1:
-        return ["command"]
-    return [f"command_{source}_{output}" for output in outputs for source in inputs]
-
-
-def check_reference(reference: Sequence[str]) -> None:
-    """Raise UsageError where margins cannot be had: they need the one signal that drives the loop."""
-    if len(reference) != 1:
-        raise UsageError(
-            "margins belong to the loop cut open, which a response from command to output does not show",
-            hint="name the one signal that drives the loop: --reference FIELD",
-        )
+    measured = _measured(data, output, estimator, FIGURE_POINTS)
+    return command_figures(replace(measured, late_s=stamps.late_s), source)
 
 
 def figures_document(channels: Sequence[ChannelTransfers]) -> dict[str, Any]:

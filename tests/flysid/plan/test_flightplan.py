@@ -50,8 +50,34 @@ def test_a_flight_too_short_names_one_that_is_long_enough() -> None:
         plan = make_plan("multisine", axes, band, float(found[1]), 50.0)
         assert min(map(len, plan.lines)) >= 5
     hint = refused("too short for a sweep", band=(0.1, 4.0), seconds=20.0, kind="chirp")
-    assert "40 s" in hint
+    assert "--seconds 41" in hint
     refused("room for", band=(0.01, 0.1), seconds=20.0, kind="doublets")
+
+
+@pytest.mark.parametrize("kind", ["multisine", "chirp", "doublets"])
+def test_what_is_proposed_can_be_flown(kind: Kind) -> None:
+    """A sweep from 0.2 mHz was to take 20299.9 s, 5.6 hours, and so long a plan was refused once more."""
+    rng = np.random.default_rng(41)
+    proposed = 0
+    for _ in range(12):
+        axes = (ROLL, PITCH)[: int(rng.integers(1, 3))]
+        low = float(np.exp(rng.uniform(np.log(1e-4), np.log(0.5))))
+        band = low, low * float(rng.uniform(1.1, 20.0))
+        seconds = float(rng.uniform(10.0, 120.0))
+        try:
+            make_plan(kind, axes, band, seconds, 50.0)
+            continue
+        except UsageError as error:
+            hint = error.hint or ""
+        proposed += 1
+        longer = re.search(r"--seconds (\d+)", hint)
+        instead = re.search(r"--band (\S+) ([^ :]+)", hint)
+        if longer:
+            make_plan(kind, axes, band, float(longer[1]), 50.0)
+        else:
+            assert instead, hint
+            make_plan(kind, axes, (float(instead[1]), float(instead[2])), seconds, 50.0)
+    assert proposed > 3
 
 
 def test_no_flight_of_days_is_proposed() -> None:
