@@ -19,6 +19,7 @@ the other one is added before a line counts as missed, as in `bench.greenreaper`
 from __future__ import annotations
 
 import argparse
+import hashlib
 import json
 from collections.abc import Sequence
 from pathlib import Path
@@ -169,7 +170,6 @@ def judge_sets(first: Any, others: Sequence[tuple[int, Any]], seed: int) -> list
 
 def judge_proposal(out: Path, first: Any, seed: int) -> list[dict[str, Any]]:
     """The proposal of a vehicle, flown."""
-    folder = out / f"vehicle-{seed:02d}" / "proposed"
     found = propose([first], AXES, RateBounds())
     rows: list[dict[str, Any]] = [
         {"vehicle": seed, "axis": axis, "no proposal": why.message} for axis, why in found.refused.items()
@@ -177,7 +177,8 @@ def judge_proposal(out: Path, first: Any, seed: int) -> list[dict[str, Any]]:
     if not found.new:
         return rows
     lines = [f"set {name} = {value}" for name, value in found.new.items()]
-    later = read(flown(folder, seed, 0, lines))
+    own = hashlib.sha256("\n".join(lines).encode()).hexdigest()[:8]  # another proposal is another flight
+    later = read(flown(out / f"vehicle-{seed:02d}" / f"proposed-{own}", seed, 0, lines))
     for told in found.axes:
         row: dict[str, Any] = {"vehicle": seed, "axis": told.axis, "lines": lines_of(found, told.axis)}
         try:
