@@ -1,6 +1,6 @@
 """Betaflight's own firmware on vehicles that nobody knows: identify, predict, redesign, fly again, compare.
 
-    python -m bench.sitl_campaign OUT [--vehicles 20] [--first 0] [--fly] > ROWS
+    python -m bench.sitl_campaign OUT [--vehicles 20] [--first 0] [--fly] [--yaw] > ROWS
     python -m bench.sitl_campaign ROWS...
 
 Every vehicle (mass, inertia, motors' lag, noise, battery drawn) flies the firmware's own gains for 60 s, and
@@ -10,6 +10,9 @@ other sets of gains and filters for 40 s. From the first flight
   that flight shows: within 2 dB and 10 deg from 1 to 30 Hz, as far as both flights know it;
 - `flysid design` proposes settings. Their lines are typed into the firmware and flown with the same sticks.
   The error over the flight, noise and overshoot are compared with what was promised.
+
+With --yaw vehicles turn about their vertical by their rotors' acceleration too, as real ones do, the sets are
+those of yaw, and yaw is what is compared.
 
 Flights in OUT are kept: the campaign resumes. With --fly it only flies. Several processes share the work by
 --first, and the second form makes one table of what they printed. To an interval of one flight the scatter of
@@ -21,7 +24,8 @@ from __future__ import annotations
 import argparse
 import hashlib
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -46,6 +50,12 @@ SETS: Sequence[Sequence[str]] = (
     ("set d_roll = 45", "set d_pitch = 50", "set d_max_roll = 55", "set d_max_pitch = 60"),
     ("set p_roll = 34", "set i_roll = 110", "set p_pitch = 36", "set i_pitch = 110"),
     ("set dterm_lpf1_dyn_min_hz = 0", "set dterm_lpf1_static_hz = 50", "set p_roll = 55", "set p_pitch = 57"),
+)
+OF_YAW: Sequence[Sequence[str]] = (
+    (),
+    ("set p_yaw = 70",),
+    ("set p_yaw = 32", "set i_yaw = 120"),
+    ("set p_yaw = 60", "set yaw_lowpass_hz = 30"),
 )
 AXES = ("roll", "pitch")
 REFERENCE_S, OTHER_S = 60.0, 40.0
@@ -74,6 +84,28 @@ def drawn(seed: int) -> Vehicle:
         noise=noise,
         battery=rng.uniform(0.0, 0.1),
     )
+
+
+def turning(seed: int) -> Vehicle:
+    """The same vehicle, turned by its props' drag, 9 to 18 mm, and by its rotors' acceleration."""
+    rng = np.random.default_rng((seed, 1))
+    return replace(drawn(seed), torque=rng.uniform(0.009, 0.018), reaction=rng.uniform(0.001, 0.004))
+
+
+@dataclass(frozen=True)
+class Trial:
+    """What is compared: axes, sets of settings, how a vehicle is drawn, and what its folder is called."""
+
+    axes: Sequence[str]
+    sets: Sequence[Sequence[str]]
+    vehicle: Callable[[int], Vehicle]
+    name: str
+
+
+TRIALS = {
+    False: Trial(AXES, SETS, drawn, "vehicle"),
+    True: Trial(("yaw",), OF_YAW, turning, "yaw"),
+}
 
 
 def compare(first: KnownAxis, later: KnownAxis) -> dict[str, Any]:
@@ -147,17 +179,19 @@ def read(folder: Path) -> Any:
     return log
 
 
-def flown(folder: Path, seed: int, k: int, settings: Sequence[str]) -> Path:
+def flown(folder: Path, trial: Trial, seed: int, k: int, settings: Sequence[str]) -> Path:
     """The folder of a flight, flown where it is not there yet; k of 0: with the sticks of the first one."""
     if not sorted(folder.glob("LOG*.BF")):
-        fly(folder, OTHER_S if k else REFERENCE_S, 100 * seed + k, settings, drawn(seed), STICKS)
+        fly(folder, OTHER_S if k else REFERENCE_S, 100 * seed + k, settings, trial.vehicle(seed), STICKS)
     return folder
 
 
-def judge_sets(first: Any, others: Sequence[tuple[int, Any]], seed: int) -> list[dict[str, Any]]:
+def judge_sets(
+    trial: Trial, first: Any, others: Sequence[tuple[int, Any]], seed: int
+) -> list[dict[str, Any]]:
     """Every other set of gains, on each axis."""
     rows = []
-    for axis in AXES:
+    for axis in trial.axes:
         for k, other in others:
             row: dict[str, Any] = {"vehicle": seed, "axis": axis, "set": k}
             try:
@@ -168,9 +202,9 @@ def judge_sets(first: Any, others: Sequence[tuple[int, Any]], seed: int) -> list
     return rows
 
 
-def judge_proposal(out: Path, first: Any, seed: int) -> list[dict[str, Any]]:
+def judge_proposal(trial: Trial, folder: Path, first: Any, seed: int) -> list[dict[str, Any]]:
     """The proposal of a vehicle, flown."""
-    found = propose([first], AXES, RateBounds())
+    found = propose([first], trial.axes, RateBounds())
     rows: list[dict[str, Any]] = [
         {"vehicle": seed, "axis": axis, "no proposal": why.message} for axis, why in found.refused.items()
     ]
@@ -178,7 +212,7 @@ def judge_proposal(out: Path, first: Any, seed: int) -> list[dict[str, Any]]:
         return rows
     lines = [f"set {name} = {value}" for name, value in found.new.items()]
     own = hashlib.sha256("\n".join(lines).encode()).hexdigest()[:8]  # another proposal is another flight
-    later = read(flown(out / f"vehicle-{seed:02d}" / f"proposed-{own}", seed, 0, lines))
+    later = read(flown(folder / f"proposed-{own}", trial, seed, 0, lines))
     for told in found.axes:
         row: dict[str, Any] = {"vehicle": seed, "axis": told.axis, "lines": lines_of(found, told.axis)}
         try:
@@ -236,17 +270,17 @@ def table(sets: Sequence[dict[str, Any]], proposals: Sequence[dict[str, Any]]) -
     return lines
 
 
-def run(out: Path, seeds: Sequence[int], only_fly: bool) -> None:
+def run(out: Path, trial: Trial, seeds: Sequence[int], only_fly: bool) -> None:
     """Fly what is not flown yet, and print a row for every loop."""
     for seed in seeds:
-        folder = out / f"vehicle-{seed:02d}"
-        folders = [flown(folder / f"set-{k}", seed, k, own) for k, own in enumerate(SETS)]
+        folder = out / f"{trial.name}-{seed:02d}"
+        folders = [flown(folder / f"set-{k}", trial, seed, k, own) for k, own in enumerate(trial.sets)]
         if only_fly:
             continue
         first, *others = (read(own) for own in folders)
-        for row in judge_sets(first, list(enumerate(others, 1)), seed):
+        for row in judge_sets(trial, first, list(enumerate(others, 1)), seed):
             print(json.dumps(row), flush=True)
-        for row in judge_proposal(out, first, seed):
+        for row in judge_proposal(trial, folder, first, seed):
             print(json.dumps(row), flush=True)
 
 
@@ -257,9 +291,11 @@ def main() -> None:
     parser.add_argument("--vehicles", type=int, default=20)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--fly", action="store_true")
+    parser.add_argument("--yaw", action="store_true")
     options = parser.parse_args()
     if not options.paths[0].is_file():
-        run(options.paths[0], range(options.first, options.first + options.vehicles), options.fly)
+        seeds = range(options.first, options.first + options.vehicles)
+        run(options.paths[0], TRIALS[options.yaw], seeds, options.fly)
         return
     lines = [line for path in options.paths for line in path.read_text("utf-8").splitlines()]
     rows = [json.loads(line) for line in lines if line.startswith("{")]

@@ -24,6 +24,7 @@ from flysid.loops.margins import (
     margins_across,
     trusted_band,
 )
+from flysid.loops.moved_means import conditions_under
 from flysid.loops.parameter_checks import ardupilot_checks, px4_checks
 from flysid.loops.parameter_laws import ardupilot, px4, px4_law
 from flysid.loops.parameterlogs import (
@@ -171,6 +172,8 @@ class Kind:
     settings : of a log, by name.
     record : (log, axis, settings) -> the loop, and what gains depended on.
     controller : (settings, axis, conditions) -> the law.
+    under : (log, axis, settings, other settings, conditions, plant) -> conditions under the others; None
+        where they stay the same.
     alike : (settings, axis) -> what flights that are judged together share.
     """
 
@@ -180,6 +183,7 @@ class Kind:
     record: Callable[[Any, str, Mapping[str, Any]], tuple[StickRecord, Conditions]]
     controller: Callable[[Mapping[str, Any], str, Conditions], Controller]
     alike: Callable[[Mapping[str, Any], str], tuple[Any, ...]]
+    under: Callable[..., Conditions] | None = None
 
 
 KINDS = (
@@ -210,6 +214,7 @@ KINDS = (
         record_of,
         betaflight,
         lambda settings, axis: _of_law(settings, axis),
+        conditions_under,
     ),
 )
 
