@@ -197,7 +197,7 @@ def forecast_of(known: KnownAxis, changes: Mapping[str, str]) -> Forecast:
 
 
 def _error_of(before: Side, after: Side) -> Figure:
-    """The error after over before; none where more plants make the loop unstable than an interval leaves out."""
+    """The error after over before; none where it is unstable on more plants than an interval leaves out."""
     if after.unstable > INSIDE[0]:
         return Figure(
             None, why=f"{100.0 * after.unstable:.0f} % of the plants that fit make this loop unstable"

@@ -110,6 +110,18 @@ def test_what_a_law_leaves_out_is_named_with_the_term_that_misses(firmware_log: 
     assert "the P term is 33 % off (the log has absolute control (abs_control_gain)" in said
 
 
+def test_an_adjustment_that_the_log_itself_states_is_named(firmware_log: Path, tmp_path: Path) -> None:
+    """Roll's P is function 18, and 90 stands for 45 as the format writes numbers with a sign."""
+    copy = tmp_path / "log.bbl"
+    header, ends = b"H rollPID:45,80,30\n", b"E\xffEnd of log"
+    content = firmware_log.read_bytes()
+    assert content.count(header) == content.count(ends) == 1
+    content = content.replace(header, b"H rollPID:60,80,30\n")
+    copy.write_bytes(content.replace(ends, b"E" + bytes([13, 18, 90]) + ends))
+    said = " ".join(ran(gains, str(copy), "--axis", "roll").stdout.split())
+    assert re.search(r"P term is 33 % off \(an adjustment in flight set its gain to 45 at \d\d s\)", said)
+
+
 def test_integrated_yaw_is_no_law_that_is_known() -> None:
     law = BetaflightLaw.of(stated_in("4.5.1") | {"use_integrated_yaw": "1"}, "yaw")
     assert law.not_described == ("integrated yaw (use_integrated_yaw)",)
