@@ -1,7 +1,7 @@
 """Betaflight's own firmware on vehicles that nobody knows: identify, predict, redesign, fly again, compare.
 
     python -m bench.sitl_campaign OUT [--vehicles 20] [--first 0] [--fly] [--yaw] > ROWS
-    python -m bench.sitl_campaign ROWS...
+    python -m bench.sitl_campaign ROWS... [--plot PICTURE]
 
 Every vehicle (mass, inertia, motors' lag, noise, battery drawn) flies the firmware's own gains for 60 s, and
 other sets of gains and filters for 40 s. From the first flight
@@ -43,6 +43,7 @@ from flysid.loops.gain_bounds import RateBounds
 from flysid.loops.known_axis import KnownAxis
 from flysid.loops.proposal import Proposal, propose
 from flysid.loops.stick_response import closed_loop
+from flysid.validate.show.pictures import save_picture
 
 SETS: Sequence[Sequence[str]] = (
     (),
@@ -64,6 +65,12 @@ FROM_HZ, TO_HZ = 1.0, 30.0
 STICKS = 180.0
 """us of the steps of the sticks."""
 LEVEL = 0.95
+PROMISED = {
+    "tracking": "error, new over old",
+    "overshoot": "overshoot of a step",
+    "noise": "noise, new over old",
+    "ms": "sensitivity Ms",
+}
 
 
 def drawn(seed: int) -> Vehicle:
@@ -112,7 +119,9 @@ def compare(first: KnownAxis, later: KnownAxis) -> dict[str, Any]:
     """Lines that both flights know: predicted, and unchanged, against the measured response."""
     low = max(FROM_HZ, first.f[0], later.f[0])
     high = min(TO_HZ, first.f[-1], later.f[-1])
-    at, of = ((own.f >= low) & (own.f <= high) for own in (later, first))
+    both = np.intersect1d(later.f, first.f)  # a slow loop is measured in longer windows
+    both = both[(both >= low) & (both <= high)]
+    at, of = (np.isin(own.f, both) for own in (later, first))
     law = later.last.controller
     true = later.answers(law)[0][at]  # under its own law: as it was measured
     told, draws = (part[..., of] for part in first.answers(law))
@@ -258,7 +267,7 @@ def table(sets: Sequence[dict[str, Any]], proposals: Sequence[dict[str, Any]]) -
         f"{int((errors <= 0.8).sum())}, by anything on {int((errors < 1.0).sum())}, "
         f"in the median to {np.median(errors):.2f} times"
     )
-    for name in ("tracking", "noise", "overshoot", "ms"):
+    for name in PROMISED:
         inside = [
             row[name]["low"] <= row[name]["flown"] <= row[name]["high"] for row in flew if row[name]["told"]
         ]
@@ -268,6 +277,34 @@ def table(sets: Sequence[dict[str, Any]], proposals: Sequence[dict[str, Any]]) -
             f"the interval holds {sum(inside)} of {len(inside)}"
         )
     return lines
+
+
+def draw(rows: Sequence[dict[str, Any]], path: Path) -> None:
+    """Shares of lines that are right, loop by loop, and what proposals promised against what they did."""
+    from matplotlib.figure import Figure as Sheet
+
+    known = [row for row in rows if "lines" in row and "set" in row]
+    flew = [row for row in rows if "tracking" in row]
+    sheet = Sheet(figsize=(9.0, 3.2), layout="constrained")
+    shares, *others = sheet.subplots(1, 4)
+    for name, words, color in (
+        ("unchanged", "if nothing had changed", "0.6"),
+        ("predicted", "predicted", "C0"),
+    ):
+        right = np.sort([row[name] for row in known])
+        shares.plot(np.linspace(0.0, 1.0, len(right)), right, color=color, label=words)
+    shares.set(xlabel="share of loops", title=f"lines within {WITHIN_DB:g} dB, {WITHIN_DEG:g} deg")
+    shares.legend(fontsize=7)
+    for axes, name, words in zip(others, PROMISED, PROMISED.values(), strict=False):
+        own = [row[name] for row in flew if row[name]["told"]]
+        told, low, high, flown = (np.array([row[key] for row in own]) for key in own[0])
+        axes.errorbar(
+            flown, told, [told - low, high - told], fmt=".", color="C0", elinewidth=0.7, markersize=3
+        )
+        axes.axline((float(flown.min()), float(flown.min())), slope=1.0, color="0.6", linewidth=0.8)
+        axes.set(xlabel="flown", title=words)
+    others[0].set(ylabel="promised, with its interval")
+    save_picture(sheet, path)
 
 
 def run(out: Path, trial: Trial, seeds: Sequence[int], only_fly: bool) -> None:
@@ -292,6 +329,7 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--fly", action="store_true")
     parser.add_argument("--yaw", action="store_true")
+    parser.add_argument("--plot", type=Path)
     options = parser.parse_args()
     if not options.paths[0].is_file():
         seeds = range(options.first, options.first + options.vehicles)
@@ -301,6 +339,8 @@ def main() -> None:
     rows = [json.loads(line) for line in lines if line.startswith("{")]
     sets = [row for row in rows if "set" in row]
     print("\n".join(table(sets, [row for row in rows if "set" not in row])))
+    if options.plot:
+        draw(rows, options.plot)
 
 
 if __name__ == "__main__":

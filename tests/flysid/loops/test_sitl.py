@@ -18,8 +18,8 @@ from flysid.cli.tf import command as tf
 RATE = ["-r", "betaflight-rate", "-c"]
 
 
-def test_without_a_compiler_the_clock_says_so(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr("shutil.which", lambda name: None)
+def test_without_a_compiler_the_clock_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("shutil.which", {}.get)
     with pytest.raises(NoFirmware, match="no C compiler is here"):
         sitl.built_clock.__wrapped__()
 
