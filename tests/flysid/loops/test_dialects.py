@@ -30,7 +30,7 @@ DIALECTS: Mapping[str, Mapping[str, str | None]] = {
 
 def in_dialect(log: Path, folder: Path, version: str) -> Path:
     """A copy whose header is the one that a version writes of the same settings; None leaves a line out."""
-    lines = DIALECTS[version] | {"Firmware revision": f"Betaflight {version} (77d01ba3b) STM32F7X2"}
+    lines = {**DIALECTS[version], "Firmware revision": f"Betaflight {version} (77d01ba3b) STM32F7X2"}
     content = log.read_bytes()
     for name, value in lines.items():
         new = f"H {name}:{value}\n".encode() if value is not None else b""
