@@ -67,7 +67,11 @@ class NoFirmware(RuntimeError):
 
 @dataclass(frozen=True)
 class Vehicle:
-    """A quad X: kg, m, kg m^2, s, N, rad/s of the gyro's noise, and the share of thrust lost in a minute."""
+    """A quad X: kg, m, kg m^2, s, N, rad/s of the gyro's noise, and the share of thrust lost in a minute.
+
+    `torque` is that of the props' drag over their thrust, m. `reaction` is what turns the body as the rotors
+    speed up, N m to a N/s of thrust.
+    """
 
     mass: float = 0.65
     arm: float = 0.11
@@ -77,6 +81,7 @@ class Vehicle:
     torque: float = 0.012
     noise: float = 0.01
     battery: float = 0.0
+    reaction: float = 0.0
 
     def motors_to_rate(self, axis: int, throttle: float) -> float:
         """deg/s^2 to a thousandth of the mixer, at a throttle from 0 to 1: roll 0, pitch 1."""
@@ -118,8 +123,10 @@ class Body:
         inertia = np.array(own.inertia)
         self.t += dt
         thrust = own.thrust * (1.0 - own.battery * self.t / 60.0)
-        self.f += (thrust * command**2 - self.f) * (1.0 - np.exp(-dt / own.lag_s))
-        torque = np.array([self.f @ sides[:, 1], -(self.f @ sides[:, 0]), own.torque * (spin @ self.f)])
+        gained = (thrust * command**2 - self.f) * (1.0 - np.exp(-dt / own.lag_s))
+        self.f += gained
+        about = spin @ (own.torque * self.f + own.reaction * gained / dt)
+        torque = np.array([self.f @ sides[:, 1], -(self.f @ sides[:, 0]), about])
         turn = self.turn
         force = np.array([0.0, 0.0, self.f.sum()]) / own.mass - 0.25 * (turn.T @ self.v)
         self.w += dt * (torque - np.cross(self.w, inertia * self.w) - 0.0012 * self.w) / inertia

@@ -1,7 +1,7 @@
 """Betaflight's own firmware on vehicles that nobody knows: identify, predict, redesign, fly again, compare.
 
-    python -m bench.sitl_campaign OUT [--vehicles 20] [--first 0] [--fly] > ROWS
-    python -m bench.sitl_campaign ROWS...
+    python -m bench.sitl_campaign OUT [--vehicles 20] [--first 0] [--fly] [--yaw] > ROWS
+    python -m bench.sitl_campaign ROWS... [--plot PICTURE]
 
 Every vehicle (mass, inertia, motors' lag, noise, battery drawn) flies the firmware's own gains for 60 s, and
 other sets of gains and filters for 40 s. From the first flight
@@ -11,6 +11,9 @@ other sets of gains and filters for 40 s. From the first flight
 - `flysid design` proposes settings. Their lines are typed into the firmware and flown with the same sticks.
   The error over the flight, noise and overshoot are compared with what was promised.
 
+With --yaw vehicles turn about their vertical by their rotors' acceleration too, as real ones do, the sets are
+those of yaw, and yaw is what is compared.
+
 Flights in OUT are kept: the campaign resumes. With --fly it only flies. Several processes share the work by
 --first, and the second form makes one table of what they printed. To an interval of one flight the scatter of
 the other one is added before a line counts as missed, as in `bench.greenreaper`.
@@ -19,8 +22,10 @@ the other one is added before a line counts as missed, as in `bench.greenreaper`
 from __future__ import annotations
 
 import argparse
+import hashlib
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -38,6 +43,7 @@ from flysid.loops.gain_bounds import RateBounds
 from flysid.loops.known_axis import KnownAxis
 from flysid.loops.proposal import Proposal, propose
 from flysid.loops.stick_response import closed_loop
+from flysid.validate.show.pictures import save_picture
 
 SETS: Sequence[Sequence[str]] = (
     (),
@@ -46,6 +52,12 @@ SETS: Sequence[Sequence[str]] = (
     ("set p_roll = 34", "set i_roll = 110", "set p_pitch = 36", "set i_pitch = 110"),
     ("set dterm_lpf1_dyn_min_hz = 0", "set dterm_lpf1_static_hz = 50", "set p_roll = 55", "set p_pitch = 57"),
 )
+OF_YAW: Sequence[Sequence[str]] = (
+    (),
+    ("set p_yaw = 70",),
+    ("set p_yaw = 32", "set i_yaw = 120"),
+    ("set p_yaw = 60", "set yaw_lowpass_hz = 30"),
+)
 AXES = ("roll", "pitch")
 REFERENCE_S, OTHER_S = 60.0, 40.0
 WITHIN_DB, WITHIN_DEG = 2.0, 10.0
@@ -53,6 +65,12 @@ FROM_HZ, TO_HZ = 1.0, 30.0
 STICKS = 180.0
 """us of the steps of the sticks."""
 LEVEL = 0.95
+PROMISED = {
+    "tracking": "error, new over old",
+    "overshoot": "overshoot of a step",
+    "noise": "noise, new over old",
+    "ms": "sensitivity Ms",
+}
 
 
 def drawn(seed: int) -> Vehicle:
@@ -75,11 +93,35 @@ def drawn(seed: int) -> Vehicle:
     )
 
 
+def turning(seed: int) -> Vehicle:
+    """The same vehicle, turned by its props' drag, 9 to 18 mm, and by its rotors' acceleration."""
+    rng = np.random.default_rng((seed, 1))
+    return replace(drawn(seed), torque=rng.uniform(0.009, 0.018), reaction=rng.uniform(0.001, 0.004))
+
+
+@dataclass(frozen=True)
+class Trial:
+    """What is compared: axes, sets of settings, how a vehicle is drawn, and what its folder is called."""
+
+    axes: Sequence[str]
+    sets: Sequence[Sequence[str]]
+    vehicle: Callable[[int], Vehicle]
+    name: str
+
+
+TRIALS = {
+    False: Trial(AXES, SETS, drawn, "vehicle"),
+    True: Trial(("yaw",), OF_YAW, turning, "yaw"),
+}
+
+
 def compare(first: KnownAxis, later: KnownAxis) -> dict[str, Any]:
     """Lines that both flights know: predicted, and unchanged, against the measured response."""
     low = max(FROM_HZ, first.f[0], later.f[0])
     high = min(TO_HZ, first.f[-1], later.f[-1])
-    at, of = ((own.f >= low) & (own.f <= high) for own in (later, first))
+    both = np.intersect1d(later.f, first.f)  # a slow loop is measured in longer windows
+    both = both[(both >= low) & (both <= high)]
+    at, of = (np.isin(own.f, both) for own in (later, first))
     law = later.last.controller
     true = later.answers(law)[0][at]  # under its own law: as it was measured
     told, draws = (part[..., of] for part in first.answers(law))
@@ -146,17 +188,19 @@ def read(folder: Path) -> Any:
     return log
 
 
-def flown(folder: Path, seed: int, k: int, settings: Sequence[str]) -> Path:
+def flown(folder: Path, trial: Trial, seed: int, k: int, settings: Sequence[str]) -> Path:
     """The folder of a flight, flown where it is not there yet; k of 0: with the sticks of the first one."""
     if not sorted(folder.glob("LOG*.BF")):
-        fly(folder, OTHER_S if k else REFERENCE_S, 100 * seed + k, settings, drawn(seed), STICKS)
+        fly(folder, OTHER_S if k else REFERENCE_S, 100 * seed + k, settings, trial.vehicle(seed), STICKS)
     return folder
 
 
-def judge_sets(first: Any, others: Sequence[tuple[int, Any]], seed: int) -> list[dict[str, Any]]:
+def judge_sets(
+    trial: Trial, first: Any, others: Sequence[tuple[int, Any]], seed: int
+) -> list[dict[str, Any]]:
     """Every other set of gains, on each axis."""
     rows = []
-    for axis in AXES:
+    for axis in trial.axes:
         for k, other in others:
             row: dict[str, Any] = {"vehicle": seed, "axis": axis, "set": k}
             try:
@@ -167,17 +211,17 @@ def judge_sets(first: Any, others: Sequence[tuple[int, Any]], seed: int) -> list
     return rows
 
 
-def judge_proposal(out: Path, first: Any, seed: int) -> list[dict[str, Any]]:
+def judge_proposal(trial: Trial, folder: Path, first: Any, seed: int) -> list[dict[str, Any]]:
     """The proposal of a vehicle, flown."""
-    folder = out / f"vehicle-{seed:02d}" / "proposed"
-    found = propose([first], AXES, RateBounds())
+    found = propose([first], trial.axes, RateBounds())
     rows: list[dict[str, Any]] = [
         {"vehicle": seed, "axis": axis, "no proposal": why.message} for axis, why in found.refused.items()
     ]
     if not found.new:
         return rows
     lines = [f"set {name} = {value}" for name, value in found.new.items()]
-    later = read(flown(folder, seed, 0, lines))
+    own = hashlib.sha256("\n".join(lines).encode()).hexdigest()[:8]  # another proposal is another flight
+    later = read(flown(folder / f"proposed-{own}", trial, seed, 0, lines))
     for told in found.axes:
         row: dict[str, Any] = {"vehicle": seed, "axis": told.axis, "lines": lines_of(found, told.axis)}
         try:
@@ -223,7 +267,7 @@ def table(sets: Sequence[dict[str, Any]], proposals: Sequence[dict[str, Any]]) -
         f"{int((errors <= 0.8).sum())}, by anything on {int((errors < 1.0).sum())}, "
         f"in the median to {np.median(errors):.2f} times"
     )
-    for name in ("tracking", "noise", "overshoot", "ms"):
+    for name in PROMISED:
         inside = [
             row[name]["low"] <= row[name]["flown"] <= row[name]["high"] for row in flew if row[name]["told"]
         ]
@@ -235,17 +279,45 @@ def table(sets: Sequence[dict[str, Any]], proposals: Sequence[dict[str, Any]]) -
     return lines
 
 
-def run(out: Path, seeds: Sequence[int], only_fly: bool) -> None:
+def draw(rows: Sequence[dict[str, Any]], path: Path) -> None:
+    """Shares of lines that are right, loop by loop, and what proposals promised against what they did."""
+    from matplotlib.figure import Figure as Sheet
+
+    known = [row for row in rows if "lines" in row and "set" in row]
+    flew = [row for row in rows if "tracking" in row]
+    sheet = Sheet(figsize=(9.0, 3.2), layout="constrained")
+    shares, *others = sheet.subplots(1, 4)
+    for name, words, color in (
+        ("unchanged", "if nothing had changed", "0.6"),
+        ("predicted", "predicted", "C0"),
+    ):
+        right = np.sort([row[name] for row in known])
+        shares.plot(np.linspace(0.0, 1.0, len(right)), right, color=color, label=words)
+    shares.set(xlabel="share of loops", title=f"lines within {WITHIN_DB:g} dB, {WITHIN_DEG:g} deg")
+    shares.legend(fontsize=7)
+    for axes, name, words in zip(others, PROMISED, PROMISED.values(), strict=False):
+        own = [row[name] for row in flew if row[name]["told"]]
+        told, low, high, flown = (np.array([row[key] for row in own]) for key in own[0])
+        axes.errorbar(
+            flown, told, [told - low, high - told], fmt=".", color="C0", elinewidth=0.7, markersize=3
+        )
+        axes.axline((float(flown.min()), float(flown.min())), slope=1.0, color="0.6", linewidth=0.8)
+        axes.set(xlabel="flown", title=words)
+    others[0].set(ylabel="promised, with its interval")
+    save_picture(sheet, path)
+
+
+def run(out: Path, trial: Trial, seeds: Sequence[int], only_fly: bool) -> None:
     """Fly what is not flown yet, and print a row for every loop."""
     for seed in seeds:
-        folder = out / f"vehicle-{seed:02d}"
-        folders = [flown(folder / f"set-{k}", seed, k, own) for k, own in enumerate(SETS)]
+        folder = out / f"{trial.name}-{seed:02d}"
+        folders = [flown(folder / f"set-{k}", trial, seed, k, own) for k, own in enumerate(trial.sets)]
         if only_fly:
             continue
         first, *others = (read(own) for own in folders)
-        for row in judge_sets(first, list(enumerate(others, 1)), seed):
+        for row in judge_sets(trial, first, list(enumerate(others, 1)), seed):
             print(json.dumps(row), flush=True)
-        for row in judge_proposal(out, first, seed):
+        for row in judge_proposal(trial, folder, first, seed):
             print(json.dumps(row), flush=True)
 
 
@@ -256,14 +328,19 @@ def main() -> None:
     parser.add_argument("--vehicles", type=int, default=20)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--fly", action="store_true")
+    parser.add_argument("--yaw", action="store_true")
+    parser.add_argument("--plot", type=Path)
     options = parser.parse_args()
     if not options.paths[0].is_file():
-        run(options.paths[0], range(options.first, options.first + options.vehicles), options.fly)
+        seeds = range(options.first, options.first + options.vehicles)
+        run(options.paths[0], TRIALS[options.yaw], seeds, options.fly)
         return
     lines = [line for path in options.paths for line in path.read_text("utf-8").splitlines()]
     rows = [json.loads(line) for line in lines if line.startswith("{")]
     sets = [row for row in rows if "set" in row]
     print("\n".join(table(sets, [row for row in rows if "set" not in row])))
+    if options.plot:
+        draw(rows, options.plot)
 
 
 if __name__ == "__main__":

@@ -118,14 +118,15 @@ def describe_forecast(one: Forecast) -> list[str]:
     before, after = one.before, one.after
     whose = f"{len(one.flights)} flights" if len(one.flights) > 1 else one.flights[0]
     scope = "the next flight" if one.next_flight else "these flights; how flights differ takes three"
-    rise = " -> ".join(_scaled(side.step.rise_s, 1000.0) for side in (before, after))
-    over = " -> ".join(_scaled(side.step.overshoot, 100.0) for side in (before, after))
+    rise = " -> ".join(_scaled(side.step.rise_s, 1000.0, " ms") for side in (before, after))
+    over = " -> ".join(_scaled(side.step.overshoot, 100.0, " %") for side in (before, after))
+    unknown = next((side.step.rise_s.why for side in (before, after) if side.step.rise_s.why), "")
     limited = " -> ".join(f"{100.0 * side.limited:.1f}" for side in (before, after))
     low, high = one.band_hz
     rows = [
         f"{one.axis}: {_gains(before.gains, after.gains)} ({whose})",
         *(f"  {_pair(one, *row)}" for row in ROWS),
-        f"  step of the setpoint: rise {rise} ms, overshoot {over} %",
+        f"  step of the setpoint: rise {rise}, overshoot {over}" + (f" ({unknown})" if unknown else ""),
         f"  error over the flight {one.tracking.said('.2f', ' times')}, smaller with "
         f"{100.0 * one.better:.0f} %",
         f"  noise to the motors {one.noise.said('.2f', ' times')}; "
@@ -171,10 +172,12 @@ def _pair(one: Forecast, words: str, name: str, form: str, unit: str) -> str:
     return f"{words} {old} -> {new}"
 
 
-def _scaled(figure: Figure, factor: float) -> str:
-    """ "35 [33, 38]" in another unit."""
-    value, low, high = (factor * part for part in (figure.value or 0.0, figure.low, figure.high))
-    return f"{value:.0f} [{low:.0f}, {high:.0f}]"
+def _scaled(figure: Figure, factor: float, unit: str) -> str:
+    """ "35 ms [33, 38]" in another unit."""
+    if figure.value is None:
+        return "not determined"
+    value, low, high = (factor * part for part in (figure.value, figure.low, figure.high))
+    return f"{value:.0f}{unit} [{low:.0f}, {high:.0f}]"
 
 
 def _told(value: float | None) -> str:

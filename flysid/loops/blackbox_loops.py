@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,9 +12,12 @@ import numpy.typing as npt
 
 from flysid.dataset import FloatArray
 from flysid.errors import DataError
-from flysid.ingest.lake.headers import header_of
-from flysid.loops.axis_flight import GAP_S, AxisFlight, axis_flight
+from flysid.ingest.formats.blackbox.codes import EventKind
+from flysid.ingest.lake.headers import WHOLE, header_of
+from flysid.laws.described import blackbox_law
+from flysid.loops.axis_flight import GAP_S, AxisFlight, axis_flight, fields_of
 from flysid.loops.betaflight import AXES, BetaflightLaw, Conditions
+from flysid.loops.law_parts import TermCheck
 from flysid.loops.stick_response import Loop, StickRecord, output
 from flysid.loops.term_check import check_terms
 
@@ -45,9 +49,12 @@ def record_of(
 
     Raises
     ------
-    DataError : fields are missing; the controller's output was at its limit for more than 5 % of the time.
+    DataError : fields are missing; the controller's output was at its limit for more than 5 % of the time;
+        parts of the law move with the flight, and the header does not state how long a loop takes.
     """
     law = BetaflightLaw.of(settings, axis)
+    if law.changes_in_flight and not law.step_s:
+        raise DataError("the log's header does not state looptime: no term can be compared", hint=WHOLE)
     flight = axis_flight(log, axis, settings, law)
     limit = law.limits[list(AXES).index(axis)]
     share = float((np.abs(flight.output) >= limit - 1.0).mean())
@@ -59,6 +66,7 @@ def record_of(
     rows = flight.rows
     record = _even(log.name, rate_hz, flight, flight.output, rows.rate)
     checks, means = check_terms(law, rows, flight.terms, law.step_s * flight.slower, flight.rate_hz)
+    checks = tuple(check if check.fits else _name_adjustment(check, log, axis, settings) for check in checks)
     forward = None
     if "F" in flight.terms:
         alone = Loop.of([_even(log.name, rate_hz, flight, flight.terms["F"], flight.terms["F"])])
@@ -75,6 +83,20 @@ def record_of(
         limit,
     )
     return record, flown
+
+
+def _name_adjustment(check: TermCheck, log: Any, axis: str, settings: Mapping[str, str]) -> TermCheck:
+    """A term that misses, with the change of its gain that the log itself states, where it states one."""
+    numbers = blackbox_law(settings["Firmware revision"]).part("adjusted").get(axis, {}).get(check.term, [])
+    if "events" not in log.facts.streams or not numbers:
+        return check
+    events = fields_of(log, "events", ["time_ns", "event", "value", "other"])
+    at = (events["event"] == EventKind.ADJUSTMENT) & np.isin(events["other"], numbers)
+    if not at.any():
+        return check
+    begin = fields_of(log, "main", ["time_ns"])["time_ns"][0]
+    time, value = (1e-9 * (events["time_ns"][at][0] - begin), events["value"][at][0])
+    return replace(check, cause=f"an adjustment in flight set its gain to {value:g} at {time:.0f} s")
 
 
 def _even(name: str, rate_hz: float, flight: AxisFlight, u: FloatArray, y: FloatArray) -> StickRecord:

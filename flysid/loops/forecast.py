@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from flysid.dataset import FloatArray
 from flysid.errors import UsageError
@@ -24,6 +25,8 @@ NAMES = ("crossover_hz", "phase_deg", "gain_db", "delay_ms", "ms", "bandwidth_hz
 INSIDE = (0.025, 0.975)
 STEP_RATE_HZ, STEP_LENGTH = 1000.0, 4096
 SHOWN_S = 1.0
+LEFT = 0.5
+"""Of a step, by how much an answer may move 2 s later. That of an unstable loop comes round to there."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +48,7 @@ class Side:
     response : (F,) from setpoint to rate, and its ends in dB and deg, (2, F) each.
     step : figures of the step; (N,) the answer itself, 1000 values a second.
     limited : share of the flight at the output's limit.
-    unstable : share of the drawn plants with which the loop is not stable.
+    lost : (D,) whether the loop is not stable with a drawn plant.
     errors : (1 + D,) root mean square of setpoint less rate over the last flight, of the plant and its draws.
     """
 
@@ -57,8 +60,13 @@ class Side:
     step: StepFigures
     answer: FloatArray
     limited: float
-    unstable: float
+    lost: npt.NDArray[np.bool_]
     errors: FloatArray
+
+    @property
+    def unstable(self) -> float:
+        """Share of the drawn plants with which the loop is not stable."""
+        return float(np.mean(self.lost))
 
     def to_dict(self) -> dict[str, Any]:
         """JSON types only."""
@@ -90,7 +98,7 @@ class Forecast:
     before, after : under the flown settings, and the new ones.
     noise : of the output above what the sticks move, after over before.
     tracking : root mean square of setpoint less rate over the last flight, after over before.
-    better : share of the plants that fit with which it is smaller.
+    better : share of the plants that fit with which it is smaller, and the loop stable.
     off : median error of the response under the flown settings against the measured one.
     law : firmware and version.
     """
@@ -181,11 +189,20 @@ def forecast_of(known: KnownAxis, changes: Mapping[str, str]) -> Forecast:
         before,
         after,
         _noise(known, old, new),
-        _figure_of(after.errors[0] / before.errors[0], after.errors[1:] / before.errors[1:]),
-        float(np.mean(after.errors[1:] < before.errors[1:])),
+        _error_of(before, after),
+        float(np.mean((after.errors[1:] < before.errors[1:]) & ~after.lost)),
         float(np.median(np.abs(told / measured - 1.0))),
         old.law,
     )
+
+
+def _error_of(before: Side, after: Side) -> Figure:
+    """The error after over before; none where it is unstable on more plants than an interval leaves out."""
+    if after.unstable > INSIDE[0]:
+        return Figure(
+            None, why=f"{100.0 * after.unstable:.0f} % of the plants that fit make this loop unstable"
+        )
+    return _figure_of(after.errors[0] / before.errors[0], after.errors[1:] / before.errors[1:])
 
 
 def _answer(g: ComplexArray, f: FloatArray, controller: Controller) -> ComplexArray:
@@ -213,7 +230,7 @@ def _side(known: KnownAxis, controller: Controller, limit: float, errors: Errors
         _step_figures(answer, others),
         answer[: round(SHOWN_S * STEP_RATE_HZ)],
         _limited(known, controller, limit),
-        float(np.mean(lost)),
+        lost,
         errors.under(controller),
     )
 
@@ -226,8 +243,10 @@ def _figure(value: float, every: FloatArray, f: FloatArray) -> Figure:
     return Figure(float(value), float(min(low, value)), float(max(high, value)))
 
 
-def _figure_of(value: float, every: FloatArray) -> Figure:
-    """With the interval of its draws."""
+def _figure_of(value: float, every: FloatArray, why: str = "") -> Figure:
+    """With the interval of its draws; none, and why, where one of them is not a number."""
+    if why and not (np.isfinite(value) and np.isfinite(every).all()):
+        return Figure(None, why=why)
     low, high = np.quantile(every, INSIDE)
     return Figure(float(value), float(min(low, value)), float(max(high, value)))
 
@@ -260,15 +279,20 @@ def step_of(known: KnownAxis, controller: Controller) -> StepFigures:
 
 
 def _step_figures(answer: FloatArray, others: FloatArray) -> StepFigures:
-    rows = [_rise_and_peak(own) for own in (answer, *others)]
-    rises, peaks = np.array(rows).T
-    return StepFigures(_figure_of(rises[0], rises[1:]), _figure_of(peaks[0], peaks[1:]))
+    rises, peaks = np.array([_rise_and_peak(own) for own in (answer, *others)]).T
+    late = f"not every plant that fits settles at the setpoint, or comes to it within {SHOWN_S:g} s"
+    return StepFigures(*(_figure_of(row[0], row[1:], late) for row in (rises, peaks)))
 
 
 def _rise_and_peak(answer: FloatArray) -> tuple[float, float]:
-    """s from a tenth to nine tenths, and how far it goes beyond 1."""
+    """s from a tenth to nine tenths, and how far it goes beyond 1.
+
+    Not a number where it moves before the step, as that of a loop that is not stable does, or never comes up.
+    """
     shown = answer[: round(SHOWN_S * STEP_RATE_HZ)]
     early, late = (int(np.argmax(shown >= level)) for level in (0.1, 0.9))
+    if late <= early or np.ptp(answer[len(answer) // 2 :]) > LEFT:
+        return np.nan, np.nan
     return (late - early) / STEP_RATE_HZ, max(0.0, float(shown.max()) - 1.0)
 
 

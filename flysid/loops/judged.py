@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 from flysid.errors import DataError, UsageError
-from flysid.laws.described import parameter_law
+from flysid.laws.described import blackbox_law, parameter_law
 from flysid.loops.betaflight import AXES, NO_CONDITIONS, Conditions, betaflight
 from flysid.loops.between_flights import Curve
 from flysid.loops.blackbox_loops import record_of, settings_of
@@ -24,6 +24,7 @@ from flysid.loops.margins import (
     margins_across,
     trusted_band,
 )
+from flysid.loops.moved_means import conditions_under
 from flysid.loops.parameter_checks import ardupilot_checks, px4_checks
 from flysid.loops.parameter_laws import ardupilot, px4, px4_law
 from flysid.loops.parameterlogs import (
@@ -35,17 +36,6 @@ from flysid.loops.parameterlogs import (
 from flysid.loops.stick_response import Loop, StickRecord
 from flysid.progress import tell
 
-ALIKE = (
-    "Firmware revision",
-    "dterm_lowpass_hz",
-    "dterm_lowpass2_hz",
-    "dterm_lpf_hz",
-    "dterm_setpoint_weight",
-    "dtermSetpointWeight",
-    "setpoint_relaxation_ratio",
-    "setpointRelaxRatio",
-)
-"""Settings that flights judged together share, besides their gains."""
 CAUTION = (
     "Calculated from what past flights did; nothing was tested on the vehicle. The margins hold for these "
     "flights, below the limits of the motors. They are not a recommendation to raise a gain."
@@ -182,6 +172,8 @@ class Kind:
     settings : of a log, by name.
     record : (log, axis, settings) -> the loop, and what gains depended on.
     controller : (settings, axis, conditions) -> the law.
+    under : (log, axis, settings, other settings, conditions, plant) -> conditions under the others; None
+        where they stay the same.
     alike : (settings, axis) -> what flights that are judged together share.
     """
 
@@ -191,6 +183,7 @@ class Kind:
     record: Callable[[Any, str, Mapping[str, Any]], tuple[StickRecord, Conditions]]
     controller: Callable[[Mapping[str, Any], str, Conditions], Controller]
     alike: Callable[[Mapping[str, Any], str], tuple[Any, ...]]
+    under: Callable[..., Conditions] | None = None
 
 
 KINDS = (
@@ -220,7 +213,8 @@ KINDS = (
         settings_of,
         record_of,
         betaflight,
-        lambda settings, axis: tuple(settings.get(name, "") for name in (AXES[axis], *ALIKE)),
+        lambda settings, axis: _of_law(settings, axis),
+        conditions_under,
     ),
 )
 
@@ -239,6 +233,13 @@ def _state(settings: Settings) -> Mapping[str, Any]:
 
 def _own(stated: Mapping[str, float], stem: str) -> tuple[tuple[str, float], ...]:
     return tuple(sorted((name, value) for name, value in stated.items() if name.startswith(stem)))
+
+
+def _of_law(settings: Mapping[str, str], axis: str) -> tuple[str, ...]:
+    """An axis' gains, the firmware, and every line of the header that its law reads."""
+    law = blackbox_law(settings.get("Firmware revision", ""))
+    lines = [line for names in law.names.values() for line in names]
+    return tuple(settings.get(line, "") for line in (AXES[axis], "Firmware revision", *lines))
 
 
 def states_gains(log: Any) -> bool:

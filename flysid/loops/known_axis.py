@@ -134,10 +134,12 @@ class KnownAxis:
         ------
         UsageError : a setting that the log does not state.
         """
-        kind = kind_of(self.log)
-        other = with_settings(self.last.settings, changes)
-        _, conditions = kind.record(self.log, self.axis, other)
-        return kind.controller(other, self.axis, _scaled(conditions, self.last.conditions)), conditions
+        kind, last = kind_of(self.log), self.last
+        other = with_settings(last.settings, changes)
+        conditions = last.conditions
+        if kind.under is not None:
+            conditions = kind.under(self.log, self.axis, last.settings, other, conditions, self.turning)
+        return kind.controller(other, self.axis, conditions), conditions
 
     def answers(self, controller: Controller) -> tuple[ComplexArray, ComplexArray]:
         """(F,) from setpoint to rate under a controller, and (D, F) what else it may be."""
@@ -191,11 +193,3 @@ def _even(logarithms: ComplexArray) -> ComplexArray:
         convolve1d(part, weight / weight.sum(), axis=-1, mode="nearest") for part in (logarithms.real, turned)
     )
     return np.asarray(size + 1j * turn)
-
-
-def _scaled(new: Conditions, old: Conditions) -> Conditions:
-    """Conditions of a new law whose recorded F term is that of the old gain."""
-    if new.forward is None or not old.forward_gain:
-        return new
-    at, values = new.forward
-    return replace(new, forward=(at, values * (new.forward_gain / old.forward_gain)))

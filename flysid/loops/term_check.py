@@ -51,7 +51,7 @@ def check_terms(
         check = compare(term, own, _term(rebuilt, term), flown, rate_hz, noise)
         if check is not None and not check.fits and not check.cause:
             cause = _cause(law, rows, own, step_s, rate_hz, check, flown, noise)
-            check = replace(check, cause=cause)
+            check = replace(check, cause=cause or _name_undescribed(law))
         found += [check] if check is not None else []
     return tuple(found), rebuilt.means
 
@@ -193,6 +193,12 @@ def _cause(
         if other is not None and other.miss < best:
             best, words = other.miss, f"{name} it is {100.0 * other.miss:.0f} % off"
     return words
+
+
+def _name_undescribed(law: BetaflightLaw) -> str:
+    """Settings of the log that its law does not describe; "" where there are none."""
+    named = ", ".join(law.not_described)
+    return f"the log has {named}, which the law leaves out" if named else ""
 
 
 def _changes(law: BetaflightLaw, term: str) -> list[tuple[str, BetaflightLaw]]:

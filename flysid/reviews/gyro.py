@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -17,7 +18,8 @@ from flysid.spectra.causes import Source
 AXES = ("roll", "pitch", "yaw")
 UNIT = "deg/s"
 GYRO_SCALED = 6
-"""Betaflight's `debug_mode` since 4.0, with which debug[0] to [2] are the gyro before its filters."""
+"""Betaflight's `debug_mode` from 4.0 to 4.5, with which debug[0] to [2] are the gyro before its filters."""
+SCALED_IN = re.compile(r"Betaflight 4\.[0-5]\b")
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,13 +70,14 @@ def _of_axes(flight: LoggedFlight, form: str, names: Sequence[str], stated: str 
 def _blackbox(flight: LoggedFlight) -> LoggedGyro:
     filtered = _of_axes(flight, "main.gyroADC[{}]", "012")
     raw = _of_axes(flight, "main.gyroUnfilt[{}]", "012") or _of_axes(flight, "main.gyroRaw[{}]", "012")
-    if not raw and flight.headers.get("debug_mode") == str(GYRO_SCALED) and _since_4(flight):
+    if not raw and flight.headers.get("debug_mode") == str(GYRO_SCALED) and _logs_scaled(flight):
         raw = _of_axes(flight, "main.debug[{}]", "012", stated=UNIT)
     return LoggedGyro(raw, filtered, every_sample=True)
 
 
-def _since_4(flight: LoggedFlight) -> bool:
-    return flight.headers.get("Firmware revision", "").startswith(("Betaflight 4", "Betaflight 20"))
+def _logs_scaled(flight: LoggedFlight) -> bool:
+    """4.6 dropped that mode: its number is another one's there."""
+    return bool(SCALED_IN.match(flight.headers.get("Firmware revision", "")))
 
 
 def _px4(flight: LoggedFlight) -> LoggedGyro:

@@ -21,7 +21,11 @@ from flysid.spectra.stages import Kind, Stage
 KINDS = (Kind.PT1, Kind.BIQUAD, Kind.PT2, Kind.PT3)
 """By the number of `gyro_lpf1_type`."""
 DYNAMIC_NOTCH = 1 << 29
-"""Bit of `features`: from 3.2 on it switches dynamic notches on; since 4.3 `dyn_notch_count` counts them."""
+"""Bit of `features` for dynamic notches, from 3.2 to 4.2; since 4.3 `dyn_notch_count` alone switches them."""
+SLOWEST_DYNAMIC_HZ = 2000.0
+"""Of the loop, since 4.3: dynamic notches do not run in a slower one."""
+EXPO = 5.0
+"""Of the dynamic low-pass, where a header since 4.3 does not state `gyro_lpf1_dyn_expo`."""
 THROTTLE_STEPS = 100
 WAIT_S = 0.005
 """The throttle moves the dynamic low-pass filter in so many steps, and not again before this time."""
@@ -71,7 +75,7 @@ def betaflight_chain(
     first, why = _first_low_pass(settings, version, loop_hz, slower, throttle)
     steps += first
     unknown += why
-    unknown += _dynamic_notches(settings, version)
+    unknown += _dynamic_notches(settings, version, loop_hz * slower)
     return Chain(tuple(steps), tuple(unknown), _idle_notches(settings))
 
 
@@ -153,7 +157,7 @@ def _first_low_pass(
         words = f"gyro_lpf1 {kind} {low:g} to {high:g} Hz with the throttle"
         if throttle is None:
             return [], [f"{words}: the log does not hold the throttle"]
-        expo = stated_number(settings, "gyro_lpf1_dyn_expo", otherwise=0.0) / 10.0
+        expo = stated_number(settings, "gyro_lpf1_dyn_expo", otherwise=EXPO) / 10.0
 
         def at(time_s: FloatArray) -> Stage:
             opened = throttle_in_force(time_s, np.nan_to_num(throttle.held(time_s)))
@@ -247,10 +251,13 @@ def _rpm_notch(
     return at
 
 
-def _dynamic_notches(settings: Mapping[str, str], version: tuple[int, int]) -> list[str]:
+def _dynamic_notches(settings: Mapping[str, str], version: tuple[int, int], loop_hz: float) -> list[str]:
     """They follow a spectrum that the firmware computes itself and does not log."""
-    on = int(stated_number(settings, "features", otherwise=0.0)) & DYNAMIC_NOTCH
-    count = stated_number(settings, "dyn_notch_count", otherwise=1.0 if (3, 2) <= version < (4, 3) else 0.0)
-    if not on or not count:
+    if version >= (4, 3):
+        on = loop_hz >= SLOWEST_DYNAMIC_HZ and stated_number(settings, "dyn_notch_count", otherwise=0.0) > 0.0
+    else:
+        switches = int(stated_number(settings, "features", otherwise=0.0))
+        on = version >= (3, 2) and bool(switches & DYNAMIC_NOTCH)
+    if not on:
         return []
     return ["dynamic notches follow the firmware's own spectrum: the log does not hold their frequencies"]

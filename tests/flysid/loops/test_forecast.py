@@ -10,11 +10,14 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from flysid.cli.predict import command
+from flysid.cli.predict import command, describe_forecast
 from flysid.errors import DataError, UsageError
 from flysid.loops.betaflight import NO_CONDITIONS, betaflight
+from flysid.loops.flown_axis import Turning
 from flysid.loops.forecast import forecast
 from flysid.loops.known_axis import KnownAxis
+from flysid.loops.law_parts import Means
+from flysid.loops.moved_means import conditions_under
 from flysid.loops.new_settings import read_settings, settings_in, with_settings
 from flysid.loops.stick_response import closed_loop
 from tests.flysid.loops.autopilots import ardupilot_log, px4_log
@@ -68,7 +71,29 @@ def test_more_gain_is_more_noise_and_a_loop_without_margin_is_named(flights: lis
     assert 1.5 < noise < 2.1  # twice D, the same P
     wild = forecast(flights[:1], "roll", {"p_roll": "250", "d_roll": "20"})
     assert wild.after.unstable > 0.5
+    assert wild.after.step.rise_s.value is None  # a step came out that rose in -94 ms
+    assert "-> not determined, overshoot" in " ".join(describe_forecast(wild))
+    assert wild.better < 0.5  # its error was called smaller, 0.2 times, with 100 %
+    assert wild.tracking.value is None
     assert louder.before.unstable == 0.0
+
+
+def test_what_moves_in_a_law_goes_with_the_error_that_the_new_gains_leave() -> None:
+    """With P doubled the integral of a flight in the firmware came to 0.30 of itself; told was 0.47."""
+    header = FOUR | {"dterm_lpf1_static_hz": "75", "dterm_lpf2_static_hz": "150", "looptime": "500"}
+    header |= {"iterm_relax": "1", "iterm_relax_type": "1", "iterm_relax_cutoff": "15", "d_max_gain": "37"}
+    log = log_of(20.0, header, disturbance=0.0)
+    settings, plant = HEADER | header, Turning(12.0, 0.02, 0.003)
+    log.tables["main"]["setpoint[3]"] = log.tables["main"]["rcCommand[3]"] - 1000.0
+
+    def of(p: str) -> Means:
+        new = settings | {"rollPID": f"{p},80,30"}
+        means = conditions_under(log, "roll", settings, new, NO_CONDITIONS, plant).means
+        assert means is not None
+        return means
+
+    assert of("90").i < 0.9 * of("45").i
+    assert of("45").p == pytest.approx(1.0)
 
 
 def test_nothing_that_changes_the_loop_is_refused(flights: list[Any]) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 import numpy as np
@@ -26,8 +27,11 @@ HEADER = {
 }
 
 
-def inav_log(seed: int = 0, p: float = 40.0) -> Any:
-    """A minute of roll: P, I, D of INAV on an integrator with a lag of 20 ms, at 1 kHz."""
+def inav_log(seed: int = 0, p: float = 40.0, later: float = 0.0) -> Any:
+    """A minute of roll: P, I, D of INAV on an integrator with a lag of 20 ms, at 1 kHz.
+
+    With `later`, another P from 25 s on.
+    """
     rng = np.random.default_rng(seed)
     n = 60_000
     held = np.repeat(rng.standard_normal(n), rng.integers(60, 500, n))[:n]
@@ -45,7 +49,8 @@ def inav_log(seed: int = 0, p: float = 40.0) -> Any:
         low += relax * (setpoint[k] - low)
         one += share * (seen - one)
         two += share * (one - two)
-        proportional = p / 31.0 * kept * error
+        flown = later if later and k >= 25_000 else p
+        proportional = flown / 31.0 * kept * error
         derivative = -25.0 / 1905.0 * kept * (two - before) / STEP_S if k else 0.0
         before = two
         total += 75.0 / 4.0 * error * STEP_S * max(0.0, 1.0 - abs(setpoint[k] - low) / 40.0)
@@ -77,3 +82,10 @@ def test_a_gain_of_inav_that_was_not_flown_is_named() -> None:
     (wrong,) = (check for check in found.checks if not check.fits)
     assert wrong.term == "P"
     assert wrong.slope == pytest.approx(1.5, rel=0.05)
+
+
+def test_another_profile_in_the_middle_of_a_flight_is_named_with_its_time() -> None:
+    (found,) = judge([inav_log(later=60.0)], ["roll"])
+    assert re.search(
+        r"is 1\.00 until 2[56] s and 1\.50 from there: gains were changed in flight", found.refused
+    )

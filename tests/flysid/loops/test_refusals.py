@@ -139,6 +139,14 @@ def test_what_cannot_be_known_is_refused_with_what_to_do(case: str) -> None:
     assert [line.split(":")[0].strip() for line in found.lines()[1:]] == ["refused", "try"]
 
 
+def test_a_header_without_looptime_leaves_a_law_that_moves_unchecked() -> None:
+    """Its integral was taken as never relaxed, and no term was compared, without a word."""
+    new = {"Firmware revision": "Betaflight 4.5.1 (x) Y", "d_min": "20,20,0", "iterm_relax": "1"}
+    new |= {"iterm_relax_cutoff": "15", "dterm_lpf1_static_hz": "75", "dterm_lpf2_static_hz": "150"}
+    found = judged(log_of(40.0, new))
+    assert "does not state looptime" in found.refused
+
+
 def test_how_to_log_faster_is_told_in_the_firmware_s_own_words() -> None:
     assert "LOG_BITMASK" in judged(ardupilot(rate_hz=10.0)).hint
     assert "SDLOG" not in judged(ardupilot(rate_hz=10.0)).hint

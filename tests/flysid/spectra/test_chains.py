@@ -63,6 +63,29 @@ def test_the_dynamic_low_pass_of_4_2_has_another_curve() -> None:
     assert "does not hold the throttle" in betaflight_chain(four_two, 1.0).unknown[0]
 
 
+def test_dynamic_notches_go_by_their_count_since_4_3() -> None:
+    """The switch in `features` is gone since then: a log that had them counted as one without."""
+    stated = {"looptime": "125", "pid_process_denom": "1", "dyn_notch_count": "3", "features": "0"}
+
+    def of(version: str, **more: str) -> bool:
+        settings = stated | {"Firmware revision": f"Betaflight {version} (77d01ba3b) X"} | more
+        return bool(betaflight_chain(settings, 1.0).unknown)
+
+    assert of("4.3.2")
+    assert of("4.5.1")
+    assert not of("4.5.1", dyn_notch_count="0")
+    assert not of("4.5.1", pid_process_denom="8")  # a loop of 1 kHz is too slow for them
+    assert not of("4.2.9")
+    assert of("4.2.9", features=str(1 << 29))
+
+
+def test_headers_before_4_6_leave_the_expo_of_the_dynamic_low_pass_out() -> None:
+    stated = BETAFLIGHT | {"gyro_lpf1_dyn_hz": "200,500"}
+    silent = betaflight_chain({k: v for k, v in stated.items() if "expo" not in k}, 1.0, column(0.5))
+    said = betaflight_chain(stated | {"gyro_lpf1_dyn_expo": "5"}, 1.0, column(0.5))
+    assert np.max(silent.steps[0].stage.hz) == np.max(said.steps[0].stage.hz)
+
+
 def test_the_throttle_moves_the_filter_in_steps_that_are_held() -> None:
     time_s = np.asarray(np.arange(100) * 0.001, dtype=np.float64)
     found = throttle_in_force(time_s, np.asarray(0.30 + 0.01 * np.arange(100) * 0.5, dtype=np.float64))
