@@ -3,26 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from flysid.errors import UsageError, WriteError
 from flysid.escaping import picture_text
 from flysid.loops.forecast import STEP_RATE_HZ, Forecast
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
-def draw_forecasts(found: Sequence[Forecast], path: Path) -> None:
-    """A row of two pictures for every axis: gain over frequency in its 95 % region, and the step.
 
-    Raises
-    ------
-    UsageError : matplotlib is not installed. WriteError : the file cannot be written.
-    """
-    try:
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        raise UsageError("a picture needs matplotlib", hint="pip install 'flysid[plot]'") from error
+def draw_forecasts(found: Sequence[Forecast]) -> Figure:
+    """A row of two pictures for every axis: gain over frequency in its 95 % region, and the step."""
+    from matplotlib.figure import Figure
+
     figure = Figure(figsize=(9.0, 3.2 * len(found)), layout="constrained")
     rows = figure.subplots(len(found), 2, squeeze=False)
     for one, (gain, step) in zip(found, rows, strict=True):
@@ -34,7 +29,4 @@ def draw_forecasts(found: Sequence[Forecast], path: Path) -> None:
         gain.set(xlabel="Hz", ylabel="dB", title=picture_text(f"{one.axis}: setpoint to rate"))
         step.set(xlabel="s", title="step of the setpoint")
         step.legend(fontsize=8)
-    try:
-        figure.savefig(path)
-    except OSError as error:
-        raise WriteError(f"cannot be written: {error.strerror}", path=path) from error
+    return figure

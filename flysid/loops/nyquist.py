@@ -4,16 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from flysid.dataset import FloatArray
-from flysid.errors import UsageError, WriteError
 from flysid.escaping import picture_text
 from flysid.loops.judged import Judged
 from flysid.loops.margins import smooth
 from flysid.loops.stick_response import ComplexArray
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,17 +47,10 @@ def curve_of(judged: Judged, *, level: float = 0.95) -> Curve | None:
     return Curve(f, centre * back, np.asarray(np.quantile(away, level, axis=0)))
 
 
-def draw_nyquist(judged: Sequence[Judged], path: Path) -> None:
-    """One curve per axis and set of gains, inside its band, in its 95 % region.
+def draw_nyquist(judged: Sequence[Judged]) -> Figure:
+    """One curve per axis and set of gains, inside its band, in its 95 % region."""
+    from matplotlib.figure import Figure
 
-    Raises
-    ------
-    UsageError : matplotlib is not installed. WriteError : the file cannot be written.
-    """
-    try:
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        raise UsageError("a picture needs matplotlib", hint="pip install 'flysid[plot]'") from error
     figure = Figure(figsize=(6.0, 6.0), layout="constrained")
     axes = figure.subplots()
     turn = np.exp(2j * np.pi * np.linspace(0.0, 1.0, 200))
@@ -72,7 +67,4 @@ def draw_nyquist(judged: Sequence[Judged], path: Path) -> None:
     axes.set(xlim=(-3.0, 1.5), ylim=(-3.0, 1.5), xlabel="real", ylabel="imaginary", aspect="equal")
     axes.set_title("Open loop; discs: 95 % region; dashed: Ms = 2")
     axes.legend(fontsize=7, loc="lower right")
-    try:
-        figure.savefig(path)
-    except OSError as error:
-        raise WriteError(f"cannot be written: {error.strerror}", path=path) from error
+    return figure
