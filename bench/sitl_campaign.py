@@ -43,7 +43,7 @@ from flysid.loops.gain_bounds import RateBounds
 from flysid.loops.known_axis import KnownAxis
 from flysid.loops.proposal import Proposal, propose
 from flysid.loops.stick_response import closed_loop
-from flysid.validate.show.pictures import save_picture
+from flysid.pictures import save_picture
 
 SETS: Sequence[Sequence[str]] = (
     (),

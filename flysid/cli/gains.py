@@ -77,8 +77,9 @@ def command(
             explain(CAUTION)
     if plot is not None and known:
         from flysid.loops.nyquist import draw_nyquist
+        from flysid.pictures import save_picture
 
-        say_drawn("Nyquist plot", plot, partial(draw_nyquist, known, plot))
+        say_drawn("Nyquist plot", plot, lambda: save_picture(draw_nyquist(known), plot))
     return 0 if known else 3
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -92,8 +91,9 @@ def command(
             explain(CAUTION)
     if plot is not None and found:
         from flysid.loops.forecast_plot import draw_forecasts
+        from flysid.pictures import save_picture
 
-        say_drawn("responses", plot, partial(draw_forecasts, found, plot))
+        say_drawn("responses", plot, lambda: save_picture(draw_forecasts(found), plot))
     for axis, why in refused.items():
         say(f"{axis}: refused: {why.message}; try: {why.hint}")
     return 0 if found else 3

@@ -3,23 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from flysid.escaping import picture_text
 from flysid.loops.forecast import STEP_RATE_HZ, Forecast
-from flysid.pictures import check_picture, save_picture
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
-def draw_forecasts(found: Sequence[Forecast], path: Path) -> None:
-    """A row of two pictures for every axis: gain over frequency in its 95 % region, and the step.
-
-    Raises
-    ------
-    UsageError : matplotlib is missing, or the ending is not known. WriteError : the file cannot be written.
-    """
-    check_picture(path)
+def draw_forecasts(found: Sequence[Forecast]) -> Figure:
+    """A row of two pictures for every axis: gain over frequency in its 95 % region, and the step."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(9.0, 3.2 * len(found)), layout="constrained")
@@ -33,4 +29,4 @@ def draw_forecasts(found: Sequence[Forecast], path: Path) -> None:
         gain.set(xlabel="Hz", ylabel="dB", title=picture_text(f"{one.axis}: setpoint to rate"))
         step.set(xlabel="s", title="step of the setpoint")
         step.legend(fontsize=8)
-    save_picture(figure, path)
+    return figure

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,7 +13,9 @@ from flysid.escaping import picture_text
 from flysid.loops.judged import Judged
 from flysid.loops.margins import smooth
 from flysid.loops.stick_response import ComplexArray
-from flysid.pictures import check_picture, save_picture
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,14 +47,8 @@ def curve_of(judged: Judged, *, level: float = 0.95) -> Curve | None:
     return Curve(f, centre * back, np.asarray(np.quantile(away, level, axis=0)))
 
 
-def draw_nyquist(judged: Sequence[Judged], path: Path) -> None:
-    """One curve per axis and set of gains, inside its band, in its 95 % region.
-
-    Raises
-    ------
-    UsageError : matplotlib is missing, or the ending is not known. WriteError : the file cannot be written.
-    """
-    check_picture(path)
+def draw_nyquist(judged: Sequence[Judged]) -> Figure:
+    """One curve per axis and set of gains, inside its band, in its 95 % region."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(6.0, 6.0), layout="constrained")
@@ -71,4 +67,4 @@ def draw_nyquist(judged: Sequence[Judged], path: Path) -> None:
     axes.set(xlim=(-3.0, 1.5), ylim=(-3.0, 1.5), xlabel="real", ylabel="imaginary", aspect="equal")
     axes.set_title("Open loop; discs: 95 % region; dashed: Ms = 2")
     axes.legend(fontsize=7, loc="lower right")
-    save_picture(figure, path)
+    return figure
