@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from flysid.dataset import FloatArray
+from flysid.model.freerun import Difference
 from flysid.model.linear.difference_equation import FittedLinear
 from flysid.model.start import estimate_start, start_window
 from tests.model_examples import data, fitted
@@ -121,3 +122,12 @@ def test_what_a_linear_model_says_of_its_start_is_what_its_runs_do(name: str, kn
         moved[i] += 1.0
         difference = model.simulate(u, moved) - still
         np.testing.assert_allclose(model.start_responses(40)[:, :, i, 0], difference, atol=1e-12)
+
+
+def test_of_an_impulse_response_no_start_is_simulated(monkeypatch: pytest.MonkeyPatch) -> None:
+    """None of its outputs comes back; with 120 taps this was most of a fit's time."""
+    model = fitted("fir")
+    assert isinstance(model, FittedLinear)
+    monkeypatch.delattr(Difference, "respond")
+    found = model.start_responses(model.n_init + 10)[:, 0, :, 0]
+    assert np.array_equal(found, np.eye(model.n_init + 10, model.n_init))
