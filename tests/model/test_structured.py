@@ -304,3 +304,9 @@ def test_an_input_without_coherence_is_refused_with_what_to_fly() -> None:
     quiet = Dataset.from_arrays(rng.standard_normal((800, 1)), rng.standard_normal((800, 1)), DT_S)
     with pytest.raises(DataError, match="too few frequencies"):
         StructuredStateSpace().fit(quiet)
+
+
+def test_an_input_without_delay_needs_no_state_of_its_own() -> None:
+    punctual = StructuredStateSpace(Plan.parse(SHORT_PERIOD.partition("[delay]")[0])).fit(flights())
+    assert len(punctual.realisation.a) == 2
+    assert len(fitted().realisation.a) == 3  # the elevator, late by a part of a sample

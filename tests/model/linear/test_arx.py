@@ -202,3 +202,16 @@ def test_a_pole_that_a_zero_nearly_cancels_is_told_as_such(zero: float, said: bo
     slow, fast = sorted(line.removeprefix("poles: ").split("; "), key=lambda mode: "0.995" not in mode)
     assert ("nearly cancels" in slow) == said
     assert "nearly cancels" not in fast
+
+
+def test_a_control_system_with_offsets_does_what_the_model_does() -> None:
+    import control
+
+    rng = np.random.default_rng(0)
+    u = 2.0 + rng.normal(size=(300, 2))
+    y = lfilter([0.0, 0.5], [1.0, -0.8], u[:, 0] - 0.6 * u[:, 1]) + 0.7
+    model = ARX(na=1, nb=1, nk=1).fit(Dataset.from_arrays(u, y, 0.1))
+    system = model.to_control("ss", offsets=True)
+    assert system.input_labels == ["u1", "u2", "one"]
+    _, found = control.forced_response(system, U=np.column_stack([u, np.ones(300)]).T)
+    np.testing.assert_allclose(np.ravel(found), model.simulate(u)[:, 0], atol=1e-9)

@@ -10,11 +10,12 @@ from scipy.signal import lfilter
 
 from bench.closed_loop import Loop, direct
 from bench.loop_margins import flown, truth
-from flysid.dataset import Dataset
+from flysid.dataset import Dataset, FloatArray, Signal
 from flysid.errors import UsageError
+from flysid.model.frequency.loop_curve import LoopCurve
 from flysid.model.frequency.loop_figures import broken_loop, command_figures, loop_figures
 from flysid.model.frequency.rational import Rational
-from flysid.model.frequency.response import measure_response
+from flysid.model.frequency.response import MeasuredResponse, measure_response
 from flysid.model.frequency.sampling import sample
 from flysid.model.transfer_function import TF
 from flysid.validate.compare.condition import matching_channels
@@ -161,3 +162,39 @@ def test_the_peak_of_a_noisy_curve_is_not_its_highest_point() -> None:
         assert found.low - 0.1 <= right <= found.high + 0.1
         signs.append(found.value > right)
     assert 0 < sum(signs) < len(signs)
+
+
+def drawn_curve(level: FloatArray, phase: FloatArray) -> MeasuredResponse:
+    """A response known to a per cent everywhere between 0.1 and 10 rad/s: ln |G| and phase in rad."""
+    count = len(level)
+    return MeasuredResponse(
+        omega=np.geomspace(0.1, 10.0, count),
+        response=np.exp(level + 1j * phase)[:, None],
+        coherence=np.full((count, 1), 0.99),
+        error=np.full((count, 1), 0.005),
+        averages=np.full((count, 1), 50.0),
+        freedom=np.full(count, 100.0),
+        correlation=np.eye(count)[None],
+        shared=0.0,
+        dt_s=0.01,
+        inputs=(Signal("u"),),
+        output=Signal("y"),
+    )
+
+
+@pytest.mark.parametrize("degrees", [-260.0, -181.0, -1.0, 80.0])
+def test_a_phase_begins_between_minus_270_and_90_degrees(degrees: float) -> None:
+    """Whatever turn the angle of a complex number is given in."""
+    phase = np.radians(np.linspace(degrees, degrees - 30.0, 60))
+    for turns in (-1, 0, 1):
+        curve = LoopCurve.of(drawn_curve(np.zeros(60), phase + 2.0 * np.pi * turns), 0)
+        assert isinstance(curve, LoopCurve)
+        np.testing.assert_allclose(np.degrees(curve.own.imag[[0, -1]]), [degrees, degrees - 30.0], atol=0.1)
+
+
+def test_bandwidth_by_phase_is_where_the_phase_passes_first() -> None:
+    """Three times it passes -135 degrees: at 0.45, 1 and 2.2 rad/s."""
+    x = np.linspace(-1.0, 1.0, 200)
+    phase = -0.75 * np.pi - 4.0 * x * (x**2 - 0.35**2)
+    found = {f.name: f for f in command_figures(drawn_curve(np.zeros(200), phase))}
+    assert found["bandwidth_phase_rads"].value == pytest.approx(10.0**-0.35, rel=0.05)
