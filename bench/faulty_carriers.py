@@ -239,7 +239,7 @@ def _own(flight: Flight, firmware: str) -> list[Rows]:
 
 def _incident(flight: Flight, firmware: str) -> list[Rows]:
     vehicle = flight.vehicle
-    if not vehicle.incident:
+    if vehicle.incident not in INCIDENTS[firmware]:
         return []
     errors, texts, mode = INCIDENTS[firmware][vehicle.incident]
     at_s = vehicle.incident_s + (1.0 if vehicle.incident == "crash" else 0.0)
