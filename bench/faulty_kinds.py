@@ -70,6 +70,7 @@ def _names_tone(text: str, flight: Flight, *, within: float = 0.06) -> bool:
     stated = [float(number) for number in re.findall(r"(\d+(?:\.\d+)?) Hz", text)]
     return (
         "ibrat" in text
+        or "does not show how fast" in text
         or _names(text, flight.vehicle.bent)
         or any(abs(hz / turned_hz - 1.0) < within for hz in stated)
     )

@@ -25,6 +25,8 @@ BACK = 1.0 / 3.0
 BACK_S = 1.0
 FALLING_M_S = 5.0
 """Faster than any landing: the fall from little more than a metre."""
+STANDS_M_S = 0.5
+"""Of an estimate that settles: what stands on the ground."""
 STOPS_S = 2.0
 """A pilot disarms so soon after a crash."""
 BEFORE_S = 5.0
@@ -155,13 +157,16 @@ def _breaks_off(flight: ClockedLog, impact_s: float, first_s: float) -> bool:
 def _lands(flight: ClockedLog, impact_s: float) -> bool:
     """Whether it came down upright and no faster than a landing that went wrong, at the end of a flight."""
     lean, down = tilt(flight), sink_speed(flight)
-    if lean is None or down is None:
+    if down is None:
         return False
-    after = lean.where((lean.time_s > impact_s - 0.5) & (lean.time_s < impact_s + 1.0))
     before = down.where((down.time_s > impact_s - 1.0) & (down.time_s <= impact_s + 0.1))
-    if not len(after) or not len(before):
+    if not len(before) or before.values.max() >= FALLING_M_S:
         return False
-    return bool(after.values.max() < UPRIGHT_DEG and before.values.max() < FALLING_M_S)
+    if lean is None:  # what hit something in the air falls, what landed stands
+        rest = down.where((down.time_s > impact_s + 0.1) & (down.time_s < impact_s + 1.0))
+        return bool(len(rest)) and float(np.abs(rest.values).max()) < STANDS_M_S
+    after = lean.where((lean.time_s > impact_s - 0.5) & (lean.time_s < impact_s + 1.0))
+    return bool(len(after)) and float(after.values.max()) < UPRIGHT_DEG
 
 
 def _never_moves(flight: ClockedLog, impact_s: float) -> bool:

@@ -38,6 +38,7 @@ def known() -> dict[str, Quadrotor]:
         "station": replace(sound, incident="station", incident_s=27.0),
         "lively": replace(sound, lively_rad=0.5),
         "loose": replace(sound, loose_m_s2=60.0),
+        "bent": replace(sound, bent=1, bent_m_s2=90.0, rpm=60.0 * 108.0 / np.sqrt(sound.hover)),
     }
 
 

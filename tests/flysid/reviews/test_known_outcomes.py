@@ -73,7 +73,9 @@ BY_DEFAULT = [
     ("starved", "copter", "The log ends in the air at 33 s", "its power was lost, or the log was cut"),
     ("station", "px4", "Failsafe at 27 s", "ground station lost"),
     ("lively", "copter", "Roll and pitch follow", ""),
+    ("lively", "px4", "Roll and pitch follow", ""),
     ("lively", "inav", "Roll and pitch follow", ""),
+    ("bent", "px4", "a log of 200 Hz does not show how fast", ""),
 ]
 
 
@@ -103,6 +105,16 @@ def test_a_log_without_its_accelerometers(
     text = first_sentence(write(trial, flights[kind], tmp_path, "log"))
     assert words in text
     assert text.index(words) < 200  # it leads
+
+
+def test_a_hard_landing_without_an_attitude_is_no_crash(
+    flights: Mapping[str, Flight], tmp_path: Path
+) -> None:
+    logging = replace(DEFAULT["px4"], lacks=frozenset({"vehicle_attitude"}))
+    trial = Trial("dropped", FAULTY["dropped"], "px4", False, logging=logging)
+    text = first_sentence(write(trial, flights["dropped"], tmp_path, "log"))
+    assert "Landed hard" in text
+    assert "Crashed" not in text
 
 
 def test_a_blackbox_without_speeds_names_the_motor_that_was_driven_up(
