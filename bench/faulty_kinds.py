@@ -178,21 +178,22 @@ def _starved(vehicle: Quadrotor, rng: Rng) -> Quadrotor:
 def _straying(vehicle: Quadrotor, rng: Rng) -> Quadrotor:
     """A compass that turns by 120 to 240 deg: it flies away, the faster the further it is."""
     at_s = rng.uniform(18.0, 30.0)
-    stated = {"incident": "yaw", "incident_s": at_s + rng.uniform(2.0, 5.0)} if rng.random() < 0.5 else {}
-    return replace(vehicle, strays_s=at_s, strays_rad=rng.uniform(2.1, 4.2), **stated)
+    stated_s = at_s + rng.uniform(2.0, 5.0) if rng.random() < 0.5 else 0.0
+    strayed = replace(vehicle, strays_s=at_s, strays_rad=rng.uniform(2.1, 4.2))
+    return replace(strayed, incident="yaw", incident_s=stated_s) if stated_s else strayed
 
 
 def _colliding(vehicle: Quadrotor, rng: Rng) -> Quadrotor:
     at_s = round(_draw_moment(rng) * RATE_HZ) / RATE_HZ
-    stated = {"incident": "crash", "incident_s": at_s + 2.5} if rng.random() < 0.5 else {}
-    return replace(vehicle, hits_s=at_s, **stated)
+    collided = replace(vehicle, hits_s=at_s)
+    return replace(collided, incident="crash", incident_s=at_s + 2.5) if rng.random() < 0.5 else collided
 
 
 def _crashing(vehicle: Quadrotor, rng: Rng) -> Quadrotor:
     """A motor that fails, and a firmware that notices the loss of thrust, or not."""
     failed = _dead_motor(vehicle, rng)
-    stated = {"incident": "thrust", "incident_s": failed.fails_s + 0.4} if rng.random() < 0.3 else {}
-    return replace(failed, **stated)
+    stated_s = failed.fails_s + 0.4
+    return replace(failed, incident="thrust", incident_s=stated_s) if rng.random() < 0.3 else failed
 
 
 def _shaking(vehicle: Quadrotor, rng: Rng) -> Quadrotor:
@@ -314,17 +315,17 @@ def draw_sound(rng: Rng) -> Quadrotor:
     if way == 2:
         return replace(vehicle, lively_rad=rng.uniform(0.35, 0.7))
     if way == 3:
-        slow = {"bandwidth_rad_s": rng.uniform(18.0, 24.0), "yaw_rad_s": rng.uniform(6.0, 8.0)}
-        built = {
-            "mass_kg": rng.uniform(8.0, 20.0),
-            "arm_m": rng.uniform(0.45, 0.7),
-            "rpm": rng.uniform(3200.0, 4500.0),
-            "torque_m": rng.uniform(0.04, 0.055),
-        }
-        cells = {
-            "cells": int(rng.integers(6, 13)),
-            "capacity_ah": rng.uniform(16.0, 30.0),
-            "resistance_ohm": 0.012,
-        }
-        return replace(vehicle, hover=rng.uniform(0.42, 0.55), **slow, **built, **cells)
+        return replace(
+            vehicle,
+            bandwidth_rad_s=rng.uniform(18.0, 24.0),
+            yaw_rad_s=rng.uniform(6.0, 8.0),
+            mass_kg=rng.uniform(8.0, 20.0),
+            arm_m=rng.uniform(0.45, 0.7),
+            rpm=rng.uniform(3200.0, 4500.0),
+            torque_m=rng.uniform(0.04, 0.055),
+            cells=int(rng.integers(6, 13)),
+            capacity_ah=rng.uniform(16.0, 30.0),
+            resistance_ohm=0.012,
+            hover=rng.uniform(0.42, 0.55),
+        )
     return replace(vehicle, hard_m_s=rng.uniform(0.4, 0.7)) if way == 4 else vehicle

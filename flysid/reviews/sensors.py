@@ -171,9 +171,9 @@ def shake_of_each(flight: LoggedFlight) -> dict[str, float]:
         return found
     for thing in flight.things("VIBE"):
         axes = [flight.quantity(f"{thing}.Vibe{axis}", unit="m/s/s", stated="m/s/s") for axis in AXES]
-        flown = [axis.where(flight.flying(axis.time_s)) for axis in axes if axis is not None]
-        if len(flown) == len(AXES) and min(map(len, flown)) >= LEAST:
-            found[flown[2].address] = float(np.sqrt(sum(np.median(axis.values) ** 2 for axis in flown)))
+        known = [axis.where(flight.flying(axis.time_s)) for axis in axes if axis is not None]
+        if len(known) == len(AXES) and min(map(len, known)) >= LEAST:
+            found[known[2].address] = float(np.sqrt(sum(np.median(axis.values) ** 2 for axis in known)))
     for topic in ("vehicle_imu_status", *(f"vehicle_imu_status#{i}" for i in range(1, MOST))):
         address = f"{topic}.accel_vibration_metric"
         metric = flight.quantity(address, unit="m/s/s", stated="m/s/s")
