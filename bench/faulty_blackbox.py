@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
+from bench.faulty_logging import TUNING, Logging
 from bench.faulty_logs import BEGIN_US, follow, geodetic, in_the_air, rate_gains
 from bench.faulty_quadrotor import FILTER_HZ, GRAVITY, RATE_HZ, Flight
 from flysid.dataset import FloatArray
@@ -35,25 +36,29 @@ SLOW = Fields(
 RELAXED, LOST, LANDING = 0, 1, 2
 CRASH_M_S2, DISARMS_S = 80.0, 1.2
 """A pilot disarms so soon after a blow of this size."""
+IDLE, HOLDING = 1.0, 7.0
+"""INAV's navState: a pilot flies, or it holds its position."""
 LOSS_S = 1.0
 """From the loss of the radio to the failsafe's landing."""
 DISARM = {"betaflight": (4, 1), "inav": (4, 6)}
 """Reasons: by switch, by the failsafe."""
 
 
-def blackbox_bytes(flight: Flight, firmware: str, *, rpm: bool = True) -> bytes:
+def blackbox_bytes(flight: Flight, firmware: str, *, rpm: bool = True, logging: Logging = TUNING) -> bytes:
     """The whole log.
 
     Parameters
     ----------
     firmware : "betaflight" or "inav".
     rpm : the ESCs tell how fast they turn; INAV does not log it.
+    logging : which fields are logged.
     """
-    return b"".join(_pieces(flight, firmware, rpm))
+    return b"".join(_pieces(flight, firmware, rpm, logging))
 
 
-def _pieces(flight: Flight, firmware: str, rpm: bool) -> Iterator[bytes]:
-    columns = _betaflight(flight, rpm) if firmware == "betaflight" else _inav(flight)
+def _pieces(flight: Flight, firmware: str, rpm: bool, logging: Logging) -> Iterator[bytes]:
+    every = _betaflight(flight, rpm) if firmware == "betaflight" else _inav(flight)
+    columns = {name: values for name, values in every.items() if logging.holds(name)}
     names = ["loopIteration", "time", *columns]
     signed = [0, 0] + [1] * len(columns)
     codes = [1, 1] + [int(SIGNED)] * len(columns)
@@ -62,14 +67,14 @@ def _pieces(flight: Flight, firmware: str, rpm: bool) -> Iterator[bytes]:
     gps = Fields(list(fixes), [1] * len(fixes), [0] * len(fixes), [int(SIGNED)] * len(fixes))
     kinds = (
         {"I": main, "P": main, "G": gps, "S": SLOW}
-        if firmware == "inav"
+        if firmware == "inav" and logging.holds("GPS")
         else {"I": main, "P": main, "S": SLOW}
     )
     writer = Writer(kinds, _settings(flight, firmware))
     yield from writer.header()
     first, last = flight.armed_s
     hit = np.flatnonzero(np.linalg.norm(flight["force"], axis=1) > CRASH_M_S2)
-    if flight.vehicle.fails_s and len(hit):
+    if (flight.vehicle.fails_s or flight.vehicle.hits_s) and len(hit):
         last = min(last, float(flight.time_s[hit[0]]) + DISARMS_S)
     rows = np.flatnonzero((flight.time_s >= first) & (flight.time_s < last))
     table = np.round(np.stack([values[rows] for values in columns.values()], axis=1)).astype(int).tolist()
@@ -145,7 +150,7 @@ def _inav(flight: Flight) -> dict[str, FloatArray]:
         **_axes("navPos", flight["position"] * centi),
         **_axes("navVel", flight["velocity"] * centi),
         **_axes("navTgtPos", flight["wanted_position"] * centi),
-        "navState": np.full(len(flight.time_s), 7.0),
+        "navState": np.full(len(flight.time_s), IDLE if flight.vehicle.lively_rad else HOLDING),
         "vbat": 100.0 * _battery(flight),
         "amperage": 100.0 * flight["current"],
     }

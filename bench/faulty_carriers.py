@@ -27,7 +27,9 @@ from bench.faulty_dataflash import (
     XKF4,
     moments,
     rows_of,
+    thin,
 )
+from bench.faulty_logging import TUNING, Logging
 from bench.faulty_logs import (
     BEGIN_US,
     DEGREE,
@@ -81,6 +83,8 @@ INCIDENTS: dict[str, dict[str, tuple[list[tuple[int, int]], list[str], int]]] = 
 def travel(vehicle: Quadrotor, firmware: str) -> Flight:
     """What it did, and what its sensors gave."""
     rng = np.random.default_rng(vehicle.seed)
+    full_a = 25.0 if firmware == PLANE else 12.0
+    vehicle = replace(vehicle, wires=vehicle.wires * vehicle.hover_a / (0.45 * full_a))
     time_s = np.arange(0.0, SECONDS, 1.0 / RATE_HZ)
     moving = np.clip((time_s - START_S) / 3.0, 0.0, 1.0) * np.clip((END_S - time_s) / 3.0, 0.0, 1.0)
     stopped_s = vehicle.incident_s if vehicle.incident == "crash" else np.inf
@@ -97,7 +101,7 @@ def travel(vehicle: Quadrotor, firmware: str) -> Flight:
     rates = np.gradient(attitude, 1.0 / RATE_HZ, axis=0)
     throttle = np.clip(0.45 * moving + 0.05 * climb * moving, 0.0, 1.0)
     turns = (time_s < vehicle.fails_s) | (vehicle.fails_s == 0.0)
-    current = (25.0 if firmware == PLANE else 12.0) * throttle * turns + 0.5
+    current = full_a * throttle * turns + 0.5
     used = np.cumsum(current) / RATE_HZ / 3600.0
     voltage = vehicle.cells * (4.15 - 0.65 * used / vehicle.capacity_ah) - vehicle.resistance_ohm * current
     tone = np.sin(2.0 * np.pi * np.cumsum(40.0 + 60.0 * throttle) / RATE_HZ)
@@ -132,9 +136,9 @@ def travel(vehicle: Quadrotor, firmware: str) -> Flight:
     return cut_off(replace(flight, columns=columns | receive(flight, rng)))
 
 
-def carrier_bytes(flight: Flight, firmware: str, *, imu_hz: float = 50.0) -> bytes:
+def carrier_bytes(flight: Flight, firmware: str, *, imu_hz: float = 50.0, logging: Logging = TUNING) -> bytes:
     """The whole log."""
-    tables = [*_common(flight, imu_hz), *_own(flight, firmware), *_incident(flight, firmware)]
+    tables = thin([*_common(flight, imu_hz), *_own(flight, firmware), *_incident(flight, firmware)], logging)
     _, kind, row = in_sending_order(*(t["TimeUS"].astype(np.int64) * 1000 for t in tables))
     raw = [as_bytes(t) for t in tables]
     kinds = (*(k for k in KINDS if k.name != "CTUN" or firmware != PLANE), *OF[firmware])
@@ -235,7 +239,7 @@ def _own(flight: Flight, firmware: str) -> list[Rows]:
 
 def _incident(flight: Flight, firmware: str) -> list[Rows]:
     vehicle = flight.vehicle
-    if not vehicle.incident:
+    if vehicle.incident not in INCIDENTS[firmware]:
         return []
     errors, texts, mode = INCIDENTS[firmware][vehicle.incident]
     at_s = vehicle.incident_s + (1.0 if vehicle.incident == "crash" else 0.0)

@@ -3,18 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
+from bench.faulty_logging import TUNING, Logging
 from bench.faulty_logs import (
+    ACRO,
     AIR_S,
     BEGIN_US,
     DEGREE,
     LOITER,
     Rows,
     clips,
+    compass_ratio,
     fill,
+    follow,
     geodetic,
     gps_ratio,
     in_the_air,
@@ -22,7 +27,7 @@ from bench.faulty_logs import (
     rate_gains,
     vibration_level,
 )
-from bench.faulty_quadrotor import EXPO, FILTER_HZ, GROUND_S, RATE_HZ, SECONDS, SLOPE_HZ, Flight
+from bench.faulty_quadrotor import EXPO, FILTER_HZ, GROUND_S, RATE_HZ, SLOPE_HZ, Flight
 from flysid.ingest.synth.telemetry import as_bytes, in_sending_order
 from flysid.ingest.synth.writers import dataflash
 from flysid.ingest.synth.writers.dataflash import MessageKind, definitions, message_bytes
@@ -101,22 +106,29 @@ KINDS = (
     ERR,
     *PSC,
 )
+NAMES = {kind.number: kind.name for kind in KINDS}
 
 
-def dataflash_bytes(flight: Flight, *, rpm: bool = True, imu_hz: float = RATE_HZ) -> bytes:
+def dataflash_bytes(
+    flight: Flight, *, rpm: bool = True, imu_hz: float = RATE_HZ, logging: Logging = TUNING
+) -> bytes:
     """The whole log of ArduCopter.
 
     Parameters
     ----------
     rpm : the ESCs tell how fast they turn.
     imu_hz : rate of IMU.
+    logging : what is logged, and how often.
     """
-    tables = _ardupilot_tables(flight, rpm, imu_hz)
+    if flight.vehicle.lively_rad:  # nothing holds its position
+        logging = replace(logging, lacks=logging.lacks | {"PSCN", "PSCE"})
+    tables = thin(_ardupilot_tables(flight, rpm, logging.rate_of("IMU", imu_hz), logging.accel_hz), logging)
     _, kind, row = in_sending_order(*(t["TimeUS"].astype(np.int64) * 1000 for t in tables))
     raw = [as_bytes(t) for t in tables]
     text = message_bytes(dataflash.MSG, BEGIN_US, b"ArduCopter V4.5.7 (simulated)")
     frame = message_bytes(dataflash.MSG, BEGIN_US, b"Frame: QUAD/X")
-    mode = message_bytes(dataflash.MODE, BEGIN_US, LOITER, LOITER, 1)
+    number = ACRO if flight.vehicle.lively_rad else LOITER
+    mode = message_bytes(dataflash.MODE, BEGIN_US, number, number, 1)
     stated = [message_bytes(PARM, BEGIN_US, n.encode(), v) for n, v in ardupilot_parameters(flight).items()]
     rows = (raw[k][r] for k, r in zip(kind.tolist(), row.tolist(), strict=True))
     return b"".join([definitions(KINDS, BEGIN_US), text, frame, *stated, mode, *rows])
@@ -155,7 +167,20 @@ def ardupilot_parameters(flight: Flight) -> dict[str, float]:
     }
 
 
-def _ardupilot_tables(flight: Flight, rpm: bool, imu_hz: float) -> list[Rows]:
+def thin(tables: Sequence[Rows], logging: Logging) -> list[Rows]:
+    """The messages that are logged, at their rates."""
+    kept = []
+    for rows in tables:
+        name = NAMES.get(int(rows["_type"][0]), "") if len(rows) else ""
+        if not len(rows) or not logging.holds(name):
+            continue
+        rate_hz = (len(rows) - 1) / max(1e-6 * float(rows["TimeUS"][-1] - rows["TimeUS"][0]), 1e-6)
+        every = round(rate_hz / logging.rate_of(name, rate_hz)) if name in logging.rates else 1
+        kept.append(np.ascontiguousarray(rows[:: max(1, every)]))
+    return kept
+
+
+def _ardupilot_tables(flight: Flight, rpm: bool, imu_hz: float, accel_hz: float) -> list[Rows]:
     degrees = {n: np.degrees(flight[n]) for n in ("attitude", "wanted_attitude", "rates", "wanted_rates")}
     angles, wanted = degrees["attitude"], degrees["wanted_attitude"]
     lat, lon, height = geodetic(flight)
@@ -244,7 +269,7 @@ def _ardupilot_tables(flight: Flight, rpm: bool, imu_hz: float) -> list[Rows]:
                 "SV": 10 + 10 * np.minimum(ratio, 1),
                 "SP": 100 * np.minimum(ratio, 300),
                 "SH": 8,
-                "SM": 6,
+                "SM": 100 * compass_ratio(flight),
                 "SVT": 0,
             },
         ),
@@ -295,13 +320,17 @@ def _ardupilot_tables(flight: Flight, rpm: bool, imu_hz: float) -> list[Rows]:
         moments(
             flight,
             EV,
-            [(at, {"Id": i}) for at, i in ((1.0, 10), (GROUND_S, 28), (AIR_S[1], 18), (SECONDS - 1.0, 11))],
+            [
+                (at, {"Id": i})
+                for at, i in ((1.0, 10), (GROUND_S, 28), (AIR_S[1], 18), (flight.armed_s[1], 11))
+            ],
         ),
-        moments(flight, ARM, [(1.0, {"ArmState": 1}), (SECONDS - 1.0, {"ArmState": 0})]),
+        moments(flight, ARM, [(1.0, {"ArmState": 1}), (flight.armed_s[1], {"ArmState": 0})]),
         *incident_rows(flight),
     ]
     for i, name in enumerate(("accel", "accel_2")):
         accel, gyro = flight[name], flight["gyro"]
+        felt = follow(accel, accel_hz) if accel_hz else accel
         tables.append(
             rows_of(
                 flight,
@@ -310,7 +339,7 @@ def _ardupilot_tables(flight: Flight, rpm: bool, imu_hz: float) -> list[Rows]:
                 {
                     "I": i,
                     **{f"Gyr{a}": gyro[:, j] for j, a in enumerate("XYZ")},
-                    **{f"Acc{a}": accel[:, j] for j, a in enumerate("XYZ")},
+                    **{f"Acc{a}": felt[:, j] for j, a in enumerate("XYZ")},
                 },
             )
         )
@@ -371,8 +400,12 @@ INCIDENTS: Mapping[str, tuple[Sequence[tuple[int, int]], Sequence[str], int]] = 
     "radio": ([(5, 1)], ["Radio Failsafe"], 6),
     "EKF": ([(16, 2), (17, 1)], ["EKF variance", "EKF Failsafe: changed to LAND Mode"], 9),
     "fence": ([(9, 2)], ["Fence Breached"], 6),
+    "station": ([(8, 1)], ["GCS Failsafe"], 6),
+    "thrust": ([(25, 1)], ["Potential Thrust Loss (1)"], 0),
+    "yaw": ([(16, 2)], ["EKF3 IMU0 MAG0 ground mag anomaly, yaw re-aligned", "EKF variance"], 0),
+    "crash": ([(12, 1)], ["Crash: Disarming: AngErr=72>30, Accel=1.9<3.0"], 0),
 }
-"""Incident -> errors, messages, and the mode that ArduCopter changes to."""
+"""Incident -> errors, messages, and the mode that ArduCopter changes to; 0 for none."""
 
 
 def incident_rows(flight: Flight) -> list[Rows]:
@@ -385,5 +418,9 @@ def incident_rows(flight: Flight) -> list[Rows]:
     return [
         moments(flight, ERR, [(at_s, {"Subsys": s, "ECode": code}) for s, code in errors]),
         moments(flight, dataflash.MSG, [(at_s, {"Message": text.encode()}) for text in texts]),
-        moments(flight, dataflash.MODE, [(at_s + 0.05, {"Mode": mode, "ModeNum": mode, "Rsn": 3})]),
+        *(
+            [moments(flight, dataflash.MODE, [(at_s + 0.05, {"Mode": mode, "ModeNum": mode, "Rsn": 3})])]
+            if mode
+            else []
+        ),
     ]

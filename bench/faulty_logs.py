@@ -31,6 +31,7 @@ EARTH_M = 6_371_000.0
 HOME = (47.4, 8.5, 450.0)
 FIELD_G = np.array([0.22, 0.01, 0.42])
 LOITER, POSITION = 5, 2
+ACRO, PX4_ACRO = 1, 10
 
 
 def rate_gains(flight: Flight) -> dict[str, tuple[float, float, float]]:
@@ -69,6 +70,14 @@ def gps_ratio(flight: Flight) -> FloatArray:
     """(N,) how far the GPS lies from the estimate, over the gate of 5 standard deviations of half a metre."""
     ratio: FloatArray = np.linalg.norm(flight["gps"] - flight["position"], axis=1) / 2.5
     return ratio
+
+
+def compass_ratio(flight: Flight) -> FloatArray:
+    """(N,) how far the heading lies from the compass, over its gate: a wrong one is doubted, then taken."""
+    vehicle = flight.vehicle
+    since_s = flight.time_s - vehicle.strays_s
+    strayed = (vehicle.strays_s > 0.0) & (since_s >= 0.0)
+    return np.where(strayed, 0.06 + 1.4 * np.exp(-np.clip(since_s, 0.0, None) / 6.0), 0.06)
 
 
 def geodetic(flight: Flight) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
 
 import numpy as np
+from scipy import signal
 
 from flysid.dataset import FloatArray
 
@@ -68,6 +69,10 @@ class Quadrotor:
     wires : change of the magnetic field per ampere, as a share of the earth's.
     hard_m_s : speed at touch-down; 0 for a soft one.
     incident, incident_s : what the firmware acts on ("battery", "radio", "EKF", "fence"), and when.
+    strays_s, strays_rad : when the compass turns, for good, and how far; 0 for never.
+    hits_s : when it flies into something; 0 for never.
+    lively_rad : how far a pilot leans it to and fro all the time; 0 where it holds its position.
+    warns : the board's supply sags before it goes.
     """
 
     seed: int
@@ -109,6 +114,16 @@ class Quadrotor:
     hard_m_s: float = 0.0
     incident: str = ""
     incident_s: float = 0.0
+    strays_s: float = 0.0
+    strays_rad: float = 0.0
+    hits_s: float = 0.0
+    lively_rad: float = 0.0
+    warns: bool = True
+
+    @property
+    def hover_a(self) -> float:
+        """Current that hovering draws."""
+        return float(self.mass_kg * GRAVITY * POWER_W_N * np.sqrt(self.hover) / (3.9 * self.cells))
 
     @property
     def stated_hover(self) -> float:
@@ -211,6 +226,7 @@ class _Bodies:
         self.headings = np.stack([_headings(rng) for rng in self.rng])
         self.turning = RATE_HZ * np.diff(self.headings, axis=1, prepend=0.0)
         self.noise = np.stack([rng.normal(size=(int(SECONDS * RATE_HZ), 6)) for rng in self.rng])
+        self.tossed = np.stack([_toss(rng) for rng in self.rng])
         self.wanted = np.zeros((n, 3))
 
     def step(self, time_s: float) -> dict[str, FloatArray]:
@@ -226,7 +242,10 @@ class _Bodies:
         self.lift += 0.5 * error * self.dt if flying else 0.0
         push = self.of["velocity"][:, None] * error + self.lift
         push[:, :2] = np.clip(push[:, :2], -5.0, 5.0)
-        yaw = self.euler[:, 2]
+        strayed = (self.of["strays_s"] > 0.0) & (time_s >= self.of["strays_s"])
+        off = np.where(strayed, self.of["strays_rad"], 0.0)
+        believed = self.euler + off[:, None] * np.array([0.0, 0.0, 1.0])
+        yaw = believed[:, 2]
         c, s = np.cos(yaw), np.sin(yaw)
         ahead, aside = c * push[:, 0] + s * push[:, 1], -s * push[:, 0] + c * push[:, 1]
         up = np.maximum(GRAVITY - push[:, 2], 2.0)
@@ -234,7 +253,9 @@ class _Bodies:
         leaning = np.stack(
             [np.arctan2(aside, up), -np.arctan2(ahead, up), yaw + np.clip(turned, -0.8, 0.8)], axis=1
         )
-        rates = self.of["attitude"][:, None] * (leaning - self.euler)
+        tosses = self.of["lively_rad"] > 0.0
+        leaning[tosses, :2] = (self.of["lively_rad"][:, None] * self.tossed[:, i])[tosses]
+        rates = self.of["attitude"][:, None] * (leaning - believed)
         rates[:, 2] = self.turning[:, i] + 0.5 * self.of["attitude"] * (leaning[:, 2] - yaw)
         rates[:, 2] = np.clip(rates[:, 2], -1.2, 1.2)
         rates = np.clip(rates, -3.5, 3.5)
@@ -251,13 +272,14 @@ class _Bodies:
         slips &= late_s % SLIP_EVERY_S < self.of["slip_s"]
         whole, self.effect[slips, 1] = self.effect[:, 1].copy(), 0.0
         self.blow[:] = 0.0
+        self._collide(time_s)
         self._move(throttles, noise, flying)
         self.effect[:, 1] = whole
         self._hit_ground(flying)
         return {
             "position": self.p.copy(),
             "velocity": self.v.copy(),
-            "attitude": self.euler.copy(),
+            "attitude": believed,
             "rates": self.w.copy(),
             "wanted_position": self.wanted.copy(),
             "wanted_velocity": velocity,
@@ -274,10 +296,18 @@ class _Bodies:
             "wanted_thrust": thrusts.mean(axis=1),
         }
 
+    def _collide(self, time_s: float) -> None:
+        """Who hits something tumbles, with two propellers broken."""
+        now = (self.of["hits_s"] > 0.0) & (np.abs(time_s - self.of["hits_s"]) < 0.5 * self.dt)
+        self.blow[now] = np.linalg.norm(self.v[now], axis=1) / 0.02 + 80.0
+        self.v[now] *= -0.3
+        self.w[now] += np.array([9.0, 5.0, 4.0])
+        self.effect[now, :2] = 0.15
+
     def _hit_ground(self, flying: bool) -> None:
         """Who falls on the ground stays there; the blow takes its speed away in 20 ms."""
         hits = ~self.lying & (self.p[:, 2] > 0.3) & (self.v[:, 2] > 2.0) & flying
-        self.blow[hits] = self.v[hits, 2] / 0.02
+        self.blow[hits] += self.v[hits, 2] / 0.02
         self.lying |= hits
         self.v[self.lying] = 0.0
         self.w[self.lying] = 0.0
@@ -401,19 +431,20 @@ def _headings(rng: np.random.Generator) -> FloatArray:
     return headings
 
 
+def _toss(rng: np.random.Generator) -> FloatArray:
+    """(N, 2) of roll and pitch, -1 to 1: what a pilot leans to, another way every second or so."""
+    steps = int(SECONDS * RATE_HZ)
+    targets = np.zeros((steps, 2))
+    at = GROUND_S + CLIMB_S
+    while at < SECONDS - GROUND_S - 2.0:
+        targets[int(at * RATE_HZ) :] = rng.uniform(-1.0, 1.0, 2)
+        at += rng.uniform(0.4, 1.2)
+    targets[int((SECONDS - GROUND_S - 2.0) * RATE_HZ) :] = 0.0
+    found: FloatArray = signal.lfilter([0.03], [1.0, -0.97], targets, axis=0)
+    return found
+
+
 def _blend(cutoff_hz: float) -> float:
     """How far a filter of first order moves in one period."""
     turn = 2.0 * np.pi * cutoff_hz / RATE_HZ
     return turn / (1.0 + turn)
-
-
-def critical_gain(vehicle: Quadrotor) -> float:
-    """The factor on the gains of roll and pitch at which the rate loop begins to oscillate by itself."""
-    w = np.geomspace(5.0, 600.0, 4000)
-    s = 1j * w
-    filters = 1.0 / (1.0 + s / (2.0 * np.pi * FILTER_HZ)) ** 2
-    control = 1.0 + INTEGRAL / s + DAMPING_S * s / (1.0 + s / (2.0 * np.pi * SLOPE_HZ))
-    late = np.exp(-s * (DELAY + 0.5) / RATE_HZ) / (1.0 + s * vehicle.lag_s)
-    loop = vehicle.bandwidth_rad_s / s * control * filters * late
-    turned = np.unwrap(np.angle(loop))
-    return float(1.0 / np.interp(np.pi, -turned, np.abs(loop)))

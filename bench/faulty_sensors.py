@@ -24,6 +24,8 @@ FLIES_OFF = 1.35
 """Speed of a motor without its propeller, over that with it."""
 TOUCH_S, BLOW_S = 0.8, 0.03
 """The land detector takes so long; the blow of a landing lasts so long."""
+BLOW_M_S2 = 80.0
+"""Of the ground, and of nothing in flight."""
 EARTH_G = 0.48
 
 
@@ -33,12 +35,19 @@ def fly(vehicles: Sequence[Quadrotor]) -> list[Flight]:
 
 
 def cut_off(flight: Flight) -> Flight:
-    """Until the board's supply is gone."""
-    last_s = flight.vehicle.browns_s
+    """Until the board's supply is gone, or until its pilot disarms it on the ground that it hit."""
+    vehicle = flight.vehicle
+    last_s, armed_s = vehicle.browns_s, flight.armed_s
+    if vehicle.fails_s or vehicle.hits_s:
+        blows = np.flatnonzero(np.linalg.norm(flight["accel"], axis=1) > BLOW_M_S2)
+        if len(blows):
+            disarmed_s = flight.time_s[blows[-1]] + np.random.default_rng(vehicle.seed + 2).uniform(1.5, 5.0)
+            armed_s, last_s = (armed_s[0], min(armed_s[1], disarmed_s)), min(SECONDS, disarmed_s + 0.5)
     if not last_s:
         return flight
     n = int(last_s * RATE_HZ)
-    return replace(flight, time_s=flight.time_s[:n], columns={k: v[:n] for k, v in flight.columns.items()})
+    columns = {k: v[:n] for k, v in flight.columns.items()}
+    return replace(flight, time_s=flight.time_s[:n], columns=columns, armed_s=armed_s)
 
 
 def measure(flight: Flight) -> Flight:
@@ -64,7 +73,7 @@ def measure(flight: Flight) -> Flight:
         accel = accel + (rattle * strong[:, 0])[:, None] * np.array([0.6, 0.6, 1.0])
     gyro = flight["rates"] + 0.01 * shake + 0.01 * strong * rng.normal(size=(n, 3))
     left_s = vehicle.browns_s - flight.time_s if vehicle.browns_s else np.full(n, np.inf)
-    board = 5.12 - 0.6 * np.clip(BROWNING_S - left_s, 0.0, BROWNING_S)
+    board = 5.12 - 0.6 * vehicle.warns * np.clip(BROWNING_S - left_s, 0.0, BROWNING_S)
     sensed = {
         "board": board,
         "rpm": rpm,

@@ -8,12 +8,15 @@ from typing import Any
 
 import numpy as np
 
+from bench.faulty_logging import TUNING, Logging
 from bench.faulty_logs import (
     BEGIN_US,
     HOME,
     POSITION,
+    PX4_ACRO,
     Rows,
     clips,
+    compass_ratio,
     fill,
     follow,
     geodetic,
@@ -95,7 +98,12 @@ TOPICS: dict[str, tuple[float, Fields]] = {
             *STAMP,
             *(
                 (name, "?")
-                for name in ("manual_control_signal_lost", "geofence_breached", "local_velocity_invalid")
+                for name in (
+                    "manual_control_signal_lost",
+                    "gcs_connection_lost",
+                    "geofence_breached",
+                    "local_velocity_invalid",
+                )
             ),
             ("battery_warning", "u1"),
         ],
@@ -107,12 +115,13 @@ SECOND = ("vehicle_imu_status",)
 """Topics of which there are two."""
 
 
-def ulog_bytes(flight: Flight, *, second: bool = True) -> bytes:
+def ulog_bytes(flight: Flight, *, second: bool = True, logging: Logging = TUNING) -> bytes:
     """The whole log of PX4; with its second accelerometer or without."""
     columns = _px4_columns(flight)
-    tables = {name: _topic(flight, name, columns[name]) for name in TOPICS}
-    if second:
-        tables |= {f"{name}#1": _topic(flight, name, columns[f"{name}#1"]) for name in SECOND}
+    lacks = {"vehicle_local_position_setpoint"} if flight.vehicle.lively_rad else set()
+    logged = [name for name in TOPICS if logging.holds(name) and name not in lacks]
+    seconds = [f"{name}#1" for name in SECOND if second and name in logged]
+    tables = {name: _topic(flight, name, columns[name], logging) for name in [*logged, *seconds]}
     layouts = {name: TOPICS[name.partition("#")[0]][1] for name in tables}
     facts = {"sys_name": "PX4", "ver_hw": "SIMULATED", "sys_uuid": f"{flight.vehicle.seed:024d}"}
     parts = [preamble(layouts, facts, BEGIN_US, parameters=px4_parameters(flight))]
@@ -216,7 +225,7 @@ def _px4_columns(flight: Flight) -> dict[str, dict[str, Any]]:
             "satellites_used": flight["satellites"],
         },
         "estimator_status": {
-            "hdg_test_ratio": 0.05,
+            "hdg_test_ratio": compass_ratio(flight),
             "vel_test_ratio": 0.1,
             "pos_test_ratio": ratio,
             "hgt_test_ratio": 0.07,
@@ -238,13 +247,18 @@ def _px4_columns(flight: Flight) -> dict[str, dict[str, Any]]:
         },
         "system_power": {"voltage5v_v": flight["board"]},
         "vehicle_status": {
-            "nav_state": np.where(acts, INCIDENTS.get(vehicle.incident, ("", 0))[1], POSITION),
+            "nav_state": np.where(
+                acts,
+                INCIDENTS.get(vehicle.incident, ("", 0))[1],
+                PX4_ACRO if vehicle.lively_rad else POSITION,
+            ),
             "arming_state": np.where(armed, 2, 1),
             "failure_detector_status": 0,
-            "failsafe": acts,
+            "failsafe": acts & (vehicle.incident not in ADVISORY),
         },
         "failsafe_flags": {
             "manual_control_signal_lost": happens["radio"],
+            "gcs_connection_lost": happens["station"],
             "geofence_breached": happens["fence"],
             "local_velocity_invalid": happens["EKF"],
             "battery_warning": 2 * happens["battery"],
@@ -259,24 +273,30 @@ INCIDENTS = {
     "radio": ("Manual control signal lost", 5),
     "EKF": ("Position estimate invalid", 12),
     "fence": ("Geofence breached", 5),
+    "station": ("Connection to ground control station lost", 5),
+    "yaw": ("Emergency yaw reset - magnetometer use stopped", POSITION),
 }
 """Incident -> PX4's message, and the state of navigation that it changes to."""
+ADVISORY = ("yaw", "crash", "thrust")
+"""Incidents in which PX4 does not act."""
 
 
 def _messages(flight: Flight) -> Iterator[bytes]:
     """What PX4 states of an incident."""
     vehicle = flight.vehicle
-    if not vehicle.incident:
+    if vehicle.incident not in INCIDENTS:
         return
     stamp = struct.pack("<Q", BEGIN_US + round(1e6 * vehicle.incident_s))
     reason, _ = INCIDENTS[vehicle.incident]
-    for text in (f"[health_and_arming_checks] {reason}\t", "[failsafe] Failsafe activated\t"):
+    acted = () if vehicle.incident in ADVISORY else ("[failsafe] Failsafe activated\t",)
+    for text in (f"[health_and_arming_checks] {reason}\t", *acted):
         yield record("L", b"4" + stamp + text.encode())
 
 
-def _topic(flight: Flight, name: str, values: Mapping[str, Any]) -> Rows:
-    rate_hz, fields = TOPICS[name.partition("#")[0]]
-    at = slice(None, None, round(RATE_HZ / rate_hz))
+def _topic(flight: Flight, name: str, values: Mapping[str, Any], logging: Logging) -> Rows:
+    topic = name.partition("#")[0]
+    rate_hz, fields = TOPICS[topic]
+    at = slice(None, None, round(RATE_HZ / logging.rate_of(topic, rate_hz)))
     time_us = BEGIN_US + np.round(1e6 * flight.time_s[at]).astype(np.int64)
     rows: Rows = np.zeros(len(time_us), dtype=row_type(fields))
     for stamp in {"timestamp", "timestamp_sample"} & set(rows.dtype.names or ()):

@@ -127,9 +127,10 @@ class Shaking:
     def may_fold(self, peak: Peak) -> bool:
         """Whether the peak may be a faster tone: one that filters pass, and that a vehicle can shake by."""
         faster_hz = peak.folded(8.0 * peak.nyquist_hz)[0]
-        if self.is_raw or 2.0 * np.pi * faster_hz * peak.rms > HARDEST_SHAKE:
+        shown, folded = (2.0 * np.pi * hz * peak.rms for hz in (peak.hz, faster_hz))
+        if self.is_raw or shown <= HARDEST_SHAKE < folded:  # a harder one excludes neither
             return False
         if self.gyro.best is self.gyro.raw or self.chain is None:
             return True
-        shown, faster = np.abs(self.chain.response(np.array([peak.hz, faster_hz])))
-        return bool(faster > 0.1 * shown)
+        passed, faster = np.abs(self.chain.response(np.array([peak.hz, faster_hz])))
+        return bool(faster > 0.1 * passed)

@@ -18,6 +18,7 @@ from flysid.reviews.causes import Cause, rank_causes
 from flysid.reviews.fact import Fact, Finding, Grade, Section, Table
 from flysid.reviews.failures import Failure, stated_failures
 from flysid.reviews.figures import absent, fact_of
+from flysid.reviews.flyaway import Flyaway, find_flyaway
 from flysid.reviews.landing import HardLanding, find_hard_landing
 from flysid.reviews.logged import LoggedFlight
 from flysid.reviews.motor_loss import first_lasting
@@ -64,6 +65,11 @@ class Story:
     def landing(self) -> HardLanding | None:
         """A hard one, where it did not crash."""
         return find_hard_landing(self.flight) if self.crash is None else None
+
+    @cached_property
+    def flyaway(self) -> Flyaway | None:
+        """From the position that it was to hold, before anything ended the flight."""
+        return find_flyaway(self.flight)
 
     @property
     def ended_badly(self) -> bool:
@@ -114,6 +120,7 @@ def _facts(story: Story) -> Iterator[Fact]:
     yield fact_of("happened.failsafes", words, grade=grade, at_s=first_s)
     yield fact_of("happened.parameter_changes", "; ".join(e.text for e in story.changed[:3]) or "none")
     yield from _departure(flight)
+    yield from [story.flyaway.fact] if story.flyaway else ()
     yield from _impact(story)
     if crash is not None and np.isfinite(crash.tipped_s):
         yield fact_of("happened.tipped_over", crash.tipped_s, grade=Grade.BAD, at_s=crash.tipped_s)
@@ -143,7 +150,7 @@ def _departure(flight: LoggedFlight) -> Iterator[Fact]:
 
 def _impact(story: Story) -> Iterator[Fact]:
     key, crash, landing = "happened.impact", story.crash, story.landing
-    if crash is not None:
+    if crash is not None and np.isfinite(crash.impact_s):
         fields, at_s = (crash.field,), crash.impact_s
         which = "hardest impact"
         yield fact_of(key, crash.impact_m_s2, fields, at_s=at_s, grade=Grade.BAD, which=which)
@@ -166,20 +173,19 @@ def _impact(story: Story) -> Iterator[Fact]:
 def _findings(story: Story) -> Iterator[Finding]:
     flight, crash, landing = story.flight, story.crash, story.landing
     likely = f"likely cause: {story.causes[0].evidence}" if story.causes else "the cause is not determined"
+    named = f": {story.causes[0].name}" if story.causes and story.causes[0].weight >= LIKELY else ""
     if crash is not None:
-        impact = f"impact {crash.impact_m_s2:.0f} m/s2 at {crash.impact_s:.1f} s"
-        tipped = np.isfinite(crash.tipped_s)
-        text = f"Tipped over at {crash.tipped_s:.0f} s, {impact}" if tipped else f"Crashed: {impact}"
-        if story.causes and story.causes[0].weight >= LIKELY:
-            text = f"{text}: {story.causes[0].name}"
-        yield Finding(text, Grade.BAD, 1.0, "happened.impact", likely)
+        evidence = "happened.impact" if np.isfinite(crash.impact_s) else "happened.departure"
+        yield Finding(f"{_crash_words(crash)}{named}", Grade.BAD, 1.0, evidence, likely)
     elif story.ended_badly:
         last = next(
             m for m in flight.failures if m.ends and flight.clock.seconds(m.boot, m.span[0]) == flight.ends_s
         )
         way = "drive" if _drives(flight) else "flight"
-        text = f"The {way} ended badly at {flight.ends_s:.0f} s: {last.what}"
-        yield Finding(text, Grade.BAD, 1.0, "happened.cause", likely)
+        text = f"The {way} ended badly at {flight.ends_s:.0f} s{named or f': {last.what}'}"
+        more = f"{last.what}; {likely}" if named else likely
+        yield Finding(text, Grade.BAD, 1.0, "happened.cause", more)
+    yield from [story.flyaway.finding] if story.flyaway else ()
     yield from _failure_finding(story)
     if landing is not None:
         grade = landing.grade
@@ -188,6 +194,15 @@ def _findings(story: Story) -> Iterator[Finding]:
         yield Finding(text, grade, 0.75, "happened.landing", more)
     if crash is None and _ends_in_the_air(story):
         yield _cut_off(story)
+
+
+def _crash_words(crash: Crash) -> str:
+    """ "Tipped over at 35 s, impact 392 m/s2 at 35.8 s"."""
+    if not np.isfinite(crash.impact_s):
+        return f"Crashed at {crash.begins_s:.0f} s: {crash.words}"
+    impact = f"impact {crash.impact_m_s2:.0f} m/s2 at {crash.impact_s:.1f} s"
+    tipped = np.isfinite(crash.tipped_s)
+    return f"Tipped over at {crash.tipped_s:.0f} s, {impact}" if tipped else f"Crashed: {impact}"
 
 
 def _drives(flight: LoggedFlight) -> bool:
@@ -238,8 +253,10 @@ def _cut_off(story: Story) -> Finding:
     if causes:
         text = f"The log ends {where} at {at_s:.0f} s: {causes[0].name}"
         return Finding(text, Grade.BAD, 0.95, "happened.air", causes[0].evidence)
-    more = "power lost, a crash, or a log that was cut: not determined"
-    return Finding(f"The log ends {where} at {at_s:.0f} s", Grade.PLAIN, 0.4, "happened.air", more)
+    text = f"The log ends {where} at {at_s:.0f} s: its power was lost, or the log was cut"
+    return Finding(
+        text, Grade.PLAIN, 0.4, "happened.air", "not determined: nothing before speaks for one of them"
+    )
 
 
 # ------------------------------------------------------------------------------------------- tables
@@ -259,7 +276,8 @@ def _tables(story: Story) -> Iterator[Table]:
     if crash is not None:
         if np.isfinite(crash.tipped_s):
             lines.append((crash.tipped_s, "crash", "tipped over"))
-        lines.append((crash.impact_s, "crash", f"impact {crash.impact_m_s2:.0f} m/s2"))
+        if np.isfinite(crash.impact_s):
+            lines.append((crash.impact_s, "crash", f"impact {crash.impact_m_s2:.0f} m/s2"))
     if lines:
         yield _event_table(sorted(lines, key=lambda line: line[0])[:ROWS])
     if story.causes:

@@ -38,6 +38,7 @@ def find_calm(
     tilt_deg: float = 10.0,
     speed_m_s: float = 3.0,
     edge_s: float = 2.0,
+    lasts_s: float = 1.0,
 ) -> BoolArray:
     """(n,) whether it flew level and slowly, as far as that is logged.
 
@@ -46,6 +47,7 @@ def find_calm(
     tilt_deg : the most that it leans.
     speed_m_s : over ground, and half of it up or down.
     edge_s : after take-off and before landing, when the ground carries a part.
+    lasts_s : the least that a stretch lasts: level for a moment is a manoeuvre.
     """
     calm = flight.flying(time_s - edge_s) & flight.flying(time_s + edge_s)
     for column, most in (
@@ -55,6 +57,9 @@ def find_calm(
     ):
         if column is not None:
             calm &= ~(np.abs(column.held(time_s)) > most)
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], calm.astype(np.int8), [0]])))
+    for first, end in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
+        calm[first:end] &= time_s[end - 1] - time_s[first] >= lasts_s
     return calm
 
 

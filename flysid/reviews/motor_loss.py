@@ -156,6 +156,10 @@ def find_thrust_loss(flight: LoggedFlight, motors: Sequence[Motor]) -> ThrustLos
     place = np.clip(np.searchsorted(wanted[0], time_s, side="right") - 1, 0, None)
     off = axis - wanted[1][place]
     away = np.degrees(np.hypot(off[:, 0], off[:, 1]))
+    steps = np.linalg.norm(np.diff(wanted[1], axis=0, prepend=wanted[1][:1]), axis=1)
+    path = np.degrees(np.cumsum(steps))
+    turned = path[place] - np.interp(time_s - AROUND_S, wanted[0], path)
+    away = np.where(turned < 0.5 * away, away, 0.0)  # else the command left the vehicle
     flying = flight.flying(time_s) & flight.flying(time_s + 2.0 * AROUND_S)
     if flying.sum() < 100:
         return None

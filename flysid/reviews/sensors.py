@@ -22,6 +22,8 @@ FOLLOWS = 0.3
 AXES = "XYZ"
 MOST = 4
 """Inertial sensors of PX4."""
+LEAST = 5
+"""Samples."""
 
 
 def facts(flight: LoggedFlight) -> Iterator[Fact]:
@@ -167,11 +169,16 @@ def shake_of_each(flight: LoggedFlight) -> dict[str, float]:
         found[sensor[2].address] = float(np.sqrt(sum(_fast(axis.values) for axis in sensor)))
     if found:
         return found
+    for thing in flight.things("VIBE"):
+        axes = [flight.quantity(f"{thing}.Vibe{axis}", unit="m/s/s", stated="m/s/s") for axis in AXES]
+        known = [axis.where(flight.flying(axis.time_s)) for axis in axes if axis is not None]
+        if len(known) == len(AXES) and min(map(len, known)) >= LEAST:
+            found[known[2].address] = float(np.sqrt(sum(np.median(axis.values) ** 2 for axis in known)))
     for topic in ("vehicle_imu_status", *(f"vehicle_imu_status#{i}" for i in range(1, MOST))):
         address = f"{topic}.accel_vibration_metric"
         metric = flight.quantity(address, unit="m/s/s", stated="m/s/s")
         flown = None if metric is None else metric.where(flight.flying(metric.time_s))
-        if flown is not None and len(flown) >= 5:
+        if flown is not None and len(flown) >= LEAST:
             found[address] = float(np.mean(flown.values))
     return found
 

@@ -5,7 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from flysid.dataset import FloatArray
-from flysid.ingest.lake.clocked import ClockedLog, Column
+from flysid.ingest.lake.clocked import BoolArray, ClockedLog, Column
+
+FRESH = 10.0
+"""Periods: an older command is of a mode that was left, such as before a pilot took the rates."""
 
 
 def up_axis(flight: ClockedLog) -> tuple[FloatArray, FloatArray, str] | None:
@@ -57,15 +60,22 @@ def tilt(flight: ClockedLog) -> Column | None:
 
 
 def tilt_error(flight: ClockedLog) -> Column | None:
-    """Angle in deg between the tilt that was commanded and the one that came."""
+    """Angle in deg between the tilt that was commanded and the one that came, while a command is logged."""
     found, wanted = up_axis(flight), commanded_axis(flight)
     if found is None or wanted is None or not len(wanted[0]):
         return None
     time_s, axis, field = found
     place = np.searchsorted(wanted[0], time_s, side="right") - 1
-    known = place >= 0
+    known = is_fresh(wanted[0], time_s)
     cosine = np.einsum("ni,ni->n", axis[known], wanted[1][place[known]])
     return Column(field, "deg", time_s[known], np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
+
+
+def is_fresh(stamps_s: FloatArray, time_s: FloatArray) -> BoolArray:
+    """(n,) whether at times (n,) a command of some stamps (m,) is in force; m is at least 1."""
+    place = np.searchsorted(stamps_s, time_s, side="right") - 1
+    fresh_s = FRESH * float(np.median(np.diff(stamps_s))) if len(stamps_s) > 1 else np.inf
+    return (place >= 0) & (time_s - stamps_s[place] <= fresh_s)
 
 
 def lean_towards(flight: ClockedLog, first_s: float, last_s: float) -> tuple[float, float] | None:

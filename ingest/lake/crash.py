@@ -1,4 +1,4 @@
-"""Crashes that a log does not state: it tips over, or hits something, and never flies again."""
+"""Crashes that a log does not state: it hits something, or leaves its command, and never flies again."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from flysid.ingest.lake.attitude import sink_speed, tilt
+from flysid.ingest.lake.attitude import sink_speed, tilt, tilt_error
 from flysid.ingest.lake.clocked import ClockedLog, Column
 from flysid.ingest.lake.motors import Motor, read_motors
 
@@ -19,9 +19,14 @@ IMPACT_M_S2 = 60.0
 OUTSTANDING = 3.0
 """An impact is so many times what 99.9 % of the flight before feels."""
 UPRIGHT_DEG = 30.0
-"""ArduPilot's crash check: it leans more."""
+"""ArduPilot's crash check: it leans more, or is so far from its commanded tilt."""
+BACK = 1.0 / 3.0
+"""Of `UPRIGHT_DEG`: closer than that to its command it is under control again."""
+BACK_S = 1.0
 FALLING_M_S = 5.0
 """Faster than any landing: the fall from little more than a metre."""
+STANDS_M_S = 0.5
+"""Of an estimate that settles: what stands on the ground."""
 STOPS_S = 2.0
 """A pilot disarms so soon after a crash."""
 BEFORE_S = 5.0
@@ -36,8 +41,9 @@ class Crash:
     ----------
     begins_s : when it tipped over, else the impact: what follows says nothing of how it flies.
     tipped_s : when it leant more than 60 deg; NaN where it did not, or the attitude is not logged.
-    impact_s, impact_m_s2 : of the hardest blow.
-    field : of the accelerometer.
+    impact_s, impact_m_s2 : of the hardest blow; NaN where none was logged.
+    field : of the accelerometer, or of the attitude where no blow was logged.
+    away_deg : from its commanded tilt, where that shows the crash; else NaN.
     """
 
     begins_s: float
@@ -45,6 +51,14 @@ class Crash:
     impact_s: float
     impact_m_s2: float
     field: str
+    away_deg: float = float("nan")
+
+    @property
+    def words(self) -> str:
+        """How it shows: "impact of 392 m/s2"."""
+        if np.isfinite(self.impact_s):
+            return f"impact of {self.impact_m_s2:.0f} m/s2"
+        return f"{self.away_deg:.0f} deg away from its commanded tilt, and never back"
 
 
 def acceleration(flight: ClockedLog) -> Column | None:
@@ -67,9 +81,36 @@ def acceleration(flight: ClockedLog) -> Column | None:
 
 
 def find_crash(flight: ClockedLog) -> Crash | None:
+    """By its hardest blow, else by its attitude: an accelerometer that is logged slowly misses the blow."""
+    if not flight.was_flown:
+        return None
+    return _find_blow(flight) or _find_loss(flight)
+
+
+def _find_loss(flight: ClockedLog) -> Crash | None:
+    """Where it left its commanded tilt and was not under control again before the flight's end."""
+    error = tilt_error(flight)
+    if error is None:
+        return None
+    first_s, last_s = flight.air_s[-1]
+    flown = error.where((error.time_s >= first_s) & (error.time_s <= last_s))
+    gone = np.flatnonzero(flown.values > UPRIGHT_DEG)
+    if not len(gone):
+        return None
+    after = flown.values[gone[-1] + 1 :] < BACK * UPRIGHT_DEG
+    samples = max(2, round(BACK_S * flown.rate_hz))
+    if len(after) >= samples and np.convolve(after, np.ones(samples), "valid").max() >= samples:
+        return None
+    near = gone[flown.time_s[gone] > flown.time_s[gone[-1]] - BEFORE_S]
+    begins_s, away_deg = float(flown.time_s[near[0]]), float(flown.values[near].max())
+    none = float("nan")
+    return Crash(begins_s, _tipped(flight, begins_s + BACK_S), none, none, flown.address, away_deg)
+
+
+def _find_blow(flight: ClockedLog) -> Crash | None:
     """The hardest blow in the air, if it had tipped over before it or its motors never carry again."""
     felt = acceleration(flight)
-    if felt is None or not flight.was_flown:
+    if felt is None:
         return None
     last_s = max(last for _, last in flight.air_s)
     first_s = min(first for first, _ in flight.air_s)
@@ -116,13 +157,16 @@ def _breaks_off(flight: ClockedLog, impact_s: float, first_s: float) -> bool:
 def _lands(flight: ClockedLog, impact_s: float) -> bool:
     """Whether it came down upright and no faster than a landing that went wrong, at the end of a flight."""
     lean, down = tilt(flight), sink_speed(flight)
-    if lean is None or down is None:
+    if down is None:
         return False
-    after = lean.where((lean.time_s > impact_s - 0.5) & (lean.time_s < impact_s + 1.0))
     before = down.where((down.time_s > impact_s - 1.0) & (down.time_s <= impact_s + 0.1))
-    if not len(after) or not len(before):
+    if not len(before) or before.values.max() >= FALLING_M_S:
         return False
-    return bool(after.values.max() < UPRIGHT_DEG and before.values.max() < FALLING_M_S)
+    if lean is None:  # what hit something in the air falls, what landed stands
+        rest = down.where((down.time_s > impact_s + 0.1) & (down.time_s < impact_s + 1.0))
+        return bool(len(rest)) and float(np.abs(rest.values).max()) < STANDS_M_S
+    after = lean.where((lean.time_s > impact_s - 0.5) & (lean.time_s < impact_s + 1.0))
+    return bool(len(after)) and float(after.values.max()) < UPRIGHT_DEG
 
 
 def _never_moves(flight: ClockedLog, impact_s: float) -> bool:

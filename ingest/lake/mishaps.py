@@ -29,4 +29,4 @@ def mishaps(log: Log) -> list[Mishap]:
 def _as_mishap(crash: Crash, flight: ClockedLog) -> Mishap:
     """From where it began to the end of its boot."""
     boot, begin_ns = flight.clock.place(crash.begins_s)
-    return Mishap(boot, (begin_ns, FOREVER), f"crash: impact of {crash.impact_m_s2:.0f} m/s2", ends=True)
+    return Mishap(boot, (begin_ns, FOREVER), f"crash: {crash.words}", ends=True)

@@ -10,6 +10,8 @@ import numpy as np
 from bench.faulty_quadrotor import Flight, Quadrotor, critical_gain, draw_quadrotor
 from bench.review_faults import FAULTS
 from tests.review_trials import vehicles
+from bench.faulty_kinds import FAULTS, critical_gain
+from bench.faulty_quadrotor import Flight, Quadrotor, draw_quadrotor
 
 FlightsOf = Callable[[str], Mapping[str, Flight]]
 """The flights of a name of `fleet`, by kind."""
@@ -24,18 +26,24 @@ def drawn(seed: int) -> Quadrotor:
 def known() -> dict[str, Quadrotor]:
     """One vehicle whose outcomes every firmware's log is to name."""
     sound = drawn(77)
-    hover_a = sound.mass_kg * 9.81 * 17.0 * np.sqrt(sound.hover) / (3.9 * sound.cells)
     return {
         "sound": sound,
         "motor": replace(sound, fails_s=30.0),
         "propeller": replace(sound, fails_s=30.0, propeller=True),
         "slip": replace(sound, slips_s=24.0, slip_s=0.2),
         "jam": replace(sound, jam_s=25.0),
-        "wires": replace(sound, wires=1.2 / hover_a),
+        "wires": replace(sound, wires=1.2 / sound.hover_a),
         "radio": replace(sound, incident="radio", incident_s=26.0),
         "EKF": replace(sound, incident="EKF", incident_s=28.0, drift_s=24.0, drift_m_s=2.0),
         "dropped": replace(sound, hard_m_s=3.0),
         "brown": replace(sound, browns_s=33.0),
+        "starved": replace(sound, browns_s=33.0, warns=False),
+        "collision": replace(sound, hits_s=30.0),
+        "flyaway": replace(sound, strays_s=22.0, strays_rad=3.0),
+        "station": replace(sound, incident="station", incident_s=27.0),
+        "lively": replace(sound, lively_rad=0.5),
+        "loose": replace(sound, loose_m_s2=60.0),
+        "bent": replace(sound, bent=1, bent_m_s2=90.0, rpm=60.0 * 108.0 / np.sqrt(sound.hover)),
     }
 
 

@@ -9,8 +9,10 @@ from pathlib import Path
 import pytest
 
 from bench.faulty_carriers import travel
+from bench.faulty_kinds import CARRIERS
+from bench.faulty_logging import DEFAULT, TUNING
 from bench.faulty_quadrotor import Flight, Quadrotor
-from bench.review_faults import CARRIERS, Trial, write
+from bench.review_faults import Trial, write
 from flysid.ingest.lake.failures import failure_messages, plain_words
 from flysid.ingest.lake.motors import read_motors
 from flysid.reviews.motor_loss import find_thrust_loss
@@ -61,6 +63,58 @@ def test_a_quadrotor(
     line = next(line for line in text.splitlines() if begin in line)
     assert end in line
     assert text.index(begin) < 200  # it leads
+
+
+BY_DEFAULT = [
+    ("propeller", "px4", "at 30 s", "thrust of motor 1 lost"),
+    ("flyaway", "copter", "Flew away from its target from 2", " m"),
+    ("flyaway", "px4", "Flew away from its target from 2", " m"),
+    ("flyaway", "inav", "Flew away from its target from 2", " m"),
+    ("starved", "copter", "The log ends in the air at 33 s", "its power was lost, or the log was cut"),
+    ("station", "px4", "Failsafe at 27 s", "ground station lost"),
+    ("lively", "copter", "Roll and pitch follow", ""),
+    ("lively", "px4", "Roll and pitch follow", ""),
+    ("lively", "inav", "Roll and pitch follow", ""),
+    ("bent", "px4", "a log of 200 Hz does not show how fast", ""),
+]
+
+
+@pytest.mark.parametrize(("kind", "firmware", "begin", "end"), BY_DEFAULT)
+def test_a_log_as_its_firmware_logs_it_by_default(
+    flights: Mapping[str, Flight], kind: str, firmware: str, begin: str, end: str, tmp_path: Path
+) -> None:
+    trial = Trial(kind, FAULTY[kind], firmware, rpm=False, logging=DEFAULT.get(firmware, TUNING))
+    text = first_sentence(write(trial, flights[kind], tmp_path, "log"))
+    line = next(line for line in text.splitlines() if begin in line)
+    assert end in line
+    assert text.index(begin) < 200  # it leads
+
+
+WITHOUT_IMU = [
+    ("collision", "deg away from its commanded tilt, and never back"),
+    ("loose", "Accelerometer 1 shakes"),
+]
+
+
+@pytest.mark.parametrize(("kind", "words"), WITHOUT_IMU)
+def test_a_log_without_its_accelerometers(
+    flights: Mapping[str, Flight], kind: str, words: str, tmp_path: Path
+) -> None:
+    logging = replace(DEFAULT["copter"], lacks=frozenset({"IMU"}))
+    trial = Trial(kind, FAULTY[kind], "copter", False, logging=logging)
+    text = first_sentence(write(trial, flights[kind], tmp_path, "log"))
+    assert words in text
+    assert text.index(words) < 200  # it leads
+
+
+def test_a_hard_landing_without_an_attitude_is_no_crash(
+    flights: Mapping[str, Flight], tmp_path: Path
+) -> None:
+    logging = replace(DEFAULT["px4"], lacks=frozenset({"vehicle_attitude"}))
+    trial = Trial("dropped", FAULTY["dropped"], "px4", False, logging=logging)
+    text = first_sentence(write(trial, flights["dropped"], tmp_path, "log"))
+    assert "Landed hard" in text
+    assert "Crashed" not in text
 
 
 def test_a_blackbox_without_speeds_names_the_motor_that_was_driven_up(
