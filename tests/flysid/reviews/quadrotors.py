@@ -7,11 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from bench.faulty_quadrotor import Flight, Quadrotor, critical_gain, draw_quadrotor
-from bench.review_faults import FAULTS
-from tests.review_trials import vehicles
 from bench.faulty_kinds import FAULTS, critical_gain
 from bench.faulty_quadrotor import Flight, Quadrotor, draw_quadrotor
+from tests.review_trials import vehicles
 
 FlightsOf = Callable[[str], Mapping[str, Flight]]
 """The flights of a name of `fleet`, by kind."""
