@@ -183,7 +183,7 @@ def closed_loop_rates(x: FloatArray, u: FloatArray, physics: Physics | np.void) 
 class Trajectory:
     """States (N, 26) at a fixed period from t = 0; `series` gives them in the paper's signs and units.
 
-    `told` (N, 4) are the speeds that the motors are told, rad/s. thrust is the rotors' lift over that of
+    `told` (N, 4) are the commanded motor speeds, rad/s. thrust is the rotors' lift over that of
     hover; throttle, and the torques roll_effort (right side down), pitch_effort (nose up) and yaw_effort (to
     the right), are what the inner loop asks of the rotors, in the thrust of hover.
     """

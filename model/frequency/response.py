@@ -27,7 +27,7 @@ from flysid.model.arguments import no_samples
 from flysid.model.detrend import Trend, detrend
 from flysid.model.frequency.local_polynomial import local_response
 from flysid.model.frequency.spectra import multitaper_response, welch_response
-from flysid.model.polynomials import DB, ComplexArray
+from flysid.model.polynomials import ComplexArray
 
 GOOD_COHERENCE = 0.6
 """What rotorcraft identification asks of a response (Tischler and Remple, 2012, 7.5)."""

@@ -28,8 +28,8 @@ from flysid.validate.runs.provenance import FIT_TIME, fit_command, provenance_of
 from flysid.validate.runs.run import (
     Beside,
     Run,
-    asked_for,
     held_out,
+    requested_model,
     with_models,
 )
 
@@ -111,7 +111,7 @@ def judge_run(
                 item.models,
                 judged.test,
                 baseline=item.channel.baseline,
-                contender=asked_for(run.settings.labels, item.models, item.channel.baseline),
+                contender=requested_model(run.settings.labels, item.models, item.channel.baseline),
                 seen=item.seen,
                 turns=judged.turns,
             )

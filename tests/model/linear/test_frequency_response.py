@@ -151,7 +151,8 @@ def test_bad_data_is_named() -> None:
 def test_noise_free_data_have_no_error_and_finite_figures() -> None:
     m: MeasuredResponse = measure_response(experiment(0, "steps", noise=0.0))
     assert np.isfinite(m.response).all()
-    assert np.isfinite(m.gain_db).all() and np.isfinite(m.half_width()).all()
+    assert np.isfinite(m.gain_db).all()
+    assert np.isfinite(m.half_width()).all()
     assert np.median(m.error) < 0.01
 
 
