@@ -17,7 +17,7 @@ from flysid.dataset import FloatArray
 from flysid.errors import DataError, UsageError
 from flysid.ingest.synth.inner_loop import InnerLoop
 from flysid.ingest.synth.plants import LOOPS
-from flysid.ingest.synth.quadrotor import INPUTS, ROTORS, STATES, Physics, airframe, integrate, rates
+from flysid.ingest.synth.quadrotor import INPUTS, ROTORS, STATES, Physics, integrate, rates
 
 STEP_S = 0.001
 NAMES = ("x", "y", "z", "vx", "vy", "vz", "phi", "theta", "psi", "p", "q", "r")
@@ -150,26 +150,6 @@ def _control(c: InnerLoop, on: Effects) -> dict[str, float]:
         "climb_ki": c.climb_ki, "climb_i_max": c.climb_i_max, "climb_lead": c.climb_lead_s,
         "c0": c0, "c1": c1, "c2": c2, "a0": a0, "a1": a1, "a2": a2, "a3": a3,
     }  # fmt: skip
-
-
-def rigid_body_rates(
-    state: npt.ArrayLike, rotors_rad_s: npt.ArrayLike, vehicle: Vehicle, wind_m_s: npt.ArrayLike = (0, 0, 0)
-) -> FloatArray:
-    """(12,) time derivative of the paper's twelve states at given rotor speeds: equations (8) and (9).
-
-    Parameters
-    ----------
-    state : (12,) position, velocity, phi, theta, psi, p, q, r; world x forward, y left, z up.
-    rotors_rad_s : (4,) front, left, rear, right.
-    wind_m_s : (3,) in world axes.
-    """
-    x = np.zeros(STATES)
-    out = np.zeros(STATES)
-    x[:12] = state
-    w1, w2, w3, w4 = (float(w) for w in np.asarray(rotors_rad_s))
-    air = [float(v) for v in np.asarray(wind_m_s)]
-    airframe(x, w1, w2, w3, w4, air[0], air[1], air[2], vehicle.physics().packed(), out)
-    return out[:12]
 
 
 def closed_loop_rates(x: FloatArray, u: FloatArray, physics: Physics | np.void) -> FloatArray:
