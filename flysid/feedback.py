@@ -146,7 +146,7 @@ def _later_inputs(
     Parameters
     ----------
     rows : of `_rows`, segment by segment.
-    floor : of the output's spread; where less than this cannot be told from the past, nothing is tested.
+    floor : of the output's spread; where less than this cannot be known from the past, nothing is tested.
     """
     from scipy.special import fdtrc
 

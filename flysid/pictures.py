@@ -1,4 +1,4 @@
-"""Files of pictures, drawn with matplotlib, which is imported only when a picture is asked for.
+"""Files of pictures, drawn with matplotlib, which is imported only when a picture is drawn.
 
 No window, no global state; equal pictures give equal files. Fonts are embedded as text.
 """
@@ -22,7 +22,7 @@ DATELESS: dict[str, dict[str, Any]] = {
     ".svg": {"Date": None, "Creator": "flysid"},
     ".pdf": {"CreationDate": None, "Producer": None, "Creator": "flysid"},
 }
-"""What a file of each kind says of its origin: nothing that differs from run to run."""
+"""Metadata of each kind of file: nothing that differs from run to run."""
 FONTS: dict[Any, Any] = {"pdf.fonttype": 42, "svg.fonttype": "none", "svg.hashsalt": "flysid"}
 FOR_PAPER: dict[Any, Any] = {**FONTS, "font.size": 8.0, "axes.linewidth": 0.6}
 

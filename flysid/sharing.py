@@ -1,4 +1,4 @@
-"""What several ask for is done once: within `sharing()` an answer is remembered by what was asked.
+"""What several ask for is done once: within `sharing()` an answer is remembered by its arguments.
 
 When the scope ends, all is forgotten.
 """

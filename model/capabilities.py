@@ -351,10 +351,10 @@ class HasCertificate(Protocol):
 
 @runtime_checkable
 class HasSimplifications(Protocol):
-    """A model of rules that can be said with fewer words."""
+    """A model of rules that has simpler forms."""
 
     def simplifications(self, train: Dataset) -> Sequence[Simplification]:
-        """What could be said more simply, cheapest first."""
+        """Simpler forms, cheapest first."""
         ...
 
 

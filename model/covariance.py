@@ -1,4 +1,4 @@
-"""What a covariance is asked: its root, to draw with, and the spread of what hangs on the numbers."""
+"""Questions to a covariance: its root, to draw with, and the spread of what hangs on the numbers."""
 
 from __future__ import annotations
 

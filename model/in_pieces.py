@@ -131,7 +131,7 @@ class _OutputError:
 
     Parameters
     ----------
-    measured : samples that the free run is started from; until more have come, `predict` is asked.
+    measured : samples that the free run is started from; until more have come, `predict` answers.
     noise, ma : (p + 1, n_y) and (q + 1, n_y) monic, or None.
     begun : the free run from the first samples on: its outputs along them, and what carries it on.
     """

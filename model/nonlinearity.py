@@ -1,7 +1,7 @@
 """How much of an output does not follow its inputs linearly? Asked before any nonlinear model is fitted.
 
-What the best linear model's free run leaves over is noise, and what no linear model can follow. The two are
-told apart by what a nonlinearity would leave: shapes of the inputs and of the free run (magnitudes, bends one
+What the best linear model's free run leaves over is noise, and what no linear model can follow. The two
+differ in what a nonlinearity would leave: shapes of the inputs and of the free run (magnitudes, bends one
 standard deviation out, signed squares, products) are sent through the model as if they were added to an
 input. A static nonlinearity ahead of the dynamics (Hammerstein) acts so, and a weak one inside them (drag)
 to first order. Shapes of the free run itself stand for a sensor's (Wiener), and linear columns for what a

@@ -32,7 +32,7 @@ Kass & Raftery, 1995, J. Am. Stat. Assoc. 90.
 
 
 class FreeRunning(Timed, Protocol):
-    """What is asked of a model whose free run is judged."""
+    """Requirements on a model whose free run is judged."""
 
     @property
     def output_limits(self) -> FloatArray: ...

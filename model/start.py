@@ -137,7 +137,7 @@ def estimate_start(model: Runs, u: FloatArray, y: FloatArray) -> FloatArray:
     Returns
     -------
     The measured lags themselves where W gives no more equations than unknowns, or where no better start
-    was found. Models that can are asked without their output limits, where no derivative shows the way back;
+    was found. Models that can are run without their output limits, where no derivative shows the way back;
     of a model that starts itself its own run's.
     """
     if isinstance(model, StartsItself):

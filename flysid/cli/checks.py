@@ -20,8 +20,8 @@ SHOWN = 8
 
 
 @dataclass(frozen=True)
-class Words:
-    """What the command line says of the channels: a recipe, or from which fields to which."""
+class Reading:
+    """How a source is read: by a recipe or from fields to fields, and what its times, dates and bytes are."""
 
     recipe: str = ""
     inputs: tuple[str, ...] = ()
@@ -40,8 +40,8 @@ class Words:
 
 
 @dataclass(frozen=True)
-class Asked:
-    """What a verb is asked to do with flights, as far as it can be wrong before they are read.
+class Request:
+    """A verb's request about flights, checked as far as possible before they are read.
 
     Attributes
     ----------
@@ -50,7 +50,7 @@ class Asked:
     chooses : whether the verb finds a recipe by itself where neither one nor fields are given.
     """
 
-    words: Words
+    reading: Reading
     selection: Selection
     channels: tuple[str, ...] = ()
     held: tuple[str, ...] = ()
@@ -59,10 +59,10 @@ class Asked:
     @property
     def is_open(self) -> bool:
         """Whether a recipe is still to be chosen."""
-        return self.chooses and not (self.words.recipe or self.words.inputs)
+        return self.chooses and not (self.reading.recipe or self.reading.inputs)
 
 
-def check_source(data: Path, asked: Asked) -> FoundLogs | None:
+def check_source(data: Path, request: Request) -> FoundLogs | None:
     """The logs that are to be read; None of an ingested folder.
 
     Raises
@@ -71,47 +71,47 @@ def check_source(data: Path, asked: Asked) -> FoundLogs | None:
         or folder, or no log in it; a unit of time for an ingested folder.
     RecipeError : no such recipe, or it has no such channel.
     """
-    check_words(asked.words, asked.channels)
-    if asked.is_open and asked.channels:
+    check_reading(request.reading, request.channels)
+    if request.is_open and request.channels:
         from flysid.ingest.lake.recipe_choice import check_shipped_channels
 
-        check_shipped_channels(asked.channels)
+        check_shipped_channels(request.channels)
     if is_ingested(data):
-        refuse_reading_again(data, asked.words)
+        refuse_reading_again(data, request.reading)
         return None
     from flysid.ingest.lake.finding import find_logs
     from flysid.ingest.lake.workers import Bounds
 
     logs = find_logs([data], Bounds())
-    check_flights(logs, data, asked.selection, asked.held)
-    if not asked.chooses:
-        refuse_without_words(asked.words, logs, data)
+    check_flights(logs, data, request.selection, request.held)
+    if not request.chooses:
+        require_recipe(request.reading, logs, data)
     return logs
 
 
-def check_words(words: Words, channels: Sequence[str]) -> None:
+def check_reading(reading: Reading, channels: Sequence[str]) -> None:
     """Raise UsageError where a recipe or fields cannot be meant as they are given.
 
     A recipe is read, and has the channels; of fields there is an input and an output.
     """
-    fields = words.inputs or words.outputs
-    if words.recipe and (fields or words.dt is not None):
+    fields = reading.inputs or reading.outputs
+    if reading.recipe and (fields or reading.dt is not None):
         raise UsageError(
             "--recipe and --from, --to or --dt are mutually exclusive", hint="leave out one or the other"
         )
-    if words.recipe:
+    if reading.recipe:
         from flysid.ingest.align.recipe import load_recipe
 
-        load_recipe(words.recipe).chosen(channels)
-    elif fields and not (words.inputs and words.outputs):
-        lacking = "--to FIELD" if words.inputs else "--from FIELD"
+        load_recipe(reading.recipe).chosen(channels)
+    elif fields and not (reading.inputs and reading.outputs):
+        lacking = "--to FIELD" if reading.inputs else "--from FIELD"
         raise UsageError(
-            f"no {'output' if words.inputs else 'input'} is named",
+            f"no {'output' if reading.inputs else 'input'} is named",
             hint=f"add {lacking}; 'flysid show LOG --fields' lists the fields",
         )
-    elif both := sorted({*words.inputs} & {*words.outputs}):
+    elif both := sorted({*reading.inputs} & {*reading.outputs}):
         raise UsageError(f"{both[0]!r} is both input and output", hint="--to takes what answers --from")
-    elif words.dt is not None and not fields:
+    elif reading.dt is not None and not fields:
         from flysid.ingest.align.quick import NEITHER
 
         raise UsageError(NEITHER, hint="--dt is of a table's fields: add --from FIELD --to FIELD")
@@ -144,14 +144,14 @@ def _may_name(name: str, stem: str) -> bool:
     return stem.startswith(name) or re.fullmatch(rf"{re.escape(stem)}(-[0-9a-f]*)?", name) is not None
 
 
-def refuse_without_words(words: Words, logs: FoundLogs, place: Path) -> None:
+def require_recipe(reading: Reading, logs: FoundLogs, place: Path) -> None:
     """Raise UsageError where neither a recipe nor fields are given: the first log tells which fit."""
-    if words.recipe or words.inputs:
+    if reading.recipe or reading.inputs:
         return
     from flysid.ingest.align.quick import NEITHER
     from flysid.ingest.lake.beginning import recipes_by_beginning
 
-    fitting = recipes_by_beginning(logs.paths[0], words.limits) if logs.paths else {}
+    fitting = recipes_by_beginning(logs.paths[0], reading.limits) if logs.paths else {}
     if fitting:
         hint = f"--recipe {', or --recipe '.join(fitting)}; 'flysid ls {place} --suggest' says how well"
     else:
@@ -162,9 +162,9 @@ def refuse_without_words(words: Words, logs: FoundLogs, place: Path) -> None:
     raise UsageError(NEITHER, path=place, hint=hint)
 
 
-def refuse_reading_again(data: Path, words: Words) -> None:
+def refuse_reading_again(data: Path, reading: Reading) -> None:
     """Raise UsageError where words say how to read what has been read."""
-    if words.time_unit or words.date_order or words.format:
+    if reading.time_unit or reading.date_order or reading.format:
         raise UsageError(
             "ingested data already have their format and times",
             path=data,

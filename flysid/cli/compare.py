@@ -68,7 +68,7 @@ def command(
     for source in (a, b):
         if source.data is not None and source.run.recipe:
             check_data_folder(source.data)
-    expected = expected_of_runs(a.run, b.run, label)  # a label that a run lacks is told here
+    expected = expected_of_runs(a.run, b.run, label)  # refuses a label that a run lacks
     if condition is not None:
         check_condition(condition, expected)
     with display.shown():

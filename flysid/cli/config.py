@@ -95,10 +95,10 @@ def own_file(environment: Mapping[str, str]) -> Path:
 
 
 def settings_of(asked: _Asked, project: Path, own: Path, environment: Mapping[str, str]) -> dict[str, Any]:
-    """Everything that is said of a verb's options, by their names inside click."""
-    found = {said.option.name: _value(said) for said in _said_by(own, asked)}
+    """All settings of a verb's options, by their names inside click."""
+    found = {said.option.name: _value(said) for said in _settings_of(own, asked)}
     if not _is_same(project, own):
-        told = list(_said_by(project, asked))
+        told = list(_settings_of(project, asked))
         _refuse_what_is_not_the_projects(told, project, own, asked)
         found |= {said.option.name: _value(said) for said in told}
     return {str(name): value for name, value in found.items()} | environment_of(asked, environment)
@@ -144,7 +144,7 @@ def _is_same(one: Path, other: Path) -> bool:
         return False
 
 
-def _said_by(path: Path, asked: _Asked) -> Iterator[_Said]:
+def _settings_of(path: Path, asked: _Asked) -> Iterator[_Said]:
     """What a file says of a verb's options, in its order."""
     text = _text(path)
     if text is None:

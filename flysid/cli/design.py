@@ -12,7 +12,7 @@ from click.core import ParameterSource
 
 from flysid.cli.addresses import SOURCE
 from flysid.cli.bounds import POSITIVE, Number
-from flysid.cli.checks import Words
+from flysid.cli.checks import Reading
 from flysid.cli.display import Display, progress_options
 from flysid.cli.options import channels_option, gather, target_options
 from flysid.cli.output import align_columns, print_json, printable, say
@@ -176,7 +176,7 @@ def command(
     out: Path | None,
     as_json: bool,
     selection: Selection,
-    told: Words,
+    reading: Reading,
     display: Display,
 ) -> int:
     """Find robust gains, optimised for the worst of all good models; compare them with the present gains.
@@ -200,7 +200,7 @@ def command(
         if source.exists():  # what is missing is named where it is read
             refuse_given(context, OF_RUNS, "logs", "designs the rate loops that flew", OF_ONE_KIND)
         return design_rates(
-            source, given.axes, given.bounds(), selection, told, out, as_json=as_json, display=display
+            source, given.axes, given.bounds(), selection, reading, out, as_json=as_json, display=display
         )
     refuse_given(context, OF_LOGS, "a run", "designs the position loop of its channels", OF_ONE_KIND)
     wish = given.wish()

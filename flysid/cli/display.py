@@ -75,7 +75,7 @@ progress_options = gather(
 
 @dataclass
 class State:
-    """What was told so far.
+    """Progress so far.
 
     Attributes
     ----------
@@ -107,8 +107,8 @@ class State:
     def left(self) -> str:
         """ "about 40 s left", as far as the past tells the future; "" where it does not.
 
-        It falls while a step takes its time, and is said no more where that was longer than foreseen. Less
-        than a third of the work tells too little of the rest.
+        It falls while a step takes its time, and is no longer shown where the step took longer than
+        foreseen. Less than a third of the work tells too little of the rest.
         """
         left = self.whole - self.seconds
         if not 1.0 / 3.0 <= self.share < 1.0 or left < 1.0:

@@ -12,7 +12,7 @@ import click
 
 from flysid.cli import complete
 from flysid.cli.bounds import bounds_options
-from flysid.cli.checks import Words
+from flysid.cli.checks import Reading
 from flysid.cli.display import Display, progress_options
 from flysid.cli.kinematics import Motion, check_one_log, motions, write_corrected
 from flysid.cli.losses import say_skipped
@@ -76,7 +76,7 @@ MOTOR = "motor"
 def command(
     logs: tuple[str, ...],
     bounds: Bounds,
-    told: Words,
+    reading: Reading,
     as_json: bool,
     kinematics: bool,
     correct: str,
@@ -107,7 +107,7 @@ def command(
         check_one_log(len(found.paths))
     skipped = [(unread.path, unread.reason) for unread in found.unread]
     surveys: dict[Path, Survey] = {}
-    limits = told.limits
+    limits = reading.limits
     look = partial(survey_or_reason, limits=limits)
     with display.shown():
         _begin(found.paths, 0)

@@ -9,7 +9,7 @@ import click
 
 from flysid.cli.addresses import SOURCE
 from flysid.cli.bounds import POSITIVE
-from flysid.cli.checks import Words
+from flysid.cli.checks import Reading
 from flysid.cli.display import Display
 from flysid.cli.options import force_option, gather
 from flysid.cli.output import say
@@ -112,7 +112,7 @@ def command(
     rate_hz: float | None,
     out: Path | None,
     force: bool,
-    told: Words,
+    reading: Reading,
     places: dict[str, Path | None],
     fmi: str,
     float32: bool,
@@ -161,7 +161,7 @@ def command(
             hint="add --c DIR, --fmu F.fmu, --matlab DIR, --lpv F.json, --casadi F.py, --jax F.py "
             "or --onnx F.onnx",
         )
-    export_flight(source, streams, kind, flight, rate_hz, out, force, told)
+    export_flight(source, streams, kind, flight, rate_hz, out, force, reading)
 
 
 def export_flight(
@@ -172,7 +172,7 @@ def export_flight(
     rate_hz: float | None,
     out: Path | None,
     force: bool,
-    told: Words,
+    reading: Reading,
 ) -> None:
     """Write the streams of one flight."""
     from flysid.cli.output import check_target
@@ -182,7 +182,7 @@ def export_flight(
     chosen = Selection(flights=(flight,) if flight else ())
     if out is not None:
         check_target(out, force)
-    with Display().shown(), opened_flights(source, told, selection=chosen) as lake:
+    with Display().shown(), opened_flights(source, reading, selection=chosen) as lake:
         logs = select(lake, chosen).logs
         if len(logs) != 1:
             raise UsageError(

@@ -9,7 +9,7 @@ import click
 
 from flysid.cli.addresses import SOURCE
 from flysid.cli.bounds import POSITIVE
-from flysid.cli.checks import Words
+from flysid.cli.checks import Reading
 from flysid.cli.display import Display
 from flysid.cli.output import align_columns, print_json, printable
 from flysid.cli.source import flight_options, reading_options, reviewed_logs
@@ -53,7 +53,7 @@ def command(
     without: tuple[str, ...],
     crossover: float | None,
     as_json: bool,
-    told: Words,
+    reading: Reading,
 ) -> int:
     """Show what the gyro's filters cost and remove, beside other filters.
 
@@ -65,7 +65,7 @@ def command(
 
     for words in more:
         stage_of(words)
-    with Display().shown(), reviewed_logs(source, told, selection) as flights:
+    with Display().shown(), reviewed_logs(source, reading, selection) as flights:
         found = []
         for flight in flights:
             hz, known_from = (crossover, "as given") if crossover else crossover_of(flight)

@@ -13,7 +13,7 @@ import click
 
 from flysid.cli import complete
 from flysid.cli.addresses import SOURCE
-from flysid.cli.checks import Asked, Words, check_source, is_ingested
+from flysid.cli.checks import Reading, Request, check_source, is_ingested
 from flysid.cli.display import Display, progress_options
 from flysid.cli.options import channels_option, effort_option, force_option, gather, jobs_option
 from flysid.cli.output import check_target, cores, explain, say, say_left_out
@@ -22,7 +22,7 @@ from flysid.cli.source import (
     open_source,
     say_mixed_gains,
     selection_options,
-    words_options,
+    source_options,
 )
 from flysid.cli.trust import Own, ProjectFile, Setting
 from flysid.errors import UsageError
@@ -158,7 +158,7 @@ fit_options = gather(
 
 @click.command("fit")
 @click.argument("data", type=SOURCE)
-@words_options
+@source_options
 @selection_options
 @click.option("--output", "-o", required=True, type=click.Path(path_type=Path), help="Folder of the run.")
 @fit_options
@@ -169,7 +169,7 @@ fit_options = gather(
 def command(
     data: Path,
     selection: Selection,
-    words: Words,
+    reading: Reading,
     output: Path,
     settings: FitSettings,
     jobs: int,
@@ -187,22 +187,22 @@ def command(
     check_target(output, force)
     is_dataset = _is_dataset(data)
     if is_dataset:
-        check_no_words(data, words)
+        refuse_reading(data, reading)
     place = place_of_logs(output, force) if not is_dataset and not is_ingested(data) else None
     settings = replace(settings, selection=selection)
-    asked = Asked(words, selection, settings.channels, settings.held)
+    request = Request(reading, selection, settings.channels, settings.held)
     if not is_dataset:
-        check_source(data, asked)
+        check_source(data, request)
     from flysid.validate.runs.fitting import fit_file, fit_run
     from flysid.validate.runs.wanted_models import check_settings
 
     check_settings(settings)
-    check_antecedents(settings.antecedents, words, settings.channels)
+    check_antecedents(settings.antecedents, reading, settings.channels)
     if is_dataset:
         with display.shown():
             run = fit_file(data, output, settings)
     else:
-        with display.shown(), open_source(data, asked, place, display.quiet) as (lake, chosen):
+        with display.shown(), open_source(data, request, place, display.quiet) as (lake, chosen):
             with part(0.0 if is_ingested(data) else READING_OF_A_FIT):
                 run = fit_run(lake, chosen, output, settings, jobs=jobs or cores())
             say_mixed_gains(lake, display.quiet)
@@ -222,7 +222,7 @@ def command(
 
 
 def _say_what_was_fitted(run: Run, quiet: bool) -> None:
-    from flysid.ingest.align.doubts import told
+    from flysid.ingest.align.doubts import doubt_lines
     from flysid.validate.runs.fitting import FROM_DISK
 
     for channel in run.channels:
@@ -230,7 +230,7 @@ def _say_what_was_fitted(run: Run, quiet: bool) -> None:
             explain(f"{channel.name}{FROM_DISK}", quiet)
         for label, why in channel.failed.items():
             explain(f"{channel.name}: {label} could not be fitted: {why}")
-        for line in told(channel.doubts):
+        for line in doubt_lines(channel.doubts):
             explain(f"{channel.name}: {line}")
         for said in (*channel.dead_times, *channel.nonlinear):
             explain(f"{channel.name}: {said}", quiet)
@@ -253,9 +253,9 @@ def _is_dataset(data: Path) -> bool:
     return is_dataset(data)
 
 
-def check_no_words(data: Path, asked: Words) -> None:
+def refuse_reading(data: Path, reading: Reading) -> None:
     """Raise UsageError where a dataset file comes with a recipe or with fields."""
-    if asked != Words():
+    if reading != Reading():
         raise UsageError(
             "a dataset file is one channel already",
             path=data,
@@ -285,13 +285,13 @@ def place_of_logs(output: Path, force: bool) -> Path:
     return place
 
 
-def check_antecedents(antecedents: Sequence[str], words: Words, channels: Sequence[str]) -> None:
+def check_antecedents(antecedents: Sequence[str], reading: Reading, channels: Sequence[str]) -> None:
     """Raise UsageError where a recipe is named, and antecedents that none of its channels has."""
-    if words.recipe and antecedents:
+    if reading.recipe and antecedents:
         from flysid.ingest.align.recipe import load_recipe
         from flysid.validate.runs.wanted_models import refused_antecedents
 
-        recipe = load_recipe(words.recipe)
+        recipe = load_recipe(reading.recipe)
         refused_antecedents(antecedents, recipe, recipe.chosen(channels))
 
 

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class FleetData:
-    """What was asked for.
+    """The request.
 
     Attributes
     ----------
@@ -51,7 +51,7 @@ class FleetData:
 
     @contextmanager
     def engine(self, lake: Lake, quiet: bool) -> Iterator[Cluster | None]:
-        """The cluster that was asked for; None: this machine.
+        """The requested cluster; None: this machine.
 
         Raises
         ------

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from flysid.cli.addresses import SOURCE, here
-from flysid.cli.checks import Words
+from flysid.cli.checks import Reading
 from flysid.cli.display import Display
 from flysid.cli.options import picture_options
 from flysid.cli.output import align_columns, explain, print_json, printable, say, say_drawn
@@ -44,7 +44,7 @@ def command(
     selection: Selection,
     plot: Path | None,
     as_json: bool,
-    told: Words,
+    reading: Reading,
 ) -> int:
     """Estimate crossover, margins, bandwidth and noise of the present gains, each with a 95 % interval.
 
@@ -60,7 +60,7 @@ def command(
     if (source / RUN_FILE).is_file():
         source, own = _of_run(source)
         selection = replace(selection, flights=selection.flights or own)
-    with Display().shown(), flights_of_one_vehicle(source, told, selection) as chosen:
+    with Display().shown(), flights_of_one_vehicle(source, reading, selection) as chosen:
         logs = chosen.logs
         found = judge(logs, axes or ("roll", "pitch"))
     known = [j for j in found if j.margins is not None]

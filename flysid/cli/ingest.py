@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from flysid.cli.bounds import bounds_options
-from flysid.cli.checks import Words
+from flysid.cli.checks import Reading
 from flysid.cli.display import Display, progress_options
 from flysid.cli.lakeoptions import LakeOptions, check_pattern, lake_options
 from flysid.cli.losses import report
@@ -47,7 +47,7 @@ def command(
     data: str,
     jobs: int,
     bounds: Bounds,
-    told: Words,
+    reading: Reading,
     vehicle_in: str,
     lake: LakeOptions,
     force: bool,
@@ -72,7 +72,7 @@ def command(
     from flysid.ingest.lake.batch import ingest_logs
     from flysid.ingest.lake.finding import find_logs
 
-    limits = told.limits
+    limits = reading.limits
     if lake.concerns(logs, data):
         from flysid.cli.lakeingest import ingest_to_lake
 
@@ -80,7 +80,7 @@ def command(
     found = find_logs(logs, bounds)
     results = []
     with display.shown():
-        again = force or told != Words()
+        again = force or reading != Reading()
         for result in ingest_logs(
             found, data, jobs=jobs, force=again, limits=limits, bounds=bounds, vehicle_in=vehicle_in
         ):

@@ -104,7 +104,7 @@ def done(
 
 @contextmanager
 def engine_for(options: LakeOptions, jobs: int, quiet: bool) -> Iterator[Engine]:
-    """Threads here; a Dask cluster where one is asked for."""
+    """Threads here; a Dask cluster where one is requested."""
     if not options.cluster and not options.workers:
         from flysid.fleet.ingest_many import Threads
 

@@ -66,7 +66,7 @@ def dask_cluster(address: str, workers: int, quiet: bool) -> Iterator[Cluster]:
 
 
 def check_one_cluster(address: str, workers: int) -> None:
-    """Raise UsageError where two clusters are asked for."""
+    """Raise UsageError where two clusters are requested."""
     if address and workers:
         raise UsageError("--workers makes a cluster, --cluster names one", hint="leave out one of them")
 

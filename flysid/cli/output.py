@@ -142,7 +142,7 @@ def check_target(path: Path, force: bool, *, makes_folders: bool = True) -> None
 
 
 def chosen_form(**flags: bool) -> str:
-    """The form asked for, "table" where none; raises UsageError where there is more than one."""
+    """The requested form, "table" where none; raises UsageError where there is more than one."""
     asked = [name for name in FORMS if flags[name]]
     if len(asked) > 1:
         raise UsageError(

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from flysid.cli.bounds import POSITIVE
-from flysid.cli.checks import Asked, Words
+from flysid.cli.checks import Reading, Request
 from flysid.cli.display import Display
 from flysid.cli.options import gather, target_options
 from flysid.cli.output import print_json, printable
-from flysid.cli.source import open_source, selection_options, words_options
+from flysid.cli.source import open_source, selection_options, source_options
 from flysid.cli.trust import Setting
 from flysid.errors import UsageError
 from flysid.manifest import RUN_FILE
@@ -53,7 +53,7 @@ class Signals:
     px4_plane: bool
 
     def check(self) -> None:
-        """Raise UsageError where no signal can be as it is asked for, whatever the flights tell."""
+        """Raise UsageError where no signal can meet the request, whatever the flights show."""
         from flysid.plan.autopilots import require_chirp
         from flysid.plan.flightplan import check_flight
 
@@ -145,12 +145,12 @@ signal_options = gather(
 @target_options("-o", "--out", replaced="folder", help="Folder for the plan's files.")
 @click.option("--json", "as_json", is_flag=True, help="Print everything as JSON.")
 @click.option("--quiet", "-q", is_flag=True, help="Print errors and warnings only.")
-@words_options
+@source_options
 @selection_options
 def command(
     source: Path | None,
     selection: Selection,
-    words: Words,
+    reading: Reading,
     axes: tuple[str, ...],
     limits: tuple[str, ...],
     signals: Signals,
@@ -174,20 +174,20 @@ def command(
     if source is not None and not source.exists():
         raise UsageError("no such run, folder or log", path=source, hint="without one: --axis and --band")
     own, bounds = (tuple(map(axis_of, texts)) for texts in (axes, limits))
-    names = [axis.name for axis in own] or _commanded(source, words, channels)
+    names = [axis.name for axis in own] or _commanded(source, reading, channels)
     if names:
         check_limits(names, bounds)
     signals.check()
     if signals.band is None and not is_run(source):
         raise no_band()
-    begun = _begun(source, Asked(words, selection, channels), data, quiet)
+    begun = _begun(source, Request(reading, selection, channels), data, quiet)
     chosen = within(own or begun.axes, bounds)
     plan = None
     if signals.band or begun.band_hz or not begun.known:
         lowest = lowest_hz(signals.kind, len(chosen), signals.seconds)
         band = signals.band or _band_of_models(begun, signals.rate, lowest)
         plan = make_plan(signals.kind, chosen, band, signals.seconds, signals.rate)
-    files = _files(plan, begun, words.outputs, signals) if plan is not None else {}
+    files = _files(plan, begun, reading.outputs, signals) if plan is not None else {}
     if as_json:
         print_json(_document(plan, begun, more, files))
     else:
@@ -198,12 +198,12 @@ def command(
     return 3 if begun.unknown or any(not k.is_determined for k in begun.known) else 0
 
 
-def _commanded(source: Path | None, words: Words, channels: tuple[str, ...]) -> list[str]:
+def _commanded(source: Path | None, reading: Reading, channels: tuple[str, ...]) -> list[str]:
     """Inputs of the channels that are meant, as far as a recipe tells before anything is read."""
     from flysid.ingest.align.recipe import load_recipe
     from flysid.validate.runs.run import RECIPE_FILE, open_run
 
-    name: str | Path = words.recipe
+    name: str | Path = reading.recipe
     if source is not None and is_run(source):
         open_run(source).check_channels(channels)
         name = source / RECIPE_FILE if (source / RECIPE_FILE).is_file() else ""
@@ -218,18 +218,18 @@ def is_run(source: Path | None) -> bool:
     return source is not None and (source / RUN_FILE).is_file()
 
 
-def _begun(source: Path | None, asked: Asked, data: Path | None, quiet: bool) -> Beginning:
+def _begun(source: Path | None, request: Request, data: Path | None, quiet: bool) -> Beginning:
     """What the source tells."""
     if source is None:
         return Beginning()
     if is_run(source):
-        return _of_run(source, asked.channels, data)
+        return _of_run(source, request.channels, data)
     from flysid.ingest.align.recipe import load_recipe, recipe_text
     from flysid.plan.briefing import axes_of_last_flight
 
-    with Display(quiet=quiet).shown(), open_source(source, asked, None, quiet) as (lake, name):
+    with Display(quiet=quiet).shown(), open_source(source, request, None, quiet) as (lake, name):
         recipe = load_recipe(name)
-        wanted = asked.channels or lake.channels(recipe)
+        wanted = request.channels or lake.channels(recipe)
         found = [axes_of_last_flight(lake.dataset(recipe, channel)) for channel in wanted]
         return Beginning(_once(found), None, recipe_text(name)[0])
 

@@ -18,7 +18,7 @@ from flysid.cli.trust import Own, ProjectFile
 from flysid.showing import first_of
 
 if TYPE_CHECKING:
-    from flysid.cli.checks import Words
+    from flysid.cli.checks import Reading
     from flysid.ingest.lake.chosen_flights import Selection
     from flysid.ingest.lake.lake import StoredLog
     from flysid.ingest.lake.timeline import Curve
@@ -51,7 +51,7 @@ def command(
     term: bool,
     show: bool,
     force: bool,
-    told: Words,
+    reading: Reading,
 ) -> None:
     """Plot fields of a log, or of flights of an ingested folder, over time.
 
@@ -78,7 +78,7 @@ def command(
             check_picture(target)
     if recipe:
         load_recipe(recipe)
-    with Display().shown(), opened_flights(source, told, selection=selection) as lake:
+    with Display().shown(), opened_flights(source, reading, selection=selection) as lake:
         shown = replace(selection.stretches, mishaps=True)  # a crash is what people look for
         timelines = [
             lay_out(log, choose_curves(log, fields, pair, recipe), shown.allowed(log))

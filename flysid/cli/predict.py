@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from flysid.cli.addresses import SOURCE
-from flysid.cli.checks import Words
+from flysid.cli.checks import Reading
 from flysid.cli.display import Display
 from flysid.cli.options import picture_options
 from flysid.cli.output import explain, print_json, printable, say, say_drawn
@@ -54,7 +54,7 @@ def command(
     selection: Selection,
     plot: Path | None,
     as_json: bool,
-    told: Words,
+    reading: Reading,
 ) -> int:
     """Predict a rate loop under other gains or filters: response, margins, step, noise, time at the limit.
 
@@ -73,7 +73,7 @@ def command(
         raise UsageError("no other settings are given", hint="--set 'p_roll=58,d_roll=38' or --file NEW")
     found: list[Forecast] = []
     refused: dict[str, DataError] = {}
-    with Display().shown(), flights_of_one_vehicle(source, told, selection) as chosen:
+    with Display().shown(), flights_of_one_vehicle(source, reading, selection) as chosen:
         for axis in axes or _named(changes):
             try:
                 found.append(forecast(chosen.logs, axis, changes))
@@ -152,7 +152,7 @@ def _gains(before: Mapping[str, float], after: Mapping[str, float]) -> str:
     parts = []
     for name in names:
         old, new = (side.get(name) for side in (before, after))
-        parts.append(f"{name} {_told(old)}" + (f" -> {_told(new)}" if old != new else ""))
+        parts.append(f"{name} {_setting_text(old)}" + (f" -> {_setting_text(new)}" if old != new else ""))
     return ", ".join(parts)
 
 
@@ -180,5 +180,5 @@ def _scaled(figure: Figure, factor: float, unit: str) -> str:
     return f"{value:.0f}{unit} [{low:.0f}, {high:.0f}]"
 
 
-def _told(value: float | None) -> str:
+def _setting_text(value: float | None) -> str:
     return "none" if value is None else f"{value:g}"

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from flysid.cli.checks import Words
+from flysid.cli.checks import Reading
 from flysid.cli.display import Display
 from flysid.cli.output import print_json, printable, say
 from flysid.cli.predict import describe_forecast
@@ -30,7 +30,7 @@ def design_rates(
     axes: Sequence[str],
     bounds: RateBounds,
     selection: Selection,
-    told: Words,
+    reading: Reading,
     out: Path | None,
     *,
     as_json: bool,
@@ -45,7 +45,7 @@ def design_rates(
     from flysid.design.firmware import SAFETY
     from flysid.loops.proposal import propose
 
-    with display.shown(), flights_of_one_vehicle(source, told, selection) as chosen:
+    with display.shown(), flights_of_one_vehicle(source, reading, selection) as chosen:
         found = propose(chosen.logs, axes or AXES, bounds)
     if as_json:
         print_json(found.to_dict())

@@ -143,7 +143,7 @@ def finish(recording: Recording, quiet: bool) -> int:
     for link in facts["links"]:
         dropped += link["dropped_by_host"] or 0
         for peer in link["peers"]:
-            for text in told(peer):
+            for text in peer_lines(peer):
                 say(f"{link['link']}, {peer['peer']}: {text}", quiet)
     if dropped:
         say(f"this host dropped {counted(dropped, 'datagram')}: see {parts.paths[-1]}.json")
@@ -153,7 +153,7 @@ def finish(recording: Recording, quiet: bool) -> int:
     return ExitCode.LOSSES if dropped else 0
 
 
-def told(peer: dict[str, Any]) -> list[str]:
+def peer_lines(peer: dict[str, Any]) -> list[str]:
     """What a peer sent, a line for each system; then what was no frame and what was refused."""
     lines = []
     for row in peer["systems"]:

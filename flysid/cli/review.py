@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from flysid.cli.addresses import SOURCE
-from flysid.cli.checks import Words
+from flysid.cli.checks import Reading
 from flysid.cli.display import Display
 from flysid.cli.options import condition_option, target_options
 from flysid.cli.output import ExitCode, explain, print_json, printable, say
@@ -59,7 +59,7 @@ def command(
     as_markdown: bool,
     condition: str | None,
     limits: tuple[str, ...],
-    told: Words,
+    reading: Reading,
 ) -> int:
     """Review a log: does the vehicle fly well, and what should be changed?
 
@@ -83,7 +83,7 @@ def command(
     if condition:
         check_grammar(condition)
     with own_limits(parse_limits(limits)):
-        found, series = _reviewed(sources, told, selection, with_evidence=output is not None)
+        found, series = _reviewed(sources, reading, selection, with_evidence=output is not None)
     if as_json:
         print_json(_document(found, series))
     elif as_markdown:
@@ -105,13 +105,13 @@ def command(
 
 
 def _reviewed(
-    sources: Sequence[Path], told: Words, selection: Selection, *, with_evidence: bool
+    sources: Sequence[Path], reading: Reading, selection: Selection, *, with_evidence: bool
 ) -> tuple[list[Review], Series]:
     """The reviews of all flights of all sources in their order, and what several of one vehicle show."""
     Thread(target=_load_reviews, daemon=True).start()
     with ExitStack() as stack:
         stack.enter_context(Display().shown())
-        lakes = [stack.enter_context(opened_flights(each, told, selection=selection)) for each in sources]
+        lakes = [stack.enter_context(opened_flights(each, reading, selection=selection)) for each in sources]
         from flysid.ingest.lake.chosen_flights import select
         from flysid.reviews.logged import LoggedFlight
         from flysid.reviews.review import review_flight

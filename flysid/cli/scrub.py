@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import click
 
 from flysid.cli.addresses import SOURCE
-from flysid.cli.checks import Words
+from flysid.cli.checks import Reading
 from flysid.cli.display import Display
 from flysid.cli.options import force_option, gather
 from flysid.cli.output import ExitCode, explain, printable, say
@@ -34,11 +34,13 @@ if TYPE_CHECKING:
     show_default=True,
     help="Move all positions to a neutral place, keeping the motion; or empty them.",
 )
-@gather("told", Words, format_option)
+@gather("reading", Reading, format_option)
 @force_option("copy")
 @click.option("--json", "as_json", is_flag=True, help="Print what was removed as JSON.")
 @click.option("--quiet", "-q", is_flag=True)
-def command(log: Path, output: Path, gps: Gps, told: Words, force: bool, as_json: bool, quiet: bool) -> int:
+def command(
+    log: Path, output: Path, gps: Gps, reading: Reading, force: bool, as_json: bool, quiet: bool
+) -> int:
     """Write a copy of a log without private data, in the same format.
 
     Positions are moved or removed. Serial numbers, names, passwords, paths, texts with identifiers and
@@ -48,7 +50,7 @@ def command(log: Path, output: Path, gps: Gps, told: Words, force: bool, as_json
     from flysid.ingest.formats.common.scrub_rules import UNREADABLE
     from flysid.ingest.formats.scrubbing import KEPT, scrub_log
 
-    work = partial(scrub_log, out=output, gps=gps, force=force, limits=told.limits)
+    work = partial(scrub_log, out=output, gps=gps, force=force, limits=reading.limits)
     with Display(quiet=quiet).shown():
         tell("scrubbing", log=log.name)
         done = apart(work, log)

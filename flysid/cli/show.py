@@ -15,7 +15,7 @@ import click
 from flysid.cli import complete
 from flysid.cli.addresses import SOURCE
 from flysid.cli.bounds import COUNT
-from flysid.cli.checks import Words
+from flysid.cli.checks import Reading
 from flysid.cli.display import Display
 from flysid.cli.output import align_columns, printable, say
 from flysid.cli.source import opened_flights, reading_options
@@ -59,7 +59,7 @@ def command(
     messages: bool,
     events: bool,
     track: bool,
-    told: Words,
+    reading: Reading,
 ) -> None:
     """Show one flight, or one stream of it: columns with units and ranges, rates, losses.
 
@@ -73,7 +73,7 @@ def command(
             hint="run the command once for each",
         )
     check_count(names)
-    with Display().shown(), opened_flights(source, told) as lake:
+    with Display().shown(), opened_flights(source, reading) as lake:
         flight, stream = _split(str(source), names, [facts.id for facts in lake.facts])
         [log] = select(lake, Selection(flights=(flight,))).logs
         if fields:

@@ -14,7 +14,7 @@ import click
 
 from flysid.cli import complete
 from flysid.cli.bounds import POSITIVE
-from flysid.cli.checks import Asked, Words, check_flights, check_source, is_ingested, refuse_reading_again
+from flysid.cli.checks import Reading, Request, check_flights, check_source, is_ingested, refuse_reading_again
 from flysid.cli.options import gather
 from flysid.cli.output import NAMES_SHOWN, say
 from flysid.cli.trust import ProjectFile, Setting
@@ -170,9 +170,9 @@ def _selection(
     return Selection(only_flights, whole, vehicle, pool, Stretches(between, modes, mishaps, without))
 
 
-words_options = gather("words", Words, *_CHANNELS, *_READING)
+source_options = gather("reading", Reading, *_CHANNELS, *_READING)
 """--recipe, --from, --to, --dt and those of `reading_options`."""
-reading_options = gather("told", Words, *_READING)
+reading_options = gather("reading", Reading, *_READING)
 """--time-unit, --date-order and --format."""
 flight_options = gather("selection", _selection, *_FLIGHTS)
 """Which flights, and of which vehicle: --flight, --exclude, --vehicle, --pool."""
@@ -188,7 +188,7 @@ def given(selection: Selection) -> Selection | None:
 
 
 @contextmanager
-def open_source(data: Path, asked: Asked, place: Path | None, quiet: bool) -> Iterator[tuple[Lake, str]]:
+def open_source(data: Path, request: Request, place: Path | None, quiet: bool) -> Iterator[tuple[Lake, str]]:
     """The flights that are meant, and the name of a recipe; both hold until the block ends.
 
     Logs are ingested first, into the folder `place`, which goes again where the block fails; for as long
@@ -199,7 +199,7 @@ def open_source(data: Path, asked: Asked, place: Path | None, quiet: bool) -> It
     UsageError : as `check_source`; flights of several vehicles that are not to be pooled.
     RecipeError : as `check_source`; a field is not there.
     """
-    logs = check_source(data, asked)
+    logs = check_source(data, request)
     from flysid.cli.losses import say_lost
     from flysid.ingest.lake.chosen_flights import of_one_vehicle, select
     from flysid.ingest.lake.lake import open as open_lake
@@ -212,15 +212,17 @@ def open_source(data: Path, asked: Asked, place: Path | None, quiet: bool) -> It
         target = place or Path(folder) / "data"
         try:
             with _naming(data, target):
-                whole = open_lake(data if logs is None else _taken_in(logs, data, target, asked.words, quiet))
-                lake = select(whole, asked.selection)
-                if not asked.selection.pool:
-                    served = of_one_vehicle(lake, asked.words.recipe)
-                    _say_left_out(lake, served, asked.words.recipe, quiet)
+                whole = open_lake(
+                    data if logs is None else _taken_in(logs, data, target, request.reading, quiet)
+                )
+                lake = select(whole, request.selection)
+                if not request.selection.pool:
+                    served = of_one_vehicle(lake, request.reading.recipe)
+                    _say_left_out(lake, served, request.reading.recipe, quiet)
                     lake = served
                 if logs is None:
                     say_lost(lake.facts)
-                yield lake, _recipe_for(lake, asked, Path(folder) / "quick.toml", quiet)
+                yield lake, _recipe_for(lake, request, Path(folder) / "quick.toml", quiet)
         except BaseException:
             if place is not None:
                 shutil.rmtree(place, ignore_errors=True)
@@ -236,19 +238,19 @@ def _say_left_out(lake: Lake, served: Lake, recipe: str, quiet: bool) -> None:
         say(f"left out: {names}: of another vehicle, without the streams of {recipe}", quiet)
 
 
-def _recipe_for(lake: Lake, asked: Asked, quick: Path, quiet: bool) -> str:
+def _recipe_for(lake: Lake, request: Request, quick: Path, quiet: bool) -> str:
     """The recipe that is named, the one that is chosen, or one of fields, which is written to `quick`."""
-    words = asked.words
-    if words.recipe:
-        require_fit(lake, words.recipe)
-        return words.recipe
-    if asked.is_open and (asked.channels or lake.recipes()):
+    reading = request.reading
+    if reading.recipe:
+        require_fit(lake, reading.recipe)
+        return reading.recipe
+    if request.is_open and (request.channels or lake.recipes()):
         from flysid.ingest.lake.recipe_choice import choose_recipe
 
-        choice = choose_recipe(lake, asked.channels)
+        choice = choose_recipe(lake, request.channels)
         say(choice.words, quiet)
         return choice.name
-    quick.write_text(_written(words, lake), "utf-8")
+    quick.write_text(_written(reading, lake), "utf-8")
     return str(quick)
 
 
@@ -260,13 +262,13 @@ def require_fit(lake: Lake, recipe: str) -> None:
     from flysid.ingest.align.recipe import load_recipe
     from flysid.ingest.align.signals import find_source, missing
 
-    asked = load_recipe(recipe)
-    if not lake.facts or lake.channels(asked):
+    wanted = load_recipe(recipe)
+    if not lake.facts or lake.channels(wanted):
         return
     first = lake.logs[0]
-    signals = asked.signals_of(next(iter(asked.channels)))
-    absent = next(n for n in signals if find_source(asked.signals[n].sources, first) is None)
-    lacks = missing(absent, asked.signals[absent].sources, [first])
+    signals = wanted.signals_of(next(iter(wanted.channels)))
+    absent = next(n for n in signals if find_source(wanted.signals[n].sources, first) is None)
+    lacks = missing(absent, wanted.signals[absent].sources, [first])
     fitting = [f"{name} ({', '.join(channels)})" for name, channels in lake.recipes().items()]
     other = f"these fit: {'; '.join(fitting)}" if fitting else "--from FIELD --to FIELD needs no recipe"
     raise RecipeError(
@@ -279,7 +281,7 @@ def require_fit(lake: Lake, recipe: str) -> None:
 @contextmanager
 def opened_flights(
     source: Path,
-    told: Words | None = None,
+    reading: Reading | None = None,
     share: float = READING_OF_A_LOOK,
     selection: Selection | None = None,
 ) -> Iterator[Lake]:
@@ -302,9 +304,9 @@ def opened_flights(
     from flysid.ingest.lake.lake import open as open_lake
     from flysid.ingest.lake.workers import Bounds
 
-    words = told or Words()
+    reading = reading or Reading()
     if is_ingested(source):
-        refuse_reading_again(source, words)
+        refuse_reading_again(source, reading)
         whole = open_lake(source)
         say_lost((select(whole, selection) if selection else whole).facts)
         yield whole
@@ -315,11 +317,11 @@ def opened_flights(
     with TemporaryDirectory() as folder:
         place = Path(folder) / "data"
         with _naming(source, place):
-            yield open_lake(_taken_in(logs, source, place, words, True, share))
+            yield open_lake(_taken_in(logs, source, place, reading, True, share))
 
 
 @contextmanager
-def flights_of_one_vehicle(source: Path, told: Words, selection: Selection) -> Iterator[Lake]:
+def flights_of_one_vehicle(source: Path, reading: Reading, selection: Selection) -> Iterator[Lake]:
     """The flights that are chosen of a source, read for this block only, as the first part of a look.
 
     Raises
@@ -329,7 +331,7 @@ def flights_of_one_vehicle(source: Path, told: Words, selection: Selection) -> I
     from flysid.ingest.lake.chosen_flights import require_one_vehicle, select
     from flysid.progress import part
 
-    with opened_flights(source, told, selection=selection) as lake, part(READING_OF_A_LOOK):
+    with opened_flights(source, reading, selection=selection) as lake, part(READING_OF_A_LOOK):
         chosen = select(lake, selection)
         if not selection.pool:
             require_one_vehicle(chosen)
@@ -337,7 +339,7 @@ def flights_of_one_vehicle(source: Path, told: Words, selection: Selection) -> I
 
 
 @contextmanager
-def reviewed_logs(source: Path, told: Words, selection: Selection) -> Iterator[list[LoggedFlight]]:
+def reviewed_logs(source: Path, reading: Reading, selection: Selection) -> Iterator[list[LoggedFlight]]:
     """The chosen flights as a review reads them, for this block only.
 
     Raises
@@ -348,7 +350,7 @@ def reviewed_logs(source: Path, told: Words, selection: Selection) -> Iterator[l
     from flysid.progress import part
     from flysid.reviews.logged import LoggedFlight
 
-    with opened_flights(source, told, selection=selection) as lake, part(READING_OF_A_LOOK):
+    with opened_flights(source, reading, selection=selection) as lake, part(READING_OF_A_LOOK):
         yield [
             LoggedFlight(log, log.manifest.damage, log.manifest.source.name)
             for log in select(lake, selection).logs
@@ -383,23 +385,23 @@ def say_mixed_gains(lake: Lake, quiet: bool) -> None:
         )
 
 
-def _written(words: Words, lake: Lake) -> str:
-    """A recipe for the fields that are asked for; without any, the error names what there is."""
+def _written(reading: Reading, lake: Lake) -> str:
+    """A recipe for the requested fields; without any, the error names what there is."""
     from flysid.ingest.align.quick import NEITHER, quick_recipe
 
-    if not (words.inputs or words.outputs) and (served := lake.recipes()):
+    if not (reading.inputs or reading.outputs) and (served := lake.recipes()):
         raise UsageError(
             NEITHER,
             hint=f"--recipe {', or --recipe '.join(served)}; 'flysid ls DATA --suggest' says how well",
         )
-    return quick_recipe(lake.logs, words.inputs, words.outputs, words.dt)
+    return quick_recipe(lake.logs, reading.inputs, reading.outputs, reading.dt)
 
 
 def _taken_in(
     logs: FoundLogs,
     source: Path,
     place: Path,
-    words: Words,
+    reading: Reading,
     quiet: bool,
     share: float = READING_OF_A_FIT,
 ) -> Path:
@@ -415,7 +417,7 @@ def _taken_in(
     from flysid.progress import part
 
     with part(0.0, share):
-        results = list(ingest_logs(logs, place, limits=words.limits, bounds=Bounds()))
+        results = list(ingest_logs(logs, place, limits=reading.limits, bounds=Bounds()))
     skipped = [result for result in results if result.skipped]
     if len(skipped) == len(results) == 1:
         reason, _, hint = skipped[0].reason.partition("; try: ")

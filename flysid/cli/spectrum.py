@@ -11,7 +11,7 @@ import click
 
 from flysid.cli.addresses import SOURCE
 from flysid.cli.bounds import POSITIVE
-from flysid.cli.checks import Words
+from flysid.cli.checks import Reading
 from flysid.cli.display import Display
 from flysid.cli.options import picture_options
 from flysid.cli.output import print_json, print_lines, say_drawn
@@ -54,7 +54,7 @@ def command(
     over: str | None,
     plot: Path | None,
     as_json: bool,
-    told: Words,
+    reading: Reading,
 ) -> None:
     """Show at which frequencies a vehicle shakes: peaks, their height, their cause where the log shows it.
 
@@ -65,7 +65,7 @@ def command(
     """
     from flysid.reviews.field_spectra import field_spectra, quantity_over
 
-    with Display().shown(), reviewed_logs(source, told, selection) as flights:
+    with Display().shown(), reviewed_logs(source, reading, selection) as flights:
         found = [
             (flight, field_spectra(flight, fields, window_s=window, lowest_hz=lowest, on_ground=ground))
             for flight in flights

@@ -12,7 +12,7 @@ import click
 
 from flysid.cli.addresses import SOURCE
 from flysid.cli.bounds import POSITIVE
-from flysid.cli.checks import Asked, Words, check_source
+from flysid.cli.checks import Reading, Request, check_source
 from flysid.cli.display import Display
 from flysid.cli.options import channels_option, picture_options
 from flysid.cli.output import print_json, printable, say_drawn, say_left_out
@@ -20,7 +20,7 @@ from flysid.cli.source import (
     open_source,
     say_mixed_gains,
     selection_options,
-    words_options,
+    source_options,
 )
 from flysid.cli.trust import Own
 
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 @click.command("step")
 @click.argument("data", type=SOURCE)
-@words_options
+@source_options
 @selection_options
 @channels_option
 @click.option(
@@ -60,7 +60,7 @@ if TYPE_CHECKING:
 def command(
     data: Path,
     selection: Selection,
-    words: Words,
+    reading: Reading,
     channels: tuple[str, ...],
     horizon: float | None,
     fast: float | None,
@@ -78,26 +78,26 @@ def command(
     (--anyway estimates it, with a caution).
     Exit code 3: --channel named such a channel, or a log was read with losses.
     """
-    asked = Asked(words, selection, channels, chooses=True)
+    request = Request(reading, selection, channels, chooses=True)
     places = [data] if against is None else [data, against]
     for place in places:
-        check_source(place, asked)
+        check_source(place, request)
     from flysid.ingest.align.recipe import load_recipe
     from flysid.ingest.lake.recipe_choice import commands_of
     from flysid.validate.transfers.steps import channel_steps, draw_steps
 
     found: list[ChannelStep] = []
     skipped: dict[str, str] = {}
-    name = words.recipe
+    name = reading.recipe
     for place, of in zip(places, _names(places), strict=True):
-        with Display(quiet=quiet).shown(), open_source(place, asked, None, quiet) as (lake, chosen):
+        with Display(quiet=quiet).shown(), open_source(place, request, None, quiet) as (lake, chosen):
             recipe = load_recipe(chosen)
             name = name or recipe.name
-            if asked.is_open:  # the second place is looked at as the first one is
+            if request.is_open:  # the second place is looked at as the first one is
                 wanted = channels or commands_of(recipe)
-                asked = replace(asked, words=replace(words, recipe=chosen), channels=wanted)
+                request = replace(request, reading=replace(reading, recipe=chosen), channels=wanted)
             steps, why = channel_steps(
-                lake, chosen, channels=asked.channels, horizon_s=horizon, fast=fast, of=of, anyway=anyway
+                lake, chosen, channels=request.channels, horizon_s=horizon, fast=fast, of=of, anyway=anyway
             )
             say_mixed_gains(lake, quiet)
         found += steps

@@ -36,7 +36,7 @@ def print_suggestions(
 ) -> None:
     """Tables on stdout, the good ones first, with the advice below them.
 
-    Several flights are told together, a row for every channel.
+    Several flights are summarised together, a row for every channel.
 
     Parameters
     ----------
@@ -139,7 +139,7 @@ def short_names(flights: Sequence[str]) -> dict[str, str]:
 
 
 def _delay(found: Suggestion) -> str:
-    """Dead time with what cannot be told from it."""
+    """Dead time, and what cannot be distinguished from it."""
     from flysid.ingest.lake.suggest import unbounded
 
     if found.delay_s is None:

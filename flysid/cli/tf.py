@@ -12,7 +12,7 @@ import click
 
 from flysid.cli.addresses import SOURCE
 from flysid.cli.bounds import POSITIVE
-from flysid.cli.checks import Asked, Words, check_source
+from flysid.cli.checks import Reading, Request, check_source
 from flysid.cli.display import Display, progress_options
 from flysid.cli.options import channels_option, condition_option, gather, picture_options
 from flysid.cli.output import ExitCode, align_columns, explain, print_json, say, say_drawn, say_left_out
@@ -20,7 +20,7 @@ from flysid.cli.source import (
     open_source,
     say_mixed_gains,
     selection_options,
-    words_options,
+    source_options,
 )
 from flysid.cli.trust import Setting
 from flysid.extras import Missing
@@ -121,7 +121,7 @@ estimator_options = gather(
 
 @click.command("tf")
 @click.argument("data", type=SOURCE)
-@words_options
+@source_options
 @selection_options
 @channels_option
 @click.option(
@@ -147,7 +147,7 @@ estimator_options = gather(
 def command(
     data: Path,
     selection: Selection,
-    words: Words,
+    reading: Reading,
     channels: tuple[str, ...],
     reference: tuple[str, ...],
     reference_at: str,
@@ -166,8 +166,8 @@ def command(
     held-out flights. Channels that the data do not support are named. Exit code 3: --channel named one of
     them, or a log was read with losses; 4: --fail-if holds.
     """
-    asked = Asked(words, selection, channels, chooses=True)
-    check_source(data, asked)
+    request = Request(reading, selection, channels, chooses=True)
+    check_source(data, request)
     from flysid.ingest.align.recipe import load_recipe
     from flysid.ingest.lake.recipe_choice import commands_of
     from flysid.validate.transfers.expected_figures import Figures
@@ -175,12 +175,12 @@ def command(
 
     estimator.check()
     figures = Figures(tuple(channels), tuple(reference), reference_at, condition)
-    if words.recipe:
-        figures.check(words.recipe)
+    if reading.recipe:
+        figures.check(reading.recipe)
     missing = Missing()
-    with display.shown(), open_source(data, asked, None, display.quiet) as (lake, chosen):
+    with display.shown(), open_source(data, request, None, display.quiet) as (lake, chosen):
         recipe = load_recipe(chosen)
-        wanted = channels or (commands_of(recipe) if asked.is_open else ())
+        wanted = channels or (commands_of(recipe) if request.is_open else ())
         replace(figures, channels=wanted).check(chosen)
         with missing.gathering():
             found, skipped = identify(
@@ -189,7 +189,7 @@ def command(
         say_mixed_gains(lake, display.quiet)
     if as_json:
         body = {
-            "recipe": words.recipe or recipe.name,
+            "recipe": reading.recipe or recipe.name,
             "channels": [c.to_dict() for c in found],
             "skipped": dict(skipped),
             **missing.to_dict(),

@@ -14,7 +14,7 @@ import click
 
 from flysid.cli import complete
 from flysid.cli.addresses import SOURCE
-from flysid.cli.checks import Words
+from flysid.cli.checks import Reading
 from flysid.cli.display import Display, progress_options
 from flysid.cli.options import target_options
 from flysid.cli.output import print_json, print_lines, say
@@ -80,7 +80,7 @@ def command(
     output: Path | None,
     judge: bool,
     as_json: bool,
-    told: Words,
+    reading: Reading,
     display: Display,
 ) -> int:
     """Fit one model of the whole vehicle, with six degrees of freedom, to ordinary flights.
@@ -98,7 +98,7 @@ def command(
     places = None if arms is None else read_arms(arms)
     estimator = Vehicle(zero=zero, full=full_scale, calm=True if calm else None)
     chosen = load_recipe(recipe)
-    with display.shown(), _flights(logs, told, selection) as flights:
+    with display.shown(), _flights(logs, reading, selection) as flights:
         found = fit_flights(flights, chosen, estimator, judge, places)
     if as_json:
         print_json(found.to_dict())
@@ -178,7 +178,7 @@ def _typed(logs: Sequence[Path], recipe: str, arms: Path | None, output: Path) -
 
 
 @contextmanager
-def _flights(paths: Sequence[Path], told: Words, selection: Selection) -> Iterator[list[Log]]:
+def _flights(paths: Sequence[Path], reading: Reading, selection: Selection) -> Iterator[list[Log]]:
     """The flights of all paths; of an ingested folder, those that are chosen."""
     from flysid.ingest.lake.chosen_flights import require_one_vehicle, select
 
@@ -186,7 +186,7 @@ def _flights(paths: Sequence[Path], told: Words, selection: Selection) -> Iterat
     with ExitStack() as stack:
         for path in paths:
             share = READING_OF_A_FIT / len(paths)
-            own = select(stack.enter_context(opened_flights(path, told, share, selection)), selection)
+            own = select(stack.enter_context(opened_flights(path, reading, share, selection)), selection)
             if not selection.pool:
                 require_one_vehicle(own)
             found += own.logs

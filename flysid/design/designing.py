@@ -22,7 +22,7 @@ from flysid.validate.runs.run import HeldOut, Run, held_out
 
 @dataclass(frozen=True)
 class Wish:
-    """What the user asks of a design.
+    """The request for a design.
 
     Attributes
     ----------

@@ -60,7 +60,7 @@ class PlantSet:
             (gain, late) for gain in sorted({1.0, *over.gain}) for late in sorted({0.0, *over.delay_s})
         ]
         turned = [gain * np.exp(-1j * self.omega * late) for gain, late in corners]
-        said = [_said(gain, late) for gain, late in corners]
+        said = [_corner_text(gain, late) for gain, late in corners]
         return PlantSet(
             self.dt_s,
             self.omega,
@@ -70,7 +70,7 @@ class PlantSet:
         )
 
 
-def _said(gain: float, late: float) -> str:
+def _corner_text(gain: float, late: float) -> str:
     words = [f"gain x {gain:g}"] if gain != 1.0 else []
     words += [f"delay {1000.0 * late:+g} ms"] if late else []
     return ", " + ", ".join(words) if words else ""

@@ -124,7 +124,7 @@ FIRST_STEPS_S = ((1.0, 11.0), (2.0, 12.0))
 
 
 def course(*, duration_s: float = 40.0, dt_s: float = PERIOD_S) -> tuple[FloatArray, FloatArray]:
-    """(N, 2) place asked for (m) and its speed: 2 m there and back on both axes, then a sine of 1 m, 8 s."""
+    """(N, 2) commanded place (m) and its speed: 2 m there and back on both axes, then a sine of 1 m, 8 s."""
     time = np.arange(round(duration_s / dt_s)) * dt_s
     place = np.zeros((len(time), 2))
     speed = np.zeros((len(time), 2))
@@ -197,7 +197,7 @@ def judge_flight(
 
     Parameters
     ----------
-    away, u : (N,) the place asked for less the vehicle's, m, and the input.
+    away, u : (N,) the commanded place less the vehicle's, m, and the input.
     step_s : when the first step of 2 m begins and ends.
     """
     first, last = (round(t / dt_s) for t in step_s)

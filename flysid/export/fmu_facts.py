@@ -1,4 +1,4 @@
-"""What both versions of FMI are told of a program: its variables and what depends on what."""
+"""What both versions of FMI state about a program: its variables and what depends on what."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What FMI 3.0 wants to be told of a program."""
+"""The description of a program for FMI 3.0."""
 
 from __future__ import annotations
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from flysid.errors import DataError, RecipeError
 from flysid.ingest.align.recipe import Recipe
 from flysid.live.decoding import Decoder, Rows
-from flysid.live.gridding import RunningGrid, asked_of
+from flysid.live.gridding import RunningGrid, streams_of
 from flysid.live.spool import SpoolPiece
 from flysid.live.watching import ChannelWatch, Event
 
@@ -41,7 +41,7 @@ class Follower:
 
     def __post_init__(self) -> None:
         self._came = threading.Event()
-        self._decoder = Decoder(asked_of(self.recipe))
+        self._decoder = Decoder(streams_of(self.recipe))
         self._grids = {
             w.name: RunningGrid(self.recipe, w.name, w.model.dt_s, self._decoder) for w in self.watches
         }

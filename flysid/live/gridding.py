@@ -29,7 +29,7 @@ SETTLED_S = 1.0  # of the first output, before periods are believed
 SETTLED_ROWS = 10
 
 
-def asked_of(recipe: Recipe) -> set[str]:
+def streams_of(recipe: Recipe) -> set[str]:
     """The streams that a recipe's signals and conditions may come from."""
     sources = [s for spec in recipe.signals.values() for s in spec.sources]
     sources += [s for condition in recipe.conditions for s in condition.sources]

@@ -234,7 +234,7 @@ class ChannelWatch:
             "alarm", self.name, signal.name, at, flight, DETECTORS[which], values[which], bounds[which],
             float(began), shift, shift / limits.typical if limits.typical else 0.0, self._unit(j),
         )  # fmt: skip
-        return [Event(**{**event.to_dict(), "text": self._told(event, j)})]
+        return [Event(**{**event.to_dict(), "text": self._sentence(event, j)})]
 
     def _judge_end(
         self, output: _Output, name: str, ratios: FloatArray, time_s: float, flight: str
@@ -267,7 +267,7 @@ class ChannelWatch:
         unit = self.model.outputs[j].unit
         return f"{unit} per s" if self._meanings[j].kind == "turning" else unit
 
-    def _told(self, event: Event, j: int) -> str:
+    def _sentence(self, event: Event, j: int) -> str:
         signal = self.model.outputs[j]
         inputs = ", ".join(s.name for s in self.model.inputs)
         meaning = self._meanings[j]

@@ -1,4 +1,4 @@
-"""What a flight asked of its rate loop: the error that another controller would leave, and its noise.
+"""The demand of a flight on its rate loop: the error that another controller would leave, and its noise.
 
 The error is setpoint less rate. Its part that the sticks make is (1 - T) r. The rest comes from the air and
 the gyro, and another controller changes it as it changes the sensitivity 1 / (1 + G C).

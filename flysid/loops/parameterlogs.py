@@ -1,6 +1,6 @@
 """Rate loops of PX4's and ArduPilot's logs: setpoint, output and rate on an even grid; their parameters.
 
-In all modes but acro an angle loop makes the rate's setpoint; the angle that it was asked for is read, too.
+In all modes but acro an angle loop makes the rate's setpoint; its commanded angle is read, too.
 """
 
 from __future__ import annotations
@@ -134,7 +134,7 @@ def _lateness(log: Any, stream: str) -> FloatArray:
 
 
 def _asked_of_px4(log: Any, axis: str) -> tuple[FloatArray, FloatArray] | None:
-    """Times and the angle (rad) that PX4's attitude loop was asked for; None in a flight by rates alone.
+    """Times and the angle (rad) commanded to PX4's attitude loop; None in a flight by rates alone.
 
     Of yaw the rate (rad/s) that the stick asks for, where it does: meanwhile the heading's setpoint follows
     the measured heading, and gusts come back through it.

@@ -43,7 +43,7 @@ class Rows:
     loop : (N,) its number.
     setpoint, weighed, rate : (N,) deg/s; `weighed` is what the derivative takes of the setpoint.
     throttle : (N,) 0 to 1, of the kind that the law goes by.
-    asked : (N,) share of the motors' range that the axes asked for.
+    asked : (N,) share of the motors' range that the axes demanded.
     faster : (N,) factor of the integral while the throttle moves in steps.
     carried : (N,) thousandths a second that turns of the body carry over from the other axes' integrals.
     slope : (N,) deg/s^2 of the setpoint, as the F term has it.

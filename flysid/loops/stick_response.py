@@ -6,7 +6,7 @@ What the setpoint r moves is free of them (joint input-output; Pintelon & Schouk
     G = S_ry / S_ru,        T = S_ry / S_rr
 
 with the controller's output u and the measured rate y. Where an angle loop makes r, disturbances come back
-through it, and r is no longer free of them; what that loop is asked for, z, is, and stands for r:
+through it, and r is no longer free of them; the command to that loop, z, is, and stands for r:
 G = S_zy / S_zu, T = S_zy / S_zr (instrumental variables; Söderström & Stoica, 1989, 10.5). The scatter is
 found by resampling stretches of windows, whole flights where there are several.
 """

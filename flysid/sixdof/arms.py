@@ -24,7 +24,7 @@ HINT = "a line a motor, in metres forward and left, as 'motor1 = [0.12, -0.10]'"
 
 @dataclass(frozen=True, eq=False)
 class Body:
-    """Numbers that places add, and motors that do not act where they are said to be, in sentences."""
+    """Numbers that places add, and motors that act elsewhere than stated, in sentences."""
 
     numbers: tuple[VehicleNumber, ...]
     doubts: tuple[str, ...]

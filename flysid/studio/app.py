@@ -136,13 +136,13 @@ class Studio:
         length = int(request.headers["content-length"])
         path = await keep_upload(self.workspace.uploads, asked.name, request.stream(), length)
         job = self.jobs.add(*commands.ingest(self.workspace, path, asked))
-        return answer({"job": told(job), "upload": path.parent.name, "name": path.name}, 202)
+        return answer({"job": job_facts(job), "upload": path.parent.name, "name": path.name}, 202)
 
     async def sample(self, request: Request) -> Response:
         """A simulated flight, for somebody who has no log at hand; the job that makes it."""
         forms.query_of(request, forms.Nothing)
         words, about, then = commands.sample(self.workspace)
-        return answer({"job": told(self.jobs.add(words, "read", about, then))}, 202)
+        return answer({"job": job_facts(self.jobs.add(words, "read", about, then))}, 202)
 
     def _look_at_upload(self, where: Where, _asked: object) -> object:
         from flysid.studio.quick_look import quick_look
@@ -156,7 +156,7 @@ class Studio:
         if request.method == "DELETE":
             await run_in_threadpool(self.jobs.cancel, job_id)
         text = self.jobs.text(job_id, "out").decode("utf-8", "replace")
-        return answer({**told(self.jobs.get(job_id)), "out": text})
+        return answer({**job_facts(self.jobs.get(job_id)), "out": text})
 
     async def job_events(self, request: Request) -> Response:
         """The job's log and states as server-sent events; `Last-Event-ID` resumes."""
@@ -168,7 +168,7 @@ class Studio:
         return StreamingResponse(self._events(job_id, after), media_type="text/event-stream")
 
     async def _events(self, job_id: str, after: int) -> AsyncIterator[str]:
-        yield f"event: job\ndata: {json.dumps(told(self.jobs.get(job_id)))}\n\n"
+        yield f"event: job\ndata: {json.dumps(job_facts(self.jobs.get(job_id)))}\n\n"
         lines = self.jobs.events(job_id, after)
         waiting = asyncio.ensure_future(anext(lines, None))
         leaving = asyncio.ensure_future(self._leaving.wait())
@@ -186,7 +186,7 @@ class Studio:
         finally:
             waiting.cancel()
             leaving.cancel()
-        yield f"event: ended\ndata: {json.dumps(told(self.jobs.get(job_id)))}\n\n"
+        yield f"event: ended\ndata: {json.dumps(job_facts(self.jobs.get(job_id)))}\n\n"
 
     @property
     def live(self) -> Live:
@@ -304,7 +304,7 @@ class Studio:
             if asked.preview:
                 after = {"then": commands.shown(then)} if then else {}
                 return answer({"command": commands.shown(words), **after})
-            return answer(told(self.jobs.add(words, "fit", about, then)), 202)
+            return answer(job_facts(self.jobs.add(words, "fit", about, then)), 202)
 
         return self._route("POST", path, room, handler)
 
@@ -351,7 +351,7 @@ class Studio:
             page("runs/{run}/report.html", "run_views", self._run_page),
             page("runs/{run}/models/{channel:path}/{label}", "run_views", self._model),
             get("about", "", self._about),
-            get("jobs", "", lambda *_: {"jobs": [told(job) for job in self.jobs.listing()]}),
+            get("jobs", "", lambda *_: {"jobs": [job_facts(job) for job in self.jobs.listing()]}),
             route("GET", "jobs/{job}", "", self.job),
             route("DELETE", "jobs/{job}", "", self.job),
             route("GET", "jobs/{job}/events", "", self.job_events),
@@ -405,7 +405,7 @@ def answer(content: object, status: int = 200) -> Response:
     return Response(msgspec.json.encode(content), status, media_type="application/json")
 
 
-def told(job: Job) -> dict[str, Any]:
+def job_facts(job: Job) -> dict[str, Any]:
     """A job as the page shows it."""
     return {**msgspec.to_builtins(msgspec.structs.replace(job, seal="")), "command": job.command}
 

@@ -1,4 +1,4 @@
-"""A second of a held-out flight: which rules spoke, what they said, and what a page needs to fly the models.
+"""A second of a held-out flight: active rules, their conclusions, and what a page needs to fly the models.
 
 A page that moves the input computes the free run itself. For that it gets the numbers of a model's recursion
 (`Recursion`) and the rows that a run stands on; the page's arithmetic is the compiled kernel's.

@@ -17,7 +17,7 @@ VIEWS = ".views-"
 
 
 class NotThere(UsageError):
-    """What is asked for does not exist (404)."""
+    """The requested thing does not exist (404)."""
 
 
 @dataclass(frozen=True)

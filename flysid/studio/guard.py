@@ -29,19 +29,19 @@ class RequestBounds:
 
 
 class Quiet:
-    """For how long nobody has asked. A stream of events counts as it begins and ends."""
+    """Time since the last request. A stream of events counts as it begins and ends."""
 
     def __init__(self) -> None:
         self._since = time.monotonic()
         self._answered = asyncio.Event()
 
-    def asked(self) -> None:
-        """Somebody does."""
+    def restart(self) -> None:
+        """A request has come."""
         self._since = time.monotonic()
 
     def answered(self) -> None:
         """An answer has been given."""
-        self.asked()
+        self.restart()
         self._answered.set()
 
     async def until_answered(self, seconds: float) -> None:
@@ -71,7 +71,7 @@ class RequestGuard:
         if scope["type"] != "http":
             await send({"type": "websocket.close", "code": 1008})
             return
-        self._quiet.asked()
+        self._quiet.restart()
         try:
             await self._answer(scope, receive, send)
         finally:

@@ -1,6 +1,6 @@
-"""HTTP connections that must ask for something soon: what is opened and left half said is closed.
+"""HTTP connections that must send a request soon: one that stays incomplete is closed.
 
-uvicorn bounds the time between two requests, not the time that a request takes to be said.
+uvicorn bounds the time between two requests, but not the time that a request takes to arrive.
 """
 
 from __future__ import annotations

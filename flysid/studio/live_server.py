@@ -16,7 +16,7 @@ from importlib import resources
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
-from flysid.studio.live_stream import EVERY_S, Live, seen_by, told
+from flysid.studio.live_stream import EVERY_S, Live, event_text, seen_by
 from flysid.studio.loopback import HEAD_S, HEADERS, HOST, POLICY, UNKNOWN, Key, bound, refusal
 
 FILES = {
@@ -44,7 +44,7 @@ class _Server(ThreadingHTTPServer):
         self.leaving = threading.Event()
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """A browser that goes is not an error; anything else is told with its traceback."""
+        """A browser that goes is not an error; anything else is printed with its traceback."""
         if not isinstance(sys.exception(), ConnectionError):
             super().handle_error(request, client_address)
 
@@ -104,7 +104,7 @@ class _Handler(BaseHTTPRequestHandler):
         step = 0
         try:
             while not self.server.leaving.is_set():
-                text, seen = told(self.server.live, seen, step)
+                text, seen = event_text(self.server.live, seen, step)
                 self.wfile.write(text.encode())
                 step += 1
                 time.sleep(EVERY_S)
@@ -121,7 +121,7 @@ def serve_live(live: Live, port: int, ready: Callable[[str], None], *, show: boo
     Parameters
     ----------
     port : 0 takes a free one.
-    ready : is told the address with the token, when it answers.
+    ready : receives the address with the token, once the server answers.
     show : open it in the browser.
 
     Raises

@@ -24,19 +24,19 @@ class Live(Protocol):
 
 
 async def stream(live: Live, seen: Mapping[str, int], leaving: asyncio.Event) -> AsyncIterator[str]:
-    """Events until the browser goes; see `told`."""
+    """Events until the browser goes; see `event_text`."""
     from starlette.concurrency import run_in_threadpool
 
     step = 0
     while not leaving.is_set():
-        text, seen = await run_in_threadpool(told, live, seen, step)
+        text, seen = await run_in_threadpool(event_text, live, seen, step)
         if text:
             yield text
         step += 1
         await asyncio.sleep(EVERY_S)
 
 
-def told(live: Live, seen: Mapping[str, int], step: int) -> tuple[str, Mapping[str, int]]:
+def event_text(live: Live, seen: Mapping[str, int], step: int) -> tuple[str, Mapping[str, int]]:
     """The events of a step: `state` once a second, `news` if there are any; and what is seen then."""
     text = f"event: state\ndata: {_text(live.state())}\n\n" if step % STATE_EVERY == 0 else ""
     news, known = live.news(seen)

@@ -1,4 +1,4 @@
-"""That a job was made by this user: a folder of data may be a stranger's, and so the jobs that lie beside it.
+"""Proof that this user made a job: a folder of data may come from a stranger, with the jobs beside it.
 
 A job that waits is a command that the next studio runs. Each carries a seal by a key that lies with the
 user's own state, not with the data; a studio runs no other.
@@ -25,7 +25,7 @@ def state_folder(environment: Mapping[str, str]) -> Path:
 
 
 def own_key(folder: Path) -> bytes:
-    """The user's key, made when it is first asked for; one for this process where none can be kept."""
+    """The user's key, made at its first use; one for this process where none can be kept."""
     path = folder / "studio.key"
     try:
         folder.mkdir(parents=True, exist_ok=True, mode=0o700)

@@ -46,7 +46,7 @@ def serve(
     ----------
     workspace : its folders.
     port : 0 takes a free one.
-    ready : is told the address with the token, when it answers.
+    ready : receives the address with the token, once the server answers.
     show : open it in the browser.
     live : what is recorded and watched meanwhile; its page is opened first.
     """

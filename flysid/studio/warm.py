@@ -63,7 +63,7 @@ class Warm:
 
 
 def main() -> None:
-    """Fork jobs as they are asked for."""
+    """Fork jobs on request."""
     for module in NEEDED:
         importlib.import_module(module)
     fork_from_here()  # a job's workers

@@ -1,4 +1,4 @@
-"""Where a flight may be used: as spans of vehicle time, with what is to be said of them."""
+"""Where a flight may be used: as spans of vehicle time, with remarks about them."""
 
 from __future__ import annotations
 

@@ -111,7 +111,7 @@ def _held(
 def condition_truths(
     condition: Condition, t_ns: IntArray, values: npt.NDArray[np.generic], names: Mapping[str, str]
 ) -> tuple[IntArray, BoolArray]:
-    """Times at which a condition is told to hold or not to, and which; of events only those that say so."""
+    """Times at which the log states whether a condition holds, and the statement; only of such events."""
     if condition.above is not None or condition.below is not None:
         return t_ns, _in_bounds(values.astype(np.float64), condition)
     if not (condition.set_by or condition.cleared_by):
@@ -135,7 +135,7 @@ def _is_wanted(values: npt.NDArray[np.generic], condition: Condition, names: Map
 
 
 def _describe_wanted(condition: Condition) -> str:
-    """What was asked for, in words."""
+    """The request, in words."""
     if condition.has_bits:
         return f" (bits {condition.has_bits})"
     return f" ({', '.join(str(v) for v in condition.any_of or condition.set_by)})"

@@ -57,8 +57,8 @@ class BestInput(NamedTuple):
     band_hz: tuple[float, float] | None
 
 
-def told(found: Sequence[Doubt]) -> Iterator[str]:
-    """What is said where a model is fitted: faults, and inputs of few values; a band is told by the page."""
+def doubt_lines(found: Sequence[Doubt]) -> Iterator[str]:
+    """Lines for the terminal during a fit: faults, and inputs of few values. The page shows the band."""
     for doubt in found:
         if doubt.kind != "band":
             yield f"{'remark' if doubt.kind in REMARKS else 'caution'}: {doubt}"

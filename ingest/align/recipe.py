@@ -159,7 +159,7 @@ class Condition:
     set_by, cleared_by : for events that are logged once: it holds from one of these values to one of those;
         others change nothing, and before the first it was the other way round.
     margin_s : cut away this long at both ends of every interval in which the condition holds.
-    required : without a source the flight is refused; otherwise the condition is left out, and said so.
+    required : without a source the flight is refused; otherwise the condition is left out with a remark.
     channels : the channels that it is about; empty: all.
     """
 

@@ -31,7 +31,7 @@ JOIN_BYTES = 1 << 20
 
 @dataclass(frozen=True)
 class Limits:
-    """What a reader is told: bounds that hold for hostile input, and what the caller knows of the log.
+    """Settings of a reader: bounds that hold for hostile input, and what the caller knows of the log.
 
     Attributes
     ----------

@@ -75,7 +75,7 @@ def scrub_log(
     gps : "shift" moves all positions so that their median lies off the coast of Africa, "remove" empties
         them.
     force : replace `out` where it exists.
-    limits : what the reader is told.
+    limits : the settings of the reader.
 
     Raises
     ------

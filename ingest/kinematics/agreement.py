@@ -4,8 +4,8 @@ An instrument's axes read y_i(t) = s_i (x_i(t - lag) + sum_j r_j z_ij(t - lag)) 
 the other instruments imply through rigid-body kinematics and z are the accelerations that one metre of lever
 arm adds. All is fitted in the frequency domain, where a lag is a phase and noise of any colour a weight, by
 maximum likelihood with noise on both sides: x is a derivative of something noisy, and plain least squares
-would find every scale too small. How noisy `implied` is must be told; the residual's own spectrum is a sum of
-powers of frequency: a drift, white noise, and white noise of what was differentiated.
+would find every scale too small. The noise of `implied` must be given. The residual's own spectrum is a sum
+of powers of frequency: a drift, white noise, and white noise of what was differentiated.
 
 Sources: Klein and Morelli (2006), Aircraft System Identification, chapter 10; Jategaonkar (2015), Flight
 Vehicle System Identification, chapter 10; noise on both sides: Pintelon and Schoukens (2012), System

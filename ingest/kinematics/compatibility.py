@@ -110,7 +110,7 @@ class Comparison:
     sources : signal -> stream and field.
     seconds, cut_s : of flight that were compared, and that were left out around jumps of an estimator.
     parameters : all that was estimated.
-    still : axes that did not move enough for their scale to be told.
+    still : axes that did not move enough to show their scale.
     reason : why nothing was compared; "" where it was.
     """
 
@@ -266,7 +266,7 @@ def _of_axes(record: MotionRecord, kept: npt.NDArray[np.bool_]) -> MotionRecord:
 
 
 def _is_still(found: Agreement, axis: int, unit: str, *, fewest_lines: float = 5.0) -> bool:
-    """True where an axis moved too little for its scale to be told.
+    """True where an axis moved too little to show its scale.
 
     `fewest_lines`: motion at fewer frequencies is noise that looks like it.
     """
@@ -307,7 +307,7 @@ def _parameters(
 
 
 def _judge(comparisons: Sequence[Comparison], *, level: float = 0.05) -> list[Comparison]:
-    """Holm over all parameters; of an axis that follows another motion, only that is said.
+    """Holm over all parameters; an axis that follows another motion has no other finding.
 
     `level`: chance of any finding at all in a flight whose instruments agree.
     """

@@ -140,7 +140,7 @@ def nothing_to_compare(found: Compatibility) -> str:
 
 
 class Instruments:
-    """The first flights of a folder, compared once and when they are asked for, for all channels of a fit."""
+    """The first flights of a folder, compared once, at the first use, for all channels of a fit."""
 
     def __init__(self, logs: Sequence[Log], *, most: int = 5) -> None:
         """`most`: flights of a channel whose instruments are compared before a fit."""

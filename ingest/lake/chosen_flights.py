@@ -120,7 +120,7 @@ def of_one_vehicle(lake: Lake, recipe: str) -> Lake:
 def require_one_vehicle(lake: Lake) -> None:
     """Raise UsageError where flights are known to be of several vehicles: a model of all is none of any.
 
-    Logs without a serial number are told apart by the kind of vehicle and by its parameters `OWN`.
+    Logs without a serial number are distinguished by the kind of vehicle and by its parameters `OWN`.
     """
     known = {name: ids for name, ids in vehicles(lake).items() if name}
     if len(known) > 1:

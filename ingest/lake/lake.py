@@ -96,7 +96,7 @@ class StoredLog:
 
 
 class Manifests(Sequence[Manifest]):
-    """Manifests of flights, each read from its folder when it is asked for, and not kept."""
+    """Manifests of flights, each read from its folder on access, and not kept."""
 
     def __init__(self, folder: Path, ids: Sequence[str]) -> None:
         self._folder = folder
@@ -162,7 +162,7 @@ class Lake(Shown):
 
     @property
     def flights(self) -> Manifests:
-        """The manifests of the flights, by id; each is read when it is asked for."""
+        """The manifests of the flights, by id; each is read on access."""
         return Manifests(self.folder, [facts.id for facts in self.facts])
 
     @cached_property

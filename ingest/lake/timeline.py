@@ -127,7 +127,7 @@ def read_fields(log: Log, arguments: Sequence[str], *, most_lines: int = 8) -> l
 
 
 def read_channels(log: Log, recipe: Recipe) -> list[list[Curve]]:
-    """The channels of a recipe that the log holds: what was asked for and what came, in one panel.
+    """The channels of a recipe that the log holds: command and answer, in one panel.
 
     Inputs and outputs of different units stand in panels of their own, one below the other. A panel whose
     curves are all drawn above, as the output of several channels is, is left out.

@@ -9,8 +9,8 @@ parent watches:
               not count. One huge request fails at once: the system refuses data segments beyond the bound
               plus `HEADROOM_BYTES` (address space that Arrow's allocator reserves and never touches).
 
-Workers die with their parent, and leave interrupts from the keyboard to it. What a task tells of its progress
-(`flysid.progress`) is told in the parent. Where a system lacks one of these
+Workers die with their parent, and leave interrupts from the keyboard to it. The parent reports the progress
+of a task (`flysid.progress`). Where a system lacks one of these
 means (macOS, Windows), the others still hold.
 
 Whatever lists, looks into or reads a file goes through `read_bounded`: an exception that nobody foresaw is an

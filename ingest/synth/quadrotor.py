@@ -170,13 +170,13 @@ def _clip(value, bound):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def _told(square, f):  # type: ignore[no-untyped-def]
-    """Speed a motor is told, within its limits."""
+    """Commanded speed of a motor, within its limits."""
     return min(max(math.sqrt(max(square, 0.0)), f.rotor_min), f.rotor_max)
 
 
 @njit(cache=True)
 def rates(x, u, f, out):  # type: ignore[no-untyped-def]
-    """out (30,) = dx/dt of vehicle and inner loop at input u, then the speeds that the motors are told."""
+    """out (30,) = dx/dt of vehicle and inner loop at input u, then the commanded motor speeds."""
     ss = math.sin(x[8])
     cs = math.cos(x[8])
     ahead = cs * x[3] + ss * x[4]

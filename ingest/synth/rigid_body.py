@@ -17,7 +17,7 @@ from flysid.dataset import FloatArray
 from flysid.errors import DataError, UsageError
 from flysid.ingest.synth.inner_loop import InnerLoop
 from flysid.ingest.synth.plants import LOOPS
-from flysid.ingest.synth.quadrotor import INPUTS, ROTORS, STATES, Physics, airframe, integrate, rates
+from flysid.ingest.synth.quadrotor import INPUTS, ROTORS, STATES, Physics, integrate, rates
 
 STEP_S = 0.001
 NAMES = ("x", "y", "z", "vx", "vy", "vz", "phi", "theta", "psi", "p", "q", "r")
@@ -152,26 +152,6 @@ def _control(c: InnerLoop, on: Effects) -> dict[str, float]:
     }  # fmt: skip
 
 
-def rigid_body_rates(
-    state: npt.ArrayLike, rotors_rad_s: npt.ArrayLike, vehicle: Vehicle, wind_m_s: npt.ArrayLike = (0, 0, 0)
-) -> FloatArray:
-    """(12,) time derivative of the paper's twelve states at given rotor speeds: equations (8) and (9).
-
-    Parameters
-    ----------
-    state : (12,) position, velocity, phi, theta, psi, p, q, r; world x forward, y left, z up.
-    rotors_rad_s : (4,) front, left, rear, right.
-    wind_m_s : (3,) in world axes.
-    """
-    x = np.zeros(STATES)
-    out = np.zeros(STATES)
-    x[:12] = state
-    w1, w2, w3, w4 = (float(w) for w in np.asarray(rotors_rad_s))
-    air = [float(v) for v in np.asarray(wind_m_s)]
-    airframe(x, w1, w2, w3, w4, air[0], air[1], air[2], vehicle.physics().packed(), out)
-    return out[:12]
-
-
 def closed_loop_rates(x: FloatArray, u: FloatArray, physics: Physics | np.void) -> FloatArray:
     """(26,) time derivative of vehicle and inner loop; states and inputs in `quadrotor`'s order."""
     out = np.empty(STATES + ROTORS)
@@ -183,7 +163,7 @@ def closed_loop_rates(x: FloatArray, u: FloatArray, physics: Physics | np.void) 
 class Trajectory:
     """States (N, 26) at a fixed period from t = 0; `series` gives them in the paper's signs and units.
 
-    `told` (N, 4) are the speeds that the motors are told, rad/s. thrust is the rotors' lift over that of
+    `told` (N, 4) are the commanded motor speeds, rad/s. thrust is the rotors' lift over that of
     hover; throttle, and the torques roll_effort (right side down), pitch_effort (nose up) and yaw_effort (to
     the right), are what the inner loop asks of the rotors, in the thrust of hover.
     """

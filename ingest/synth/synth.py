@@ -203,7 +203,7 @@ def fly_one(order: Order, index: int) -> Recording:
 
 
 def sensor_of(order: Order) -> Sensor:
-    """The order's sensor; telemetry has the noise that was asked for."""
+    """The order's sensor; telemetry has the requested noise."""
     telemetry = order.sensor == "telemetry"
     return velocity_sensor(50.0, order.noise) if telemetry else SENSORS[order.sensor]
 

@@ -244,7 +244,7 @@ class ContinuousTransfer:
         """A mode is seen in a band: it lies in it, or within an octave, where it bends the response still."""
         return band[0] / 2.0 <= abs(mode.pole) <= 2.0 * band[1] or mode.pole == 0
 
-    def told(self, band: Band | None) -> str:
+    def words_in(self, band: Band | None) -> str:
         """As `str`, without figures that a trusted band (rad/s) does not carry; None carries none."""
         if band is None:
             bare = replace(self, covariance=np.zeros_like(self.covariance))

@@ -22,7 +22,7 @@ Auto: TypeAlias = Literal["auto"]
 
 @dataclass(frozen=True)
 class PolynomialSettings(Settings):
-    """What ARX, OE, ARMAX, BJ and IV are told alike; the defaults choose by themselves.
+    """The settings that ARX, OE, ARMAX, BJ and IV share; the defaults choose by themselves.
 
     Parameters
     ----------
@@ -65,7 +65,7 @@ class PolynomialSettings(Settings):
             raise UsageError("a trend is not taken out of data on disk", hint="use trend='none'")
 
     def detrended(self, train: Dataset, validation: Dataset | None) -> tuple[Dataset, Dataset | None]:
-        """Both parts, without their trends where that is asked for."""
+        """Both parts, without their trends where that is set."""
         return detrend(train, self.trend), None if validation is None else detrend(validation, self.trend)
 
 

@@ -1,4 +1,4 @@
-"""Why a TS model said what it said at one moment: which rules spoke, how loudly, and on what ground."""
+"""Why a TS model gave its output at one moment: which rules spoke, how loudly, and on what ground."""
 
 from __future__ import annotations
 

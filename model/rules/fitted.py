@@ -1,4 +1,4 @@
-"""Fitted Takagi-Sugeno models with all that can be asked of them; how they are built and read from files.
+"""Fitted Takagi-Sugeno models with all that they offer; how they are built and read from files.
 
 The kernels do not check bounds: a forged column or lag would read memory that is not theirs. So what is read
 from a file is checked before compiled code follows its indices. python-control is imported only when a

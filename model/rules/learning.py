@@ -399,7 +399,7 @@ def _verdict(found: Search) -> tuple[str, ...]:
 def merge_and_split(found: Search) -> Search:
     """The same number of rules by way of one more, where training and validation both prefer it.
 
-    Rules that were asked for stay as they are.
+    Requested rules stay as they are.
     """
     s = found.context.settings
     if not (s.refine and s.rules == "auto" and s.antecedents == "auto"):

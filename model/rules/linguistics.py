@@ -187,7 +187,7 @@ def _words_along(partition: Partition, j: int, axis: Axis) -> list[str]:
 
 
 def set_words(centre: FloatArray, width: FloatArray, axis: Axis, *, alone: bool = False) -> list[str]:
-    """A word for every set by the order of centres (R,); sets at one place are told by their widths (R,).
+    """A word for every set by the order of centres (R,); sets at one place differ by their widths (R,).
 
     Parameters
     ----------

@@ -2,7 +2,7 @@
 
 It proves that outputs stay bounded under bounded inputs for any blend of rules, and that a run forgets its
 start under any one sequence of firing strengths (Tanaka and Sugeno 1992). Where conditions speak of outputs,
-two runs on the same inputs fire differently: that these come together too is asked of runs
+two runs on the same inputs fire differently: runs show that these come together too
 (`flysid.model.rules.boundedness`). Its absence proves nothing.
 
 P > 0 with g^2 P - A_r' P A_r > 0 for every rule r is a linear matrix inequality, and convex: an

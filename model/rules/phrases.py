@@ -73,7 +73,7 @@ def precise(value: float) -> str:
 def condition_in_words(partition: Partition, r: int, names: Sequence[str], units: Sequence[str]) -> str:
     """ "v_x(k-1) is A2 'forward' (about 0.51 +- 0.2 m/s) and ...", or "always" for a single rule.
 
-    With one antecedent the word is of where the rule is the strongest, which is said in numbers too where
+    With one antecedent the word is of where the rule is the strongest, which is given in numbers too where
     the centre does not tell it. With several, an antecedent that tells this rule from no other is left out.
     """
     make = partial(_condition, partition, r, names, units)

@@ -117,7 +117,7 @@ def _screen(context: SearchContext, starts: Sequence[Family]) -> list[Screened]:
 def grown(context: SearchContext, start: Family, ridge: float, done: float = 0.0) -> Family:
     """Models with 1, 2, 3, ... rules grown on the fitting part of every fold, judged on the other part.
 
-    `done`: share of the search that is done, which is told.
+    `done`: share of the search that is done, for the progress.
     """
     checks = [check for _, check in context.parts]
     stages = [in_coordinates(fold[0].stage, start.coordinates)[0] for fold in start.folds]

@@ -1,4 +1,4 @@
-"""What is asked of a search for rules, and how it weighs and how long it looks (`TS(search=...)`)."""
+"""The goal of a search for rules, its weights and its length (`TS(search=...)`)."""
 
 from __future__ import annotations
 

@@ -3,7 +3,7 @@
 With the memberships fixed a TS model is linear in its consequents one step ahead, so that exponentially
 forgotten least squares (Ljung 1999, section 11.2) applies as it stands. On lags as they are measured it is
 biased by their noise, and a model whose free run was good may come out with rules that are unstable. So the
-free run's error is minimised instead, unless the other is asked for: its exact sensitivities are the
+free run's error is minimised instead, unless the other is requested: its exact sensitivities are the
 regressors (recursive prediction error method, the same book, sections 11.4 and 11.5). What the recursion
 arrives at is computed flight by flight, as weighted least squares with what was known before as one more
 term, and taken only as far as the free run gets better and stays bounded.

@@ -28,7 +28,6 @@ from flysid.model.gram import Triangle, lagged_triangle
 from flysid.model.linear.data import EXACT, Scaling
 from flysid.model.polynomials import RCOND
 from flysid.model.stream import Source, blocks_of
-from flysid.model.subspace.riccati import kalman_gain
 
 Method: TypeAlias = Literal["pbsid", "n4sid", "moesp", "cva"]
 METHODS: tuple[Method, ...] = ("pbsid", "n4sid", "moesp", "cva")
@@ -415,3 +414,20 @@ def _gain(
     if np.abs(np.linalg.eigvals(a - k @ c)).max() < 1.0:
         return k, innovation
     return kalman_gain(a, c, error.T @ error / rows, error.T @ e / rows, innovation), innovation
+
+
+def kalman_gain(a: FloatArray, c: FloatArray, q: FloatArray, s: FloatArray, r: FloatArray) -> FloatArray:
+    """(n, n_y) stationary gain of the predictor for process noise q, output noise r and cross covariance s.
+
+    Zero where the Riccati equation has no stabilising solution (no noise reaches an unstable state).
+    """
+    from scipy.linalg import solve_discrete_are
+
+    n = len(a)
+    floor = EXACT**2
+    try:
+        p = solve_discrete_are(a.T, c.T, q + floor * np.eye(n), r + floor * np.eye(len(c)), s=s)
+    except (np.linalg.LinAlgError, ValueError):
+        return np.zeros((n, len(c)))
+    gain: FloatArray = np.linalg.solve((c @ p @ c.T + r + floor * np.eye(len(c))).T, (a @ p @ c.T + s).T).T
+    return gain

@@ -9,7 +9,7 @@ models.ts.rmse (or ts.rmse) and so on. A query language such as JMESPath would t
 and guard nothing.
 
 A path without a channel is tried on every channel, and the condition holds when it holds on any. "better" and
-"same" are said of another flight: a verdict of these flights only is neither. A change that is null because a
+"same" hold for another flight: a verdict of these flights only is neither. A change that is null because a
 model diverged counts as infinitely large (verdict "worse") or small ("better"). A guard that cannot judge
 fails: a condition that asks for any other number that does not exist, such as the change where both models
 diverged, holds, and says why.

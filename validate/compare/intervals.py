@@ -1,18 +1,18 @@
 """How sure: the change in error on another flight, or on these flights, with a 95 % interval.
 
-*Another flight like these*: every held-out flight gives one number, l = log(RMSE_b / RMSE_a), and
-Student's t an interval of its mean, the change on a typical flight. Where some flights suit one model and
-some the other, l stands in two heaps, few flights are often all of one, and their spread is then far too
-small. So every flight is asked a second thing: how far the truth lies from the middle of the two predictions,
-in distances between them, w = (|e_a|^2 - |e_b|^2) / (2 |e_a - e_b|^2). It has the sign of -l, and no heaps:
-the vehicle of a flight lies anywhere between the models, or beyond one. A tenth of the mean of both squared
-errors is added to the squared distance, so that flights in which the models agree decide little. A change is
-shown only where t of w shows it too, else the interval reaches to no change. Few w that are spread evenly
-look alike more often than Student's t expects (7 to 8 % with two to five): theirs is asked for.
+*Another flight like these*: every held-out flight gives one number, l = log(RMSE_b / RMSE_a), and Student's t
+an interval of its mean, the change on a typical flight. Where some flights suit one model and some the other,
+l stands in two heaps, few flights are often all of one, and their spread is then far too small. So every
+flight answers a second question: how far the truth lies from the middle of the two predictions, in distances
+between them, w = (|e_a|^2 - |e_b|^2) / (2 |e_a - e_b|^2). It has the sign of -l, and no heaps: the vehicle of
+a flight lies anywhere between the models, or beyond one. A tenth of the mean of both squared errors is added
+to the squared distance, so that flights in which the models agree decide little. A change is shown only where
+t of w shows it too, else the interval reaches to no change. Few w that are spread evenly look alike more
+often than Student's t expects (7 to 8 % with two to five): theirs is asked for.
 
 *Another flight of this day* is the same where all flights began within half a day. *Another flight* of this
-vehicle is said only where many flights still show the change once their order and the odd ones among them are
-counted in (`flysid.validate.compare.neighbours`).
+vehicle is claimed only where many flights still show the change once their order and the odd ones among them
+are counted in (`flysid.validate.compare.neighbours`).
 
 Where flights are judged in turn, by models that have not seen them, those models are not the compared ones:
 fitted to other flights, they may even have ended in another minimum. How far they are shows on the flights

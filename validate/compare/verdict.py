@@ -12,7 +12,7 @@
 | same | no difference shown, and the interval lies inside +-10 %: a large one is excluded |
 | not enough data | everything else: a difference that matters is neither shown nor excluded |
 
-"Better" and "worse" are said of the model, seen from the baseline; a change below 0 % is a smaller error.
+"Better" and "worse" describe the model, against the baseline; a change below 0 % is a smaller error.
 What a verdict speaks of, another flight or only these, is its scope
 (`flysid.validate.compare.intervals.Scope`).
 """

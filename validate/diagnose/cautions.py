@@ -46,7 +46,7 @@ UNDECIDED: Mapping[str, tuple[str, str]] = {
         "hold out flights with manoeuvres, or check the recipe's signals.",
     ),
 }
-Saying = Callable[[Comparisons, Diagnoses], Iterator[Caution]]
+CautionRule = Callable[[Comparisons, Diagnoses], Iterator[Caution]]
 _ORDER = ("danger", "warning", "note", "good")
 WEIGHTS: Mapping[str, float] = {
     "quiet": 9.0,
@@ -66,13 +66,13 @@ def cautions(
     diagnoses: Mapping[str, Diagnosis],
     doubts: Mapping[str, Sequence[Doubt]] | None = None,
 ) -> tuple[Caution, ...]:
-    """At most six, worst first; what holds for several channels is said once.
+    """At most six, worst first; what holds for several channels stands once.
 
     `doubts` are reasons in the training data themselves, by channel.
     """
     found = [*extra(Extra.CAUTIONS, lambda: list(in_the_data(doubts or {})), (), "the data")]
     for rule in _rules():
-        own = partial(_said_by, rule, comparisons, diagnoses)
+        own = partial(_cautions_by, rule, comparisons, diagnoses)
         found += extra(Extra.CAUTIONS, own, (), f"'{rule.__name__.strip('_').replace('_', ' ')}'")
     if not any(c.level == "danger" for c in found):
         found += extra(Extra.CAUTIONS, partial(_all_stable, comparisons, diagnoses), (), "'all stable'")
@@ -80,11 +80,11 @@ def cautions(
     return tuple(found[:MOST])
 
 
-def _said_by(rule: Saying, comparisons: Comparisons, diagnoses: Diagnoses) -> list[Caution]:
+def _cautions_by(rule: CautionRule, comparisons: Comparisons, diagnoses: Diagnoses) -> list[Caution]:
     return list(rule(comparisons, diagnoses))
 
 
-def _rules() -> tuple[Saying, ...]:
+def _rules() -> tuple[CautionRule, ...]:
     return (
         _diverged, useless, contested, one_rule, own_constants, runs_away, _unstable, _unexplained,
         _extrapolates, _holes,
@@ -399,7 +399,7 @@ def _all_stable(comparisons: Comparisons, diagnoses: Diagnoses) -> Sequence[Caut
 
 
 def in_the_data(doubts: Mapping[str, Sequence[Doubt]]) -> Iterator[Caution]:
-    """What alignment said of the data, by channel; the same of several channels is said once."""
+    """What alignment found in the data, by channel; the same of several channels stands once."""
     said: dict[tuple[str, str, str], list[str]] = {}
     for channel, own in doubts.items():
         for d in own:

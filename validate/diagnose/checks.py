@@ -135,7 +135,7 @@ class Checks:
     certificate : what is proved about the stability of any blend of the rules, in words; "" where there is
         one rule, whose poles say all.
     proved : a common quadratic Lyapunov function was found.
-    simpler : what could be said with fewer words and its price on the training data, cheapest first.
+    simpler : simpler rules and their price on the training data, cheapest first.
     """
 
     robustness: Robustness | None
@@ -185,7 +185,7 @@ def conditions(model: Fitted, data: Dataset) -> tuple[float, ...]:
     """Condition number of the regressors, one per rule; () where the model does not tell its regressors.
 
     Columns are centred and scaled; rows are weighted by the rule's firing strength. 1: perfectly independent;
-    infinite: some coefficients cannot be told apart.
+    infinite: some coefficients cannot be distinguished.
     """
     lags = _lags(model)
     if lags is None:

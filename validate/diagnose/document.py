@@ -33,7 +33,7 @@ def to_json(
     and "verdict" speak of the contender ("ts" where there is one) against the baseline, which "about" names;
     "one_rule": the contender has one rule, so it is a linear model. "pairs" holds every model against the
     baseline, "rivals" the contender against every other linear model, "short_of" those that it is not shown
-    to be better than. What is said of a whole channel stands under "about";
+    to be better than. Facts about a whole channel stand under "about";
     segments are counted from 0 (H1 on the page, 1 in CSV, is 0 here);
     with `diagnoses` there are also "cautions", worst first, and "diagnostics" by channel.
     """

@@ -1,8 +1,8 @@
 """How far held-out samples lie from every training sample: holes inside the range that training spans.
 
 A sample is a point of what models look back on: inputs and outputs, each in units of its spread in training,
-now and a moment ago, where a model's regressors lie. How far apart training samples lie from each other is
-told by blocks: the nearest sample in any other block, as neighbours in time are always near.
+now and a moment ago, where a model's regressors lie. The distance between training samples is measured by
+blocks: the nearest sample in any other block, as neighbours in time are always near.
 """
 
 from __future__ import annotations

@@ -105,7 +105,7 @@ class ChannelJob(Generic[D]):
             fits.models[label] = model
             fits.files[label] = file
 
-    def told(
+    def channel_run(
         self, fits: Fits, choice: BaselineChoice, split: Split, seen: Dataset, late: tuple[DeadTime, ...]
     ) -> ChannelRun:
         """What the run remembers of the channel.

@@ -251,7 +251,7 @@ def _context(
 def _provenance(
     a: Run, b: Run, comparisons: Mapping[str, Comparison], sides: Mapping[str, tuple[HeldOut, HeldOut]]
 ) -> dict[str, str]:
-    """Where both runs are from; what they share is said once."""
+    """Where both runs are from; what they share stands once."""
     found = {"run A": str(a.folder), "run B": str(b.folder)}
     found |= _both_say("recipe", a.recipe, b.recipe)
     for name, (theirs, ours) in sides.items():

@@ -20,7 +20,7 @@ from flysid.validate.compare.models import HORIZONS, Sides, sides_of
 from flysid.validate.compare.trials import FREE_RUN, horizon_name
 from flysid.validate.compare.verdict import Evidence, Verdict
 from flysid.validate.diagnose.document import channel_documents
-from flysid.validate.runs.run import Beside, Run, asked_for, models_of
+from flysid.validate.runs.run import Beside, Run, models_of, requested_model
 
 SCORE = ModelScore(Scores(1, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0), ())
 
@@ -35,7 +35,7 @@ def expected_of_run(run: Run, beside: Beside = MappingProxyType({})) -> dict[str
     channels = {}
     for channel in run.channels:
         models = {**models_of(run, channel), **beside.get(channel.name, {})}
-        contender = asked_for(run.settings.models, models, channel.baseline)
+        contender = requested_model(run.settings.models, models, channel.baseline)
         channels[channel.name] = models, sides_of(models, channel.baseline, contender)
     return expected_document(channels, run.skipped)
 

@@ -43,7 +43,7 @@ class DiskJob(ChannelJob[DatasetFile]):
                 linear = {n: m for n, m in fits.models.items() if kind_of(m.structure) == "linear"}
                 if linear:  # all were fitted to many more samples than these: none knows them by heart
                     told = replace(
-                        self.told(fits, best_fitted(linear, look), split, look, late), on_disk=True
+                        self.channel_run(fits, best_fitted(linear, look), split, look, late), on_disk=True
                     )
                 tell("could not be fitted" if label in fits.failed else "fitted", share=1.0, result=told)
         return told or fits.reasons

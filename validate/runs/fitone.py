@@ -55,7 +55,7 @@ def fault(error: Exception, package: str = "") -> str:
 
 
 def nothing_done(recipe: str, done: str, why: Mapping[str, str]) -> DataError:
-    """No channel of a recipe could be `done`: every reason and every advice is said once.
+    """No channel of a recipe could be `done`: every reason and every advice stands once.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Which part of a channel's work each of its models is, so that the share that is done can be told."""
+"""Which part of a channel's work each of its models is, so that progress can be shown as a share."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ class FitPlan:
     folds: int = 0
 
     def choice(self) -> AbstractContextManager[None]:
-        """Steps told in the block are of the choice of the baseline."""
+        """Steps reported in the block belong to the choice of the baseline."""
         return progress.part(0.0, _cost(CHOICE) / self._total)
 
     def model(self, label: str, fold: int = 0) -> AbstractContextManager[None]:
-        """Steps told in the block are of the fit of a model; `fold` counts from 1, 0 is all training data."""
+        """Steps reported in the block belong to the fit of a model; `fold` counts from 1; 0 is the whole."""
         ahead = list(self.labels)[: list(self.labels).index(label)]
         begin = _cost(CHOICE) + fold * self._once + sum(map(_cost, ahead))
         return progress.part(begin / self._total, (begin + _cost(label)) / self._total, model=label)

@@ -103,7 +103,7 @@ class MemoryJob(ChannelJob[Dataset]):
         linear = {label: model for label, model in fits.models.items() if label in beside}
         if not linear:
             return fits.reasons
-        told = self.told(fits, confirm(choice, linear, train), split, train, late)
+        told = self.channel_run(fits, confirm(choice, linear, train), split, train, late)
         tell(
             "best linear model",
             model=told.baseline,

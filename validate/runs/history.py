@@ -1,7 +1,7 @@
 """Run folders side by side: what was fitted, the verdict; ranked where they can be compared.
 
 Errors of two runs say which is better only where both were measured on the same held-out samples, so runs are
-ranked within a recipe, a channel and a held-out part (told apart by its hash), never across them.
+ranked within a recipe, a channel and a held-out part (identified by its hash), never across them.
 """
 
 from __future__ import annotations
@@ -92,7 +92,7 @@ def find_runs(folders: Sequence[str | Path]) -> list[Path]:
 
 
 def walk(folder: Path, *, depth: int = 4) -> Iterator[Path]:
-    """Run folders in and below one folder. `depth`: folders below the one that is asked for."""
+    """Run folders in and below one folder. `depth`: folders below the given one."""
     for place, below, files in os.walk(folder):
         if RUN_FILE in files:
             yield Path(place)

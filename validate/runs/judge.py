@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -13,6 +13,7 @@ from flysid.catalogue import FlightFacts
 from flysid.errors import DataError
 from flysid.extras import Extra, Missing, extra
 from flysid.ingest.lake.chosen_flights import Selection
+from flysid.ingest.lake.lake import Lake
 from flysid.ingest.lake.lake import open as open_lake
 from flysid.loops.judged import Judged, judge, states_gains
 from flysid.progress import tell
@@ -27,9 +28,10 @@ from flysid.validate.runs.judgedparts import chosen_lake, restrict
 from flysid.validate.runs.provenance import FIT_TIME, fit_command, provenance_of
 from flysid.validate.runs.run import (
     Beside,
+    HeldOut,
     Run,
-    asked_for,
     held_out,
+    requested_model,
     with_models,
 )
 
@@ -94,13 +96,31 @@ def judge_run(
     DataError : no channel can be judged, or the data differs from what was fitted.
     StoreError, UsageError : the run or the data folder cannot be read.
     """
-    tell("aligning the held-out part", share=0.0)
     chosen = None if only is None else chosen_lake(run, data, only)  # from the catalogue: before tables
     missing = Missing(*run.missing)
+    held = _load(run, data, beside, missing)
+    comparisons, failed = _compare(run, held, chosen)
+    skipped = {**run.skipped, **{name: error.advice for name, error in failed.items()}}
+    context = replace(_context(run, data, only, held, comparisons, missing), skipped=skipped)
+    return Judgement(run, comparisons, skipped, context, tuple(failed))
+
+
+def _load(run: Run, data: str | Path | None, beside: Beside, missing: Missing) -> list[HeldOut]:
+    """The held-out part of every channel, with the run's models and those beside them."""
+    tell("aligning the held-out part", share=0.0)
     with missing.gathering():
-        held = [with_models(item, beside.get(item.channel.name, {})) for item in held_out(run, data)]
-    judged_with = [] if only is None else [f"judged with {' '.join(only.options)}"]
-    remark = "; ".join([*([run.settings.remark] if run.settings.remark else []), *judged_with])
+        return [with_models(item, beside.get(item.channel.name, {})) for item in held_out(run, data)]
+
+
+def _compare(
+    run: Run, held: Sequence[HeldOut], chosen: Lake | None
+) -> tuple[Mapping[str, Comparison], dict[str, DataError]]:
+    """The comparisons by channel, corrected over channels; and why others could not be judged.
+
+    Raises
+    ------
+    DataError : no channel can be judged.
+    """
     comparisons: dict[str, Comparison] = {}
     failed: dict[str, DataError] = {}
     for i, item in enumerate(held):
@@ -111,7 +131,7 @@ def judge_run(
                 item.models,
                 judged.test,
                 baseline=item.channel.baseline,
-                contender=asked_for(run.settings.labels, item.models, item.channel.baseline),
+                contender=requested_model(run.settings.labels, item.models, item.channel.baseline),
                 seen=item.seen,
                 turns=judged.turns,
             )
@@ -119,22 +139,33 @@ def judge_run(
             failed[item.channel.name] = error
     if not comparisons:
         raise nothing_done(run.recipe, "judged", {name: str(error) for name, error in failed.items()})
-    corrected = across_channels(comparisons)
-    skipped = {**run.skipped, **{name: error.advice for name, error in failed.items()}}
+    return across_channels(comparisons), failed
+
+
+def _context(
+    run: Run,
+    data: str | Path | None,
+    only: Selection | None,
+    held: Sequence[HeldOut],
+    comparisons: Mapping[str, Comparison],
+    missing: Missing,
+) -> ReportContext:
+    """What the page shows beside the comparisons: training data, flights, doubts, loops, provenance."""
+    judged_with = [] if only is None else [f"judged with {' '.join(only.options)}"]
+    remarks = [run.settings.remark] if run.settings.remark else []
     with missing.gathering():
-        context = ReportContext(
-            comparisons=corrected,
+        return ReportContext(
+            comparisons=comparisons,
             train={h.channel.name: h.train for h in held},
             command=f"{fit_command(run)} -o RUN && flysid validate RUN",
             provenance=provenance_of(run, held),
-            remark=remark,
+            remark="; ".join([*remarks, *judged_with]),
             fit_seconds={h.channel.name: dict(h.channel.fit_seconds) for h in held},
             flights=extra(Extra.FLIGHTS, partial(_flights, run, data), ()),
-            doubts={h.channel.name: h.channel.doubts for h in held if h.channel.name in corrected},
+            doubts={h.channel.name: h.channel.doubts for h in held if h.channel.name in comparisons},
+            loops=extra(Extra.GAINS, partial(_loops, run, data), ()),
+            missing=missing,
         )
-        loops = extra(Extra.GAINS, partial(_loops, run, data), ())
-    context = replace(context, skipped=skipped, loops=loops, missing=missing)
-    return Judgement(run, corrected, skipped, context, tuple(failed))
 
 
 def _flights(run: Run, data: str | Path | None) -> tuple[FlightFacts, ...]:

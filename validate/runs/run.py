@@ -357,9 +357,9 @@ def models_of(run: Run, channel: ChannelRun) -> dict[str, Fitted]:
     return {label: run.model(file) for label, file in channel.models.items()}
 
 
-def asked_for(labels: Sequence[str], models: Mapping[str, Fitted], baseline: str) -> str | None:
+def requested_model(labels: Sequence[str], models: Mapping[str, Fitted], baseline: str) -> str | None:
     """Label of the model that the headline speaks of, where no fuzzy one was fitted: the first dynamic one
-    that the user asked for and that is not the baseline. None leaves the choice to `compare`.
+    that the user requested and that is not the baseline. None leaves the choice to `compare`.
     """
     if any(label in models for label in leaders()):
         return None

@@ -127,7 +127,7 @@ class Sheet:
                 getattr(self, part.kind)(*part.given, **part.settings)
 
     def _on(self, axes: Axes) -> Any:
-        """The matplotlib axes of a rectangle of the picture, made where they are asked for first."""
+        """The matplotlib axes of a rectangle of the picture, made at their first use."""
         if axes not in self._axes:
             width, height = self._size
             left = (self._corner[0] + axes.left) / width

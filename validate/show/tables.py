@@ -56,7 +56,7 @@ HEADINGS = (
 def _rank(
     comparisons: Mapping[str, Comparison], seconds: Seconds | None = None, every: bool = False
 ) -> Iterator[_Row]:
-    """Rows for people, or, where `every` is asked for, of all models at all horizons."""
+    """Rows for people; with `every`, of all models at all horizons."""
     for channel, c in comparisons.items():
         times = (seconds or {}).get(channel, {})
         for entry in c.entries:

@@ -20,7 +20,7 @@ FIGURE = {"value": 1.0, "low": 1.0, "high": 1.0}
 
 @dataclass(frozen=True)
 class Figures:
-    """What is asked of the figures.
+    """What the figures must satisfy.
 
     Attributes
     ----------
@@ -35,7 +35,7 @@ class Figures:
     condition: str | None = None
 
     def check(self, recipe_name: str) -> None:
-        """Raise UsageError where the recipe's channels cannot have what is asked for."""
+        """Raise UsageError where the recipe's channels cannot have a requested figure."""
         recipe = load_recipe(recipe_name)
         for name in recipe.chosen(self.channels):
             if self.reference_at:

@@ -74,7 +74,7 @@ class ChannelTransfers:
     loops : per output, whether the input answers it; none where a reference was named.
     stamps : per output, what they leave open of its delay.
     reference : signals through which the response was measured.
-    views : per output, whose the measured response is; None where that cannot be told.
+    views : per output, whose the measured response is; None where that is not known.
     figures : of the closed loop from its command ("command"), of the one cut open ("loop"); see
         `model.frequency.loop_figures`.
     cautions : what the intervals do not hold, and figures of other verbs that exclude these.
@@ -109,7 +109,7 @@ class ChannelTransfers:
             for j in range(len(self.data.inputs)):
                 transfer = self.transfer(i, j)
                 known = self.measured[i] is not None
-                text = transfer.told(self.band(i, j)) if known else str(transfer)
+                text = transfer.words_in(self.band(i, j)) if known else str(transfer)
                 said += ["", text, self._band(i, j)]
             fit = self.fit_pct[i]
             if fit is not None and not self.reference:
@@ -153,7 +153,7 @@ class ChannelTransfers:
         return seen or (bool(self.loops) and self.loops[output].closed)
 
     def _view(self, output: int) -> LoopView | None:
-        """Whose the measured response is, where that can be told."""
+        """What the measured response belongs to, where that is known."""
         return self.views[output] if self.views else None
 
     def _follows(self, output: int) -> list[tuple[float, float]]:
@@ -388,7 +388,7 @@ def _fit_pct(model: FittedTF, data: Dataset) -> tuple[float | None, ...]:
 def _all_figures(
     channel: ChannelTransfers, data: Dataset, estimator: TF, reference_at: str
 ) -> dict[str, list[LoopFigure]]:
-    """Of every command, and of the loop cut open where it is told where the reference enters."""
+    """Of every command, and of the loop cut open where the entry of the reference is given."""
     found = {}
     names = iter(
         command_groups([s.name for s in channel.data.inputs], [s.name for s in channel.data.outputs])

@@ -1,4 +1,4 @@
-"""AR.Drone AT commands: what was asked of the vehicle, and with what configuration.
+"""AR.Drone AT commands: what the vehicle shall do, and its configuration.
 
 `AT*PCMD=seq,flag,roll,pitch,gaz,yaw` carries fractions in [-1, 1] whose float bits are printed as signed
 integers. What a fraction means is configured: roll and pitch times `euler_angle_max` (rad), gaz times

@@ -92,7 +92,7 @@ def is_confirmed(
 def find_intra(
     raw: ByteArray, at: int, program: Program, state: State, scratch: IntArray, found: IntArray
 ) -> int:
-    """The next place that is, by all that can be told, an I frame or the log's End event; -1 where none is.
+    """The next place that is, as far as can be seen, an I frame or the log's End event; -1 where none is.
 
     An I frame counts where the frames behind it bear it out and it lies behind the last frame that was kept.
     What looks like one is left untried while more was decoded than FIELDS_A_BYTE and GROUPS_AT_FIRST allow.

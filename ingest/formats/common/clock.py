@@ -120,7 +120,7 @@ def back_steps(time_ns: IntArray) -> IntArray:
 
 
 def _is_late(time_ns: IntArray, at: int, usual_ns: float) -> bool:
-    """Whether the clock leaps past what it said before `at`."""
+    """Whether the clock leaps past its readings before `at`."""
     is_long = time_ns[at] < time_ns[at - 1] - BACK_STEP_NS
     after = time_ns[at : at + SIDE + 1] if is_long else time_ns[at:]
     past = np.flatnonzero(after > time_ns[at - 1])
@@ -161,7 +161,7 @@ def leaps(time_ns: IntArray, arrival_ns: IntArray, least_ns: int, *, memory: int
 
     What the arrivals explain is their step times the rate of this record: replays run up to 27 times as fast.
     Messages may come late, and what was late catches up; but none comes early, so that only a clock that
-    leapt is ahead of all that it said before.
+    leapt is ahead of all its earlier readings.
 
     Parameters
     ----------

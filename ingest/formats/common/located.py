@@ -1,4 +1,4 @@
-"""Bytes out of packets, and where in the file they lie: damage to them is told in places of the file."""
+"""Bytes out of packets, and where in the file they lie: damage to them is located in the file."""
 
 from __future__ import annotations
 

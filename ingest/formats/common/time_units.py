@@ -1,8 +1,8 @@
 """What unit the times of a table from elsewhere are in, and from when they count.
 
 A time that states no unit has one where its size and steps leave one reading. Where they leave two, a guess
-would be silently wrong by a factor of 60 or 1000, so that the caller is asked; so it is where a stated unit
-makes the rows follow faster than any vehicle logs.
+would be silently wrong by a factor of 60 or 1000, so the caller must choose. The same holds where a stated
+unit makes the rows follow faster than any vehicle logs.
 """
 
 from __future__ import annotations

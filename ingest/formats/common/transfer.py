@@ -1,4 +1,4 @@
-"""What a copy as text does to a binary log, told from its bytes."""
+"""What a copy as text does to a binary log, seen in its bytes."""
 
 from __future__ import annotations
 

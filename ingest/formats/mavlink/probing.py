@@ -144,7 +144,7 @@ def private_seeds(sample: bytes, stamp: int, dialect: str) -> Mapping[int, int]:
 def choose_dialect(sample: bytes, stamp: int) -> str:
     """ardupilotmega unless another dialect knows, and finds valid, more frames.
 
-    What no seed of a CRC explains fails in every dialect: others, slow to import, are asked for the rest.
+    What no seed of a CRC explains fails in every dialect: others, slow to import, decide the rest.
     """
     valid = {}
     for name in (DEFAULT, *OTHERS):

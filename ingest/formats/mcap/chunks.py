@@ -1,7 +1,7 @@
 """The data of an MCAP chunk: expanded within bounds, checked, and searched for messages.
 
 A chunk may hold a decompression bomb, so nothing is allocated on the word of the file: sizes are checked
-against `Limits` first and the decompressors are told how much they may write.
+against `Limits` first and the decompressors get a limit of what they may write.
 """
 
 from __future__ import annotations

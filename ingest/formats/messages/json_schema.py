@@ -258,7 +258,7 @@ def _array(values: list[Any], declared: pa.DataType | None) -> tuple[pa.Array, l
 
 
 def as_numbers(values: Sequence[object]) -> tuple[pa.Array, list[int]]:
-    """Values of JSON as numbers, numbers in quotes among them; null, and told by their places, where not.
+    """Values of JSON as numbers, numbers in quotes among them; null, and named by their places, where not.
 
     Examples
     --------

@@ -217,7 +217,7 @@ def _metadata(field: pa.Field, named: str) -> dict[bytes, bytes] | None:
 
 
 def _is_ours(key: bytes, value: bytes) -> bool:
-    """Whether a column's fact is told as flysid tells it; other programs use the same words for theirs."""
+    """Whether a column's fact stands in flysid's form; other programs use the same words for theirs."""
     try:
         if key == b"scale":
             return math.isfinite(float(value)) and float(value) != 0.0

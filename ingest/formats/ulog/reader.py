@@ -83,7 +83,7 @@ class UlogReader:
 
     @property
     def notes(self) -> dict[str, str]:
-        """What is to be said of the clocks."""
+        """Remarks about the clocks."""
         weeks = self._decoder.weeks_lost
         return {"clock_note": note_of(weeks)} if weeks else {}
 

@@ -21,7 +21,7 @@ from flysid.errors import RecipeError
 from flysid.ingest.align import align, resample
 from flysid.ingest.align.recipe import Recipe, parse_recipe
 from flysid.live.decoding import Decoder
-from flysid.live.gridding import GridPiece, RunningGrid, asked_of
+from flysid.live.gridding import GridPiece, RunningGrid, streams_of
 
 SOURCES = {
     "tilt": {"stream": "ATTITUDE_TARGET", "field": "q", "transform": "pitch", "scale": -1.0},
@@ -110,7 +110,7 @@ def given_out(
     records: Sequence[bytes], recipe: Recipe, channel: str, sizes: Sequence[int]
 ) -> list[GridPiece]:
     """The pieces of a channel, so many records at a time, once every stream has begun."""
-    decoder = Decoder(asked_of(recipe))
+    decoder = Decoder(streams_of(recipe))
     grid = RunningGrid(recipe, channel, 0.02, decoder)
     pieces: list[GridPiece] = []
     at = 0
@@ -260,7 +260,7 @@ def test_a_condition_is_read_from_the_source_that_the_recipe_prefers() -> None:
     first = [{"stream": "SYS_STATUS", "field": "load"}, {"stream": "HEARTBEAT", "field": "base_mode"}]
     document = msgspec.to_builtins(RECIPE)
     document["conditions"] = [{"name": "armed", "has_bits": 128, "sources": first, "margin_s": 0.0}]
-    decoder = Decoder(asked_of(recipe := parse_recipe(document, "running")))
+    decoder = Decoder(streams_of(recipe := parse_recipe(document, "running")))
     grid = RunningGrid(recipe, "forward", 0.02, decoder)
     records = log(3)
     link = ardupilotmega.MAVLink(None, srcSystem=1, srcComponent=1)
@@ -277,12 +277,12 @@ def test_a_condition_is_read_from_the_source_that_the_recipe_prefers() -> None:
 def test_a_channel_says_why_it_gives_nothing() -> None:
     """Streams that have not come, a recipe that a link cannot serve; the latter as long as it lasts."""
     records = log(3)
-    decoder = Decoder(asked_of(RECIPE))
+    decoder = Decoder(streams_of(RECIPE))
     grid = RunningGrid(RECIPE, "forward", 0.02, decoder)
     assert grid.lack == "no stream for tilt has come (ATTITUDE_TARGET)"
     document = msgspec.to_builtins(RECIPE)
     document["signals"]["tilt"]["sources"][0]["row_period_s"] = 0.02
-    decoder = Decoder(asked_of(recipe := parse_recipe(document, "running")))
+    decoder = Decoder(streams_of(recipe := parse_recipe(document, "running")))
     grid = RunningGrid(recipe, "forward", 0.02, decoder)
     told = []
     for at in range(0, len(records), 50):

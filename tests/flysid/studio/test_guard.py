@@ -238,7 +238,7 @@ def test_quiet_is_when_nobody_has_asked_for_so_long() -> None:
         asyncio.get_running_loop().call_later(0.02, quiet.answered)
         await quiet.until_answered(60.0)
         answered = time.monotonic() - began
-        asyncio.get_running_loop().call_later(0.05, quiet.asked)
+        asyncio.get_running_loop().call_later(0.05, quiet.restart)
         await quiet.until_quiet(0.1)
         return answered, time.monotonic() - began
 

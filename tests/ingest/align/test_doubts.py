@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from flysid.dataset import Dataset, Segment, Signal
-from flysid.ingest.align.doubts import Doubt, doubts, told
+from flysid.ingest.align.doubts import Doubt, doubt_lines, doubts
 from flysid.ingest.align.recipe import ChannelSpec
 from flysid.ingest.excitation.excitation import Spectrum
 from flysid.validate.diagnose.cautions import cautions
@@ -62,7 +62,7 @@ def test_a_band_of_one_line_is_said_as_one(monkeypatch: pytest.MonkeyPatch) -> N
 
 
 def test_a_fit_says_that_an_input_has_holes_and_leaves_bands_to_the_page() -> None:
-    (said,) = told(doubts(data(np.sign(U), Y), SPEC))
+    (said,) = doubt_lines(doubts(data(np.sign(U), Y), SPEC))
     assert said.startswith("remark: input u takes 2 distinct values (-1, 1 deg); rules learn nothing between")
 
 
@@ -86,5 +86,5 @@ def test_doubts_reach_the_page_and_the_document() -> None:
     page = render(context)
     assert "c: 10 Hz &lt;i&gt;is&lt;/i&gt; too slow." in page
     assert "log faster" in page
-    told = to_json(context.comparisons, context.diagnoses, context.doubts)["cautions"]
-    assert any(c["text"] == "c: 10 Hz <i>is</i> too slow." for c in told)
+    listed = to_json(context.comparisons, context.diagnoses, context.doubts)["cautions"]
+    assert any(c["text"] == "c: 10 Hz <i>is</i> too slow." for c in listed)

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from flysid.dataset import FloatArray
 from flysid.errors import DataError, UsageError
-from flysid.ingest.synth.quadrotor import INPUTS
+from flysid.ingest.synth.quadrotor import INPUTS, STATES, airframe
 from flysid.ingest.synth.rigid_body import (
     ALL,
     PAPER,
@@ -20,13 +20,32 @@ from flysid.ingest.synth.rigid_body import (
     Vehicle,
     closed_loop_rates,
     fly_vehicle,
-    rigid_body_rates,
 )
 
 DRONE = Vehicle()
 IDEAL = Vehicle(effects=PAPER)
 GYRO = Vehicle(effects=replace(PAPER, gyroscopic=True))
 FRAME = DRONE.airframe
+
+
+def rigid_body_rates(
+    state: npt.ArrayLike, rotors_rad_s: npt.ArrayLike, vehicle: Vehicle, wind_m_s: npt.ArrayLike = (0, 0, 0)
+) -> FloatArray:
+    """(12,) time derivative of the paper's twelve states at given rotor speeds: equations (8) and (9).
+
+    Parameters
+    ----------
+    state : (12,) position, velocity, phi, theta, psi, p, q, r; world x forward, y left, z up.
+    rotors_rad_s : (4,) front, left, rear, right.
+    wind_m_s : (3,) in world axes.
+    """
+    x = np.zeros(STATES)
+    out = np.zeros(STATES)
+    x[:12] = state
+    w1, w2, w3, w4 = (float(w) for w in np.asarray(rotors_rad_s))
+    air = [float(v) for v in np.asarray(wind_m_s)]
+    airframe(x, w1, w2, w3, w4, air[0], air[1], air[2], vehicle.physics().packed(), out)
+    return out[:12]
 
 
 def random_state(seed: int) -> tuple[FloatArray, FloatArray]:

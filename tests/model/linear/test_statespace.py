@@ -15,12 +15,12 @@ from flysid.model.interop import from_control_states
 from flysid.model.linear.data import Scaling
 from flysid.model.statespace import StateSpace
 from flysid.model.subspace.kalman import gains_of
-from flysid.model.subspace.riccati import kalman_gain
 from flysid.model.subspace.triangle import (
     METHODS,
     Columns,
     Method,
     Realisation,
+    kalman_gain,
     project,
     subspace,
     triangle_for,

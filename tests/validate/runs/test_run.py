@@ -41,7 +41,7 @@ from flysid.validate.runs.expected import expected_of_run
 from flysid.validate.runs.fitone import nothing_done
 from flysid.validate.runs.fitting import fit_run
 from flysid.validate.runs.judge import Judgement, judge_run
-from flysid.validate.runs.run import FitSettings, HeldOut, Run, asked_for, held_out, open_run
+from flysid.validate.runs.run import FitSettings, HeldOut, Run, held_out, open_run, requested_model
 from flysid.validate.runs.wanted_models import estimators
 from flysid.validate.show.finish import finish, write_finished
 from flysid.validate.show.page import render
@@ -250,9 +250,9 @@ def test_data_that_moved_and_models_that_are_gone_say_what_to_do(copied: Path, t
 def test_the_headline_is_about_the_model_that_was_asked_for(run: Run) -> None:
     (held,) = held_out(run)
     linear = {label: m for label, m in held.models.items() if label != "ts"}
-    assert asked_for(("line", "oe"), held.models, "arx") is None  # ts is there
-    assert asked_for(("line", "oe"), linear, "arx") == "oe"
-    assert asked_for(("line", "oe"), linear, "oe") is None
+    assert requested_model(("line", "oe"), held.models, "arx") is None  # ts is there
+    assert requested_model(("line", "oe"), linear, "arx") == "oe"
+    assert requested_model(("line", "oe"), linear, "oe") is None
     assert sides_of(linear, "arx").contender in ("oe", "static_ts")  # never the line
     assert sides_of({n: linear[n] for n in ("arx", "line")}, "arx").contender == "line"
 

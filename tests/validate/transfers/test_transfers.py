@@ -231,15 +231,15 @@ def test_no_figure_is_printed_outside_its_band() -> None:
     plant = ContinuousTransfer(
         np.array([30.0]), np.array([1.0, 16.4, 6.56]), np.diag([0.1, 0.01, 0.01, 0.0]), 0.0, "u", "y"
     )
-    whole = plant.told((0.1, 40.0))
+    whole = plant.words_in((0.1, 40.0))
     assert whole == str(plant)
     assert "time constant" in whole
-    fast_unseen = plant.told((0.1, 1.2))
+    fast_unseen = plant.words_in((0.1, 1.2))
     assert "not determined (16 rad/s is outside it)" in fast_unseen
     assert "steady gain: 4.57" in fast_unseen
-    slow_unseen = plant.told((2.0, 40.0))
+    slow_unseen = plant.words_in((2.0, 40.0))
     assert "steady gain: not determined: a pole lies below the trusted band" in slow_unseen
-    nowhere = plant.told(None)
+    nowhere = plant.words_in(None)
     assert "+-" not in nowhere
     assert "no band can be trusted" in nowhere
     figures = transfer_figures(plant, (2.0, 40.0))

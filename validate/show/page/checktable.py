@@ -36,7 +36,7 @@ UNKNOWN = CheckFinding("not known")
 
 @dataclass(frozen=True)
 class CheckRow:
-    """One check: what was asked, how to read it, an answer per model, or one for the data."""
+    """One check: the question, how to read it, an answer for every model or one for the data."""
 
     label: str
     hint: str

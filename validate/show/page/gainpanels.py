@@ -24,12 +24,12 @@ class LoopPanel:
 
     Attributes
     ----------
-    told : crossover, margins, bandwidth and what is known; or why nothing is, and what to fly.
+    lines : crossover, margins, bandwidth and what is known; or why nothing is known, and what to fly.
     nyquist : the picture; empty where the axis was refused.
     """
 
     title: str
-    told: tuple[str, ...]
+    lines: tuple[str, ...]
     nyquist: Markup
 
 
@@ -37,10 +37,10 @@ def loop_panels(judged: Sequence[Judged]) -> tuple[LoopPanel, ...]:
     """Every axis in its order."""
     panels = []
     for j in judged:
-        head, *told = (_sentence(words.strip()) for words in j.lines())
+        head, *lines = (_sentence(words.strip()) for words in j.lines())
         curve = curve_of(j)
         drawn = Markup("") if curve is None else nyquist(curve, f"Nyquist plot of the {j.axis} loop")
-        panels.append(LoopPanel(head, tuple(told), drawn))
+        panels.append(LoopPanel(head, tuple(lines), drawn))
     return tuple(panels)
 
 

@@ -37,7 +37,7 @@ STEP_POINTS = (50, 4000)
 
 
 @dataclass(frozen=True)
-class Told:
+class ModelNote:
     """What a panel says of one model, shown and hidden with it."""
 
     model: str
@@ -52,7 +52,7 @@ class Panel:
     title: str
     note: str
     picture: Markup
-    told: tuple[Told, ...] = ()
+    by_model: tuple[ModelNote, ...] = ()
 
 
 Draw = Callable[[Source, int, int], list[Panel]]
@@ -153,7 +153,7 @@ def _autocorrelation(source: Source, j: int) -> list[Panel]:
             "Autocorrelation of the one-step residual",
             "Grey: 99 % band of white noise.",
             figures.correlogram(white, c.dt_s, "Autocorrelation of the one-step residual"),
-            _told({role: f"{t.outside} of {t.tested} lags outside" for role, t in white.items()}),
+            _model_notes({role: f"{t.outside} of {t.tested} lags outside" for role, t in white.items()}),
         )
     ]
 
@@ -170,7 +170,7 @@ def _cross(source: Source, j: int, i: int) -> list[Panel]:
             f"Cross-correlation of the free-run error with {one_line(name)}",
             "Grey: Bartlett's 99 % band.",
             figures.correlogram(tests, c.dt_s, f"Free-run error against {name}"),
-            _told({role: _dependence(t, c.dt_s) for role, t in tests.items()}),
+            _model_notes({role: _dependence(t, c.dt_s) for role, t in tests.items()}),
         )
     ]
 
@@ -206,7 +206,7 @@ def _histogram(source: Source, j: int) -> list[Panel]:
             "Histogram of the one-step residual",
             "Residuals beyond the axis are counted in the outermost bins.",
             figures.histogram(pooled, words),
-            _told(spread),
+            _model_notes(spread),
         )
     ]
 
@@ -231,9 +231,9 @@ def _spectrum(source: Source, j: int) -> list[Panel]:
     ]
 
 
-def _told(words: Mapping[Role, str]) -> tuple[Told, ...]:
+def _model_notes(words: Mapping[Role, str]) -> tuple[ModelNote, ...]:
     return tuple(
-        Told(one_line(role.model), f"{one_line(role.model).upper()}: {one_line(text)}", role.shown)
+        ModelNote(one_line(role.model), f"{one_line(role.model).upper()}: {one_line(text)}", role.shown)
         for role, text in words.items()
     )
 

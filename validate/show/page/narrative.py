@@ -70,7 +70,7 @@ def as_good_as_constant(comparisons: Mapping[str, Comparison]) -> list[str]:
 
 
 def worse_than_constant(comparisons: Mapping[str, Comparison]) -> list[str]:
-    """Where the baseline errs more than a constant: said first, as beating it proves little."""
+    """Where the baseline errs more than a constant: stated first, as beating it proves little."""
     said = []
     for channel, c in comparisons.items():
         for output, pair in c.verdict.items():

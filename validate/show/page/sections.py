@@ -123,7 +123,7 @@ def _section(source: Source, j: int, anchor: str) -> Section:
         checks=extra(Extra.CHECK_TABLE, partial(check_rows, c, source.diagnosis, j), (), of),
         coefficients=extra(Extra.COEFFICIENTS, partial(coefficient_rows, c, source.diagnosis, j), (), of),
         simpler=_simpler(source),
-        said=_said(source, j),
+        said=_operating_sentences(source, j),
         gain_unit=gain_unit(c, j, signal),
         key=extra(Extra.RULE_KEY, partial(_key, c), (), of),
         data={
@@ -162,7 +162,7 @@ def _simpler(source: Source) -> str:
     )
 
 
-def _said(source: Source, j: int) -> tuple[str, ...]:
+def _operating_sentences(source: Source, j: int) -> tuple[str, ...]:
     """What the contender's rules do from the slow to the fast end of what was flown."""
     c = source.comparison
     model = c.fitted[c.contender] if c.contender else None
