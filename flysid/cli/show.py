@@ -222,11 +222,10 @@ def only_flight(data: str, flights: Sequence[str]) -> str:
 
 def flight_json(manifest: Manifest) -> str:
     """The manifest as it is stored, indented."""
-    import msgspec
 
     from flysid.manifest import to_json
 
-    return msgspec.json.format(to_json(manifest), indent=1).decode()
+    return json.dumps(json.loads(to_json(manifest)), indent=1)
 
 
 def stream_json(entry: StreamEntry) -> str:

@@ -235,14 +235,15 @@ def _write_csv(path: Path, tables: Mapping[str, pa.Table]) -> None:
     from pyarrow import csv
 
     [table] = tables.values()
-    csv.write_csv(inert(table).rename_columns([inert_cell(title) for title in _title(table)]), path)
+    titles = [inert_cell(one_line(title)) for title in _title(table)]
+    csv.write_csv(inert(table).rename_columns(titles), path)
 
 
 def inert(table: pa.Table) -> pa.Table:
-    """A table whose texts no spreadsheet takes for formulas."""
+    """A table whose texts no spreadsheet takes for formulas, and no terminal for commands."""
     for at, field in enumerate(table.schema):
         if pa.types.is_string(field.type) or pa.types.is_large_string(field.type):
-            texts = [None if v is None else inert_cell(v) for v in table.column(at).to_pylist()]
+            texts = [None if v is None else inert_cell(one_line(v)) for v in table.column(at).to_pylist()]
             table = table.set_column(at, field, pa.array(texts, field.type))
     return table
 

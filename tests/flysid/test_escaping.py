@@ -27,6 +27,7 @@ from flysid.validate.runs.run import open_run
 from tests.command import call
 from tests.model_examples import fitted
 from tests.released_files import released
+from tests.samplelogs.mcap import json_topic, mcap_file
 
 LIVE = (
     "=1+1", "=cmd|' /C calc'!A0", "+SUM(A1)", "-1+cmd|' /C calc'!A0", "@SUM(1)", "\t=1+1", "\r=1+1",
@@ -67,6 +68,20 @@ def test_csv_holds_no_formula(log: Path, tmp_path: Path) -> None:
     assert [float(row[at]) for row in rows] == [-float(k) for k in range(200)]  # numbers are numbers
     for number in NUMBERS:
         assert f'"{number}"' in text
+
+
+@pytest.mark.parametrize("name", ["\x1b[2J", "a\u202eb", "c\u2028d", "e\nskipped: all"])
+def test_csv_and_json_hold_nothing_that_a_terminal_obeys(name: str, tmp_path: Path) -> None:
+    """`cat out.csv` ran escape codes of a log, and a line break in a text began a line of its own."""
+    schema = {"type": "object", "properties": {name: {"type": "number"}, "text": {"type": "string"}}}
+    topic = json_topic("said", schema, [{name: 1.0, "text": name}] * 9)
+    (tmp_path / "log.mcap").write_bytes(mcap_file([topic]))
+    done = call("export", "log.mcap", "said", "--to", "csv", "-o", "out.csv", cwd=tmp_path)
+    shown = [call("show", "log.mcap", *more, cwd=tmp_path) for more in ((), ("--json",), ("said", "--json"))]
+    assert [one.returncode for one in (done, *shown)] == [0] * 4
+    written = (tmp_path / "out.csv").read_bytes().decode().split("\n")
+    lines = [*written, *(line for one in shown for line in one.stdout.split("\n"))]
+    assert all(line.isprintable() and not line.startswith("skipped") for line in lines)
 
 
 def test_excel_holds_no_formula(log: Path, tmp_path: Path) -> None:
