@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import secrets
-
 import numpy as np
 import pytest
 from scipy.signal import lfilter
@@ -21,7 +19,7 @@ def told(gain: FloatArray, rng: np.random.Generator) -> str:
     return show_change(time_s, recorded, rebuilt, float(np.sqrt(left @ left / (recorded @ recorded))))
 
 
-@pytest.mark.parametrize("seed", [secrets.randbelow(2**40) for _ in range(3)])
+@pytest.mark.parametrize("seed", range(3))
 def test_a_switch_is_named_and_a_battery_that_empties_is_not(seed: int) -> None:
     """Of 150 gains that sank by a fifth to three fifths, 36 were called changed in flight."""
     rng = np.random.default_rng(seed)
