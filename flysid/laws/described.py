@@ -32,7 +32,7 @@ class Law:
     since, until : first and last version that the entry describes.
     scale : of the gains: p, i, d, f, and what I of yaw is multiplied by.
     gains : name of the header's line with an axis' gains, by axis.
-    parts : the other tables of the entry: derivative, boost, moving, integral, throttle.
+    parts : the other tables of the entry: derivative, boost, moving, integral, throttle, expected.
     names : header names of a setting, the newest first.
     not_described : settings that change the law where they are not 0, and what they are.
 

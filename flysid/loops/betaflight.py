@@ -18,7 +18,7 @@ are those of the stated step, and in some versions so are integral and derivativ
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -113,6 +113,7 @@ class BetaflightLaw:
     cut_terms : the log has terms without their fractions.
     title : version, and which law stands in for an unknown one.
     not_described : settings of this log that change the law in a way that is not described.
+    not_stated : settings that this header lacks and others of its version have, by the term that they move.
     """
 
     stated: Mapping[str, float]
@@ -148,6 +149,7 @@ class BetaflightLaw:
     exact: bool = True
     has_forward: bool = False
     not_described: tuple[str, ...] = field(default=())
+    not_stated: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     @classmethod
     def of(cls, settings: Mapping[str, str], axis: str) -> BetaflightLaw:
@@ -217,6 +219,7 @@ class BetaflightLaw:
                 for name, what in law.not_described.items()
                 if stated_number(settings, name, otherwise=0.0)
             ),
+            {term: read.lost(roles) for term, roles in law.part("expected").items()},
         )
 
     @property
@@ -294,6 +297,10 @@ class _Header:
     def one(self, name: str, otherwise: float) -> float:
         """The first number of a setting, or another value."""
         return stated_number(self.settings, *self.law.names.get(name, ()), otherwise=otherwise)
+
+    def lost(self, roles: Sequence[str]) -> tuple[str, ...]:
+        """Settings that the header does not state, by their newest names."""
+        return tuple(self.law.names[role][0] for role in roles if not self.several(role))
 
     def needed(self, name: str) -> tuple[float, ...]:
         """The numbers of a setting that the law cannot do without."""

@@ -51,7 +51,7 @@ def check_terms(
         check = compare(term, own, _term(rebuilt, term), flown, rate_hz, noise)
         if check is not None and not check.fits and not check.cause:
             cause = _cause(law, rows, own, step_s, rate_hz, check, flown, noise)
-            check = replace(check, cause=cause or _name_undescribed(law))
+            check = replace(check, cause=cause or _name_unknown(law, term))
         found += [check] if check is not None else []
     return tuple(found), rebuilt.means
 
@@ -195,8 +195,10 @@ def _cause(
     return words
 
 
-def _name_undescribed(law: BetaflightLaw) -> str:
-    """Settings of the log that its law does not describe; "" where there are none."""
+def _name_unknown(law: BetaflightLaw, term: str) -> str:
+    """Settings that the header lost, or that the law does not describe; "" where there are none."""
+    if lost := ", ".join(law.not_stated.get(term, ())):
+        return f"the log's header does not state {lost}"
     named = ", ".join(law.not_described)
     return f"the log has {named}, which the law leaves out" if named else ""
 

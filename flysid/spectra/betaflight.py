@@ -62,7 +62,7 @@ def betaflight_chain(
     loop_s = sample_s * every
     loop_hz, sample_hz = 1.0 / loop_s, 1.0 / sample_s
     steps: list[Step] = []
-    unknown: list[str] = []
+    unknown = _not_stated(settings, version)
     second = _second_low_pass(settings, version, slower)
     if second is not None and version >= (4, 2):
         steps.append(Step(second[0], sample_hz, second[1]))
@@ -117,6 +117,27 @@ def _kind(settings: Mapping[str, str], *names: str) -> Kind:
             hint="the spectrum itself: flysid spectrum LOG",
         )
     return KINDS[number]
+
+
+def _not_stated(settings: Mapping[str, str], version: tuple[int, int]) -> list[str]:
+    """Filters that every header of the version states, and this one does not: a line is lost."""
+    names = {
+        "the first low-pass": (
+            "gyro_lpf1_static_hz",
+            "gyro_lowpass_hz",
+            "gyro_lpf1_dyn_hz",
+            "gyro_lowpass_dyn_hz",
+        ),
+        "the second low-pass": ("gyro_lpf2_static_hz", "gyro_lowpass2_hz"),
+        "the fixed notches": ("gyro_notch_hz",),
+    }
+    if version < (3, 4):
+        return []
+    return [
+        f"{what}: the log's header does not state {lines[0]}"
+        for what, lines in names.items()
+        if not any(line in settings for line in lines)
+    ]
 
 
 def _second_low_pass(

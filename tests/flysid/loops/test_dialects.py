@@ -42,6 +42,11 @@ def in_dialect(log: Path, folder: Path, version: str) -> Path:
     return copy
 
 
+def header_of(log: Path) -> str:
+    """Its lines, from the first bytes of a log."""
+    return log.read_bytes()[:20_000].decode("latin-1")
+
+
 def ran(command: object, *words: str) -> Result:
     done = CliRunner().invoke(command, list(words), standalone_mode=False)  # type: ignore[arg-type]
     assert done.exception is None, done.exception
@@ -59,7 +64,7 @@ def stated_in(version: str) -> dict[str, str]:
 
 
 @pytest.mark.parametrize("version", DIALECTS)
-def test_d_grows_as_the_header_of_its_version_states(version: str) -> None:
+def test_d_grows_as_theheader_of_its_version_states(version: str) -> None:
     """`d_max_gain` was looked for under its name of 4.2: D never grew with quick motions."""
     found, newest = (BetaflightLaw.of(stated_in(own), "roll") for own in (version, "4.6.0"))
     assert found.boost is not None
@@ -108,6 +113,24 @@ def test_what_a_law_leaves_out_is_named_with_the_term_that_misses(firmware_log: 
     copy.write_bytes(content)
     said = " ".join(ran(gains, str(copy), "--axis", "roll").stdout.split())
     assert "the P term is 33 % off (the log has absolute control (abs_control_gain)" in said
+
+
+def test_a_line_that_the_header_lost_is_named_with_the_term_that_misses(
+    firmware_log: Path, tmp_path: Path
+) -> None:
+    log = in_dialect(firmware_log, tmp_path, "4.5.1")
+    content = log.read_bytes().replace(b"H d_min:30,34,0\n", b"", 1)
+    log.write_bytes(content.replace(b"H rollPID:45,80,40\n", b"H rollPID:45,80,60\n", 1))
+    said = " ".join(ran(gains, str(log), "--axis", "roll").stdout.split())
+    assert re.search(r"the D term is \d+ % off \(the log's header does not state d_min\)", said)
+
+
+@pytest.mark.parametrize("version", DIALECTS)
+def test_a_wholeheader_of_a_version_lacks_nothing(firmware_log: Path, tmp_path: Path, version: str) -> None:
+    settings = dict(
+        re.findall(r"^H ([^:\n]+):(.*)$", header_of(in_dialect(firmware_log, tmp_path, version)), re.M)
+    )
+    assert not any(BetaflightLaw.of(settings, "roll").not_stated.values())
 
 
 def test_an_adjustment_that_the_log_itself_states_is_named(firmware_log: Path, tmp_path: Path) -> None:

@@ -46,6 +46,15 @@ def test_old_names_of_betaflight_mean_the_same() -> None:
         betaflight_chain(old | {"Firmware revision": "INAV 7.1.0 (abc) MATEKF405"}, 1.0)
 
 
+@pytest.mark.parametrize("line", ["gyro_lpf1_static_hz", "gyro_lpf2_static_hz", "gyro_notch_hz"])
+def test_a_filter_whose_line_is_lost_is_named(line: str) -> None:
+    """The chain counted as whole without it."""
+    whole = {name: value for name, value in BETAFLIGHT.items() if name != "gyro_lpf1_dyn_hz"}
+    assert not betaflight_chain(whole, 1.0).unknown
+    (found,) = betaflight_chain({name: whole[name] for name in whole if name != line}, 1.0).unknown
+    assert found.endswith(f"does not state {line}")
+
+
 def test_the_dynamic_low_pass_of_4_2_has_another_curve() -> None:
     throttle = column(0.5)
     new = betaflight_chain(
@@ -65,7 +74,7 @@ def test_the_dynamic_low_pass_of_4_2_has_another_curve() -> None:
 
 def test_dynamic_notches_go_by_their_count_since_4_3() -> None:
     """The switch in `features` is gone since then: a log that had them counted as one without."""
-    stated = {"looptime": "125", "pid_process_denom": "1", "dyn_notch_count": "3", "features": "0"}
+    stated = BETAFLIGHT | {"pid_process_denom": "1", "dyn_notch_count": "3"}
 
     def of(version: str, **more: str) -> bool:
         settings = stated | {"Firmware revision": f"Betaflight {version} (77d01ba3b) X"} | more
