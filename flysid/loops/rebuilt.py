@@ -81,12 +81,9 @@ def rebuild(law: BetaflightLaw, rows: Rows, step_s: float) -> Rebuilt:
     ----------
     step_s : of the loop as it ran; the law's own step is that of its filters.
     """
-    parts = [_piece(law, rows, own, step_s) for own in _pieces(rows.loop)]
-    terms = np.concatenate([found for found, _ in parts], axis=1)
-    squares = np.sum([sums for _, sums in parts], axis=0)
     whole = np.zeros((3, len(rows.loop)))
-    kept = np.concatenate([np.arange(own.start, own.stop) for own in _pieces(rows.loop)])
-    whole[:, kept] = terms
+    pieces = _pieces(rows.loop)
+    squares = np.sum([_rebuild_piece(law, rows, own, step_s, whole) for own in pieces], axis=0)
     shares = [float(over / under) if under > 0.0 else 1.0 for over, under in squares[:3]]
     cut = float(squares[3][0] / squares[3][1]) if law.moving else None
     return Rebuilt(whole[0], whole[1], whole[2], Means(shares[0], shares[1], shares[2], cut))
@@ -99,17 +96,75 @@ def _pieces(loop: FloatArray) -> list[slice]:
     return [slice(a, b) for a, b in itertools.pairwise([0, *edges, len(loop)]) if b - a > 1]
 
 
-def _piece(law: BetaflightLaw, rows: Rows, own: slice, step_s: float) -> tuple[FloatArray, FloatArray]:
-    """(3, n) terms of a stretch, and (4, 2) sums whose quotients are the means."""
+def _rebuild_piece(
+    law: BetaflightLaw, rows: Rows, own: slice, step_s: float, whole: FloatArray, *, most_loops: int = 1 << 16
+) -> FloatArray:
+    """(4, 2) sums whose quotients are the means; the terms of a stretch are written to `whole` (3, N).
+
+    Parameters
+    ----------
+    most_loops : held at once: a log of every sixteenth loop has sixteen times its rows of them.
+    """
     loop = rows.loop[own]
-    every = np.arange(loop[0], loop[-1] + 1.0)
+    fixed = (
+        _numbers(law, step_s),
+        _by_throttle(law),
+        sections(law.p_filters, (0.0, 0.0), law.step_s),
+        *_boost_numbers(law),
+        _gravity(law),
+    )
+    begin = own.start
+    first_throttle = min(max(float(rows.throttle[begin]), 0.0), 1.0)
+    first = np.array(
+        [
+            rows.weighed[begin] - rows.rate[begin],
+            rows.setpoint[begin],
+            first_throttle,
+            first_throttle,
+            0.0,
+            0.0,
+            0.0,
+            rows.integral[begin],
+        ]
+    )
+    state = (first, *_rest(law.slope_filtered, float(rows.rate[begin]), *fixed[1:3], *fixed[4:6]))
+    sums = np.zeros((4, 2))
+    marks = np.searchsorted(loop, np.arange(loop[0], loop[-1], most_loops))
+    for at, end in itertools.pairwise([*np.unique(marks).tolist(), len(loop)]):
+        around = slice(
+            begin + at, begin + min(end + 1, len(loop))
+        )  # with the row that the last loops lead to
+        terms, cuts = _step_rows(law, rows, around, end < len(loop), state, sums, fixed)
+        whole[:, begin + at : begin + end] = terms[:, (loop[at:end] - loop[at]).astype(np.int64)]
+        sums[3] += cuts
+    return sums
+
+
+def _step_rows(
+    law: BetaflightLaw,
+    rows: Rows,
+    own: slice,
+    goes_on: bool,
+    state: tuple[FloatArray, ...],
+    sums: FloatArray,
+    fixed: tuple[FloatArray, ...],
+) -> tuple[FloatArray, tuple[float, int]]:
+    """(3, n) terms of every loop of some rows; the moving cut-offs' sum and number.
+
+    Parameters
+    ----------
+    goes_on : the last row is the first of the next call.
+    state, sums : changed in place.
+    """
+    loop = rows.loop[own]
+    every = np.arange(loop[0], loop[-1] + (0.0 if goes_on else 1.0))
 
     def at(values: FloatArray) -> FloatArray:
         return np.interp(every, loop, values[own])
 
     throttle = np.clip(at(rows.throttle), 0.0, 1.0)
     cuts = law.moving.cutoff(throttle) if law.moving else np.zeros(0)
-    terms, sums = _step(
+    terms = _step(
         at(rows.setpoint),
         at(rows.weighed),
         at(rows.rate),
@@ -119,17 +174,30 @@ def _piece(law: BetaflightLaw, rows: Rows, own: slice, step_s: float) -> tuple[F
         at(rows.faster),
         at(rows.carried) if law.rotates else np.zeros(len(every)),
         throttle,
-        float(rows.integral[own][0]),
         law.slope_filtered,
         law.freezes,
-        _numbers(law, step_s),
-        _by_throttle(law),
-        sections(law.p_filters, (0.0, 0.0), law.step_s),
-        *_boost_numbers(law),
-        _gravity(law),
+        state,
+        sums,
+        *fixed,
     )
-    means = np.vstack([sums, [cuts.sum(), max(len(cuts), 1)]])
-    return terms[:, (loop - loop[0]).astype(np.int64)], means
+    return terms, (float(cuts.sum()), max(len(cuts), 1))
+
+
+def _rest(
+    whole: bool,
+    rate: float,
+    d_rows: FloatArray,
+    p_rows: FloatArray,
+    range_rows: FloatArray,
+    smooth_rows: FloatArray,
+) -> tuple[FloatArray, ...]:
+    """States of the filters of D, of P, and of D's growth, before the first loop."""
+    found = tuple(
+        np.zeros((count, 2)) for count in (d_rows.shape[1], *map(len, (p_rows, range_rows, smooth_rows)))
+    )
+    _settle(0.0 if whole else rate, d_rows[0], found[0])
+    _settle(1.0, smooth_rows, found[3])
+    return found
 
 
 def _numbers(law: BetaflightLaw, step_s: float) -> FloatArray:
@@ -206,9 +274,10 @@ def _step(  # type: ignore[no-untyped-def]
     faster,
     carried,
     throttle,
-    total,
     whole,
     frozen,
+    state,
+    sums,
     numbers,
     d_rows,
     p_rows,
@@ -217,26 +286,18 @@ def _step(  # type: ignore[no-untyped-def]
     smooth_rows,
     gravity,
 ):
-    """(3, n) P, I, D of every loop; (3, 2) for P, I, D the products with the plain term, and its squares."""
+    """(3, n) P, I, D of every loop, from a state that is left for the next ones.
+
+    To the rows P, I, D of `sums` are added the products with the plain term, and its squares.
+    """
     p, i, d, step_d, step_i, windup, largest_i, relax_share, threshold, tpa_p, tpa_d, step_s = numbers
     most, by_rate, by_setpoint = boost
     kind, share, slow_share, more_i, slow_i, more_p = gravity
     n = setpoint.size
     terms = np.zeros((3, n))
-    sums = np.zeros((3, 2))
     levels = d_rows.shape[0]
-    d_states = np.zeros((d_rows.shape[1], 2))
-    p_states = np.zeros((p_rows.shape[0], 2))
-    range_states = np.zeros((range_rows.shape[0], 2))
-    smooth_states = np.zeros((smooth_rows.shape[0], 2))
-    _settle(0.0 if whole else rate[0], d_rows[0], d_states)
-    _settle(1.0, smooth_rows, smooth_states)
-    before = weighed[0] - rate[0]
-    low = setpoint[0]
-    low_throttle = throttle[0]
-    quick = 0.0
-    quicker = 0.0
-    slow = 0.0
+    carried_on, d_states, p_states, range_states, smooth_states = state
+    before, low, low_throttle, last_throttle, quick, quicker, slow, total = carried_on
     for k in range(n):
         error = setpoint[k] - rate[k]
         if kind == 1.0 or kind == 3.0:
@@ -244,10 +305,10 @@ def _step(  # type: ignore[no-untyped-def]
             quick = abs(throttle[k] - low_throttle)
             room = max(0.5 - throttle[k], 0.0) * (0.5 if low_throttle < throttle[k] else 1.0)
             slow += slow_share * (room * quick - slow)
-        elif kind == 2.0 and k > 0:
+        elif kind == 2.0:
             room = 1.0 - throttle[k]
-            moved = abs(throttle[k] - throttle[k - 1]) / step_s * room * room
-            if throttle[k] > throttle[k - 1]:
+            moved = abs(throttle[k] - last_throttle) / step_s * room * room
+            if throttle[k] > last_throttle:
                 moved *= 0.5 * room
             quicker += share * (moved - quicker)
             quick += share * (quicker - quick)
@@ -291,4 +352,6 @@ def _step(  # type: ignore[no-untyped-def]
         terms[2, k] = d * turn * grown * shrunk
         sums[2, 0] += terms[2, k] * d * turn
         sums[2, 1] += d * turn * d * turn
-    return terms, sums
+        last_throttle = throttle[k]
+    carried_on[:] = np.array([before, low, low_throttle, last_throttle, quick, quicker, slow, total])
+    return terms

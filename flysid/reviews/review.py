@@ -104,6 +104,8 @@ def review_flight(flight: LoggedFlight, *, with_evidence: bool = False) -> Revie
             made = extra(Extra.REVIEWED, partial(_review, key, flight), None, of=key)
             if made is not None:
                 sections.append(made)
+            if not with_evidence:
+                flight.forget()
         facts = [fact for section in sections for fact in section.facts]
         if with_evidence:
             timeline = extra(Extra.REVIEW_PICTURE, partial(_evidence, flight, facts), timeline, of="evidence")

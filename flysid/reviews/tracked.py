@@ -94,6 +94,7 @@ class Tracked:
 @on_one_thread
 def track(flight: LoggedFlight) -> Tracked:
     """Measure the loops of a flight."""
+    judged = flight.judged  # first: it takes most memory, and of the pairs below nothing is held yet
     counts = in_control(flight)
     held = list(pairs(flight))
     followed = tuple(found for pair in held if (found := _follow(pair, counts)) is not None)
@@ -104,7 +105,7 @@ def track(flight: LoggedFlight) -> Tracked:
         shaken,
         tuple(resting_motors(flight, counts)) if any(found.rms for found in shaken.values()) else (),
         tuple(controller_limits(flight, counts)),
-        flight.judged,
+        judged,
     )
 
 
