@@ -3,7 +3,8 @@
 Both are fitted alike. A motor's effects about all axes share one factor, its strength. Thrust of all motors
 over mass is one number, and a heavier vehicle has less of it while strengths stay. A change counts where it
 is beyond the errors of both fits, over all that is looked at, and beyond what a flight's regression is off
-by.
+by. What a named change explains is not named again: a weak motor lifts less, and with more mass the same drag
+slows less.
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ class Change:
     Attributes
     ----------
     ratio, low, high : with the interval of all that is looked at together.
-    is_change : the interval is beyond 1, by more than `LEAST`.
+    is_change : the interval is beyond 1, by more than `LEAST`, and no other change explains it.
     """
 
     name: str
@@ -118,15 +119,27 @@ def changes_since(vehicle: FittedVehicle, flights: Dataset) -> Changes:
 def compare(before: FittedVehicle, after: FittedVehicle, level: float = LEVEL) -> Changes:
     """Ratios of the numbers that both fits determine."""
     after = _at_voltage(before, after)
-    found = [*_strengths(before, after), *_single(before, after)]
+    strengths, others = _strengths(before, after), _single(before, after)
     freedom = max(min(sum(f.seconds for f in v.flights) for v in (before, after)) / BLOCK_S - 1.0, 1.0)
-    reach = float(stdtrit(freedom, 1.0 - 0.5 * level / max(len(found), 1)))
-    rows = []
-    for name, ratio, error in found:
-        low, high = ratio - reach * error, ratio + reach * error
-        is_change = (low > 1.0 or high < 1.0) and abs(ratio - 1.0) > LEAST
-        rows.append(Change(name, ratio, low, high, is_change))
-    return Changes(tuple(rows), after)
+    reach = float(stdtrit(freedom, 1.0 - 0.5 * level / max(len(strengths) + len(others), 1)))
+    motors = [_change_of(row, reach) for row in strengths]
+    weaker = sum(1.0 - row.ratio for row in motors if row.is_change) / before.motors
+    single = [_change_of(row, reach, 1.0 - weaker if row[0] == MASS else 1.0) for row in others]
+    mass = next((row for row in single if row.name == MASS and row.is_change), None)
+    if mass is not None:  # drag is over mass, too
+        single = [
+            replace(row, is_change=False) if row.name in DRAGS and row.low < mass.ratio < row.high else row
+            for row in single
+        ]
+    return Changes((*motors, *single), after)
+
+
+def _change_of(row: tuple[str, float, float], reach: float, expected: float = 1.0) -> Change:
+    """A (name, ratio, standard error) as a change, where it is away from what is `expected`."""
+    name, ratio, error = row
+    low, high = ratio - reach * error, ratio + reach * error
+    is_change = not low <= expected <= high and abs(ratio - expected) > LEAST
+    return Change(name, ratio, low, high, is_change)
 
 
 def _at_voltage(before: FittedVehicle, after: FittedVehicle) -> FittedVehicle:

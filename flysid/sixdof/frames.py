@@ -56,7 +56,7 @@ def _f(record: Record) -> FloatArray:
     return record.force
 
 
-def _steps(record: Record) -> BoolArray:
+def steps_of(record: Record) -> BoolArray:
     """(N - 1,) steps from one whole sample to the next."""
     return np.asarray(record.flying[1:] & record.flying[:-1])
 
@@ -81,7 +81,7 @@ def _world_over(record: Record) -> Record:
     )
 
 
-def _likeness(one: FloatArray, other: FloatArray) -> float:
+def likeness(one: FloatArray, other: FloatArray) -> float:
     """Correlation of all columns together, without their means; 0 where there are no rows."""
     if not len(one):
         return 0.0
@@ -103,11 +103,11 @@ def _match_attitude(records: Sequence[Record], words: list[str]) -> list[Record]
             rotations.product(rotations.inverse(q), _HALF_TURN)
         ),
     }
-    gyro = np.concatenate([record.gyro[:-1][_steps(record)] for record in records])
+    gyro = np.concatenate([record.gyro[:-1][steps_of(record)] for record in records])
 
     def agrees(name: str) -> float:
-        rates = [rotations.body_rates(ways[name](_q(r)), r.dt_s)[_steps(r)] for r in records]
-        return _likeness(gyro, np.concatenate(rates))
+        rates = [rotations.body_rates(ways[name](_q(r)), r.dt_s)[steps_of(r)] for r in records]
+        return likeness(gyro, np.concatenate(rates))
 
     best = max(ways, key=agrees)
     if not best:
@@ -127,13 +127,13 @@ def _match_velocity(records: Sequence[Record], words: list[str]) -> list[Record]
     def agrees(name: str) -> float:
         pairs = [
             (
-                (np.diff(r.velocity, axis=0) @ ways[name].T)[_steps(r)],
-                rotations.to_world(_q(r), _f(r))[:-1][_steps(r)],
+                (np.diff(r.velocity, axis=0) @ ways[name].T)[steps_of(r)],
+                rotations.to_world(_q(r), _f(r))[:-1][steps_of(r)],
             )
             for r in records
             if r.velocity is not None
         ]
-        return _likeness(*(np.concatenate(side) for side in zip(*pairs, strict=True)))
+        return likeness(*(np.concatenate(side) for side in zip(*pairs, strict=True)))
 
     best = max(ways, key=agrees)
     if not best:

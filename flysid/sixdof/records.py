@@ -25,6 +25,7 @@ from flysid.sixdof.cleaning import (
     straight_lines,
 )
 from flysid.sixdof.frames import settle
+from flysid.sixdof.instruments import check_instruments, check_lift
 from flysid.sixdof.record import Record
 from flysid.stretch import FloatArray
 
@@ -106,7 +107,8 @@ def flights_of(data: Dataset, scale: Scale | None = None) -> Flights:
     Raises
     ------
     UsageError : no motors, or no gyro, among the signals.
-    DataError : a voltage that is not above zero; nothing flies.
+    DataError : a voltage that is not above zero; nothing flies; instruments in other units; commands
+        that lift less the higher they are.
     """
     motors = _motors_of(data)
     columns = {name: _columns_of(data, name) for name in GROUPS}
@@ -118,6 +120,7 @@ def flights_of(data: Dataset, scale: Scale | None = None) -> Flights:
     found = scale or find_scale(_whole_commands(data, motors, columns["gyro"]))
     raw = [_read(data, segment, motors, volts, columns, found) for segment in data.segments]
     settled, frames = settle(raw)
+    frames = (*frames, *check_instruments(settled))
     damage = tuple(_damage([r for r in settled if r.flight == flight]) for flight in data.flights)
     records = tuple(_aloft(settled))
     if not any(record.stretches for record in records):
@@ -127,6 +130,7 @@ def flights_of(data: Dataset, scale: Scale | None = None) -> Flights:
             f"motors turning{higher}",
             hint=f"a flight in the air; {found}: if not, state full scale (--zero, --full-scale)",
         )
+    check_lift(records)
     return Flights(records, found, damage, frames)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 
@@ -50,6 +51,8 @@ GROWN = 1.5
 """Factor by which longer windows may leave more: beyond it their search went astray."""
 AGREE = 0.2
 """Share by which effects of free runs may differ from those of regression: beyond it gusts bend them."""
+UNBALANCED = 0.5
+"""Share of the motors' torques about an axis that is left over on average: in flight they nearly cancel."""
 SIGNIFICANT = 2.0
 """Standard errors below which a drag, or a damping, is left out."""
 
@@ -199,7 +202,7 @@ class _Work:
             self._hold([worst], TOO_SMALL)
         self._take(found, wanted)
         own = found.theta[self.count :].reshape(-1, OWN)
-        self.winds = own[:, :2]
+        self.winds[: len(own)] = own[:, :2]  # flights behind the last that flies have none
         return wanted
 
     def _trim(self) -> None:
@@ -273,6 +276,45 @@ class _Work:
         small = (*range(ROTOR_DRAG, INERTIA), ARM)
         return [i for i in free if i in small and not abs(found.theta[i]) > SIGNIFICANT * errors[i]]
 
+    def _doubt(self) -> None:
+        """Take back what these flights cannot tell, and say what their outputs do not look like."""
+        effects = layout.effects(self.theta)
+        commands = np.concatenate([piece.commands for piece in self.pieces])
+        for i, j in combinations(range(self.motors), 2):
+            if np.array_equal(commands[:, i], commands[:, j]):
+                places = [EFFECTS + axis * self.motors + motor for axis in range(3) for motor in (i, j)]
+                self._withdraw(
+                    places,
+                    f"motors {i + 1} and {j + 1} are commanded alike, so half of their sum stands here",
+                )
+        interval = self._command_interval()
+        if interval > self.theta[LAG] + self.theta[DELAY]:
+            self._withdraw(
+                [LAG, DELAY], f"commands change every {1e3 * interval:.0f} ms, slower than motors follow"
+            )
+        mean = np.mean([interval_means(p.halves(self.theta)[0]).mean(axis=0) for p in self.pieces], axis=0)
+        for axis, own in zip(layout.AXES[:2], effects, strict=False):
+            left = abs(float(own @ mean)) / float(np.abs(own) @ mean)
+            if left > UNBALANCED:
+                self.notes.append(
+                    f"{axis} torques of these motors do not cancel ({100.0 * left:.0f} % is left over): a "
+                    "motor is not logged, or one of these outputs is no motor but a servo, as on a plane. "
+                    "The effects are then not those of motors: name all motors, and motors alone, in a recipe"
+                )
+
+    def _withdraw(self, places: Sequence[int], why: str) -> None:
+        """Numbers that came out, but that these flights cannot tell."""
+        self._hold(places, why)
+        self.inside[places] = False
+        self.covariance[places] = 0.0
+        self.covariance[:, places] = 0.0
+
+    def _command_interval(self) -> float:
+        """Seconds from one change of any command to the next, on average."""
+        changes = [(np.diff(p.commands, axis=0) != 0.0).any(axis=1) for p in self.pieces]
+        seconds = sum(len(changed) * p.dt_s for changed, p in zip(changes, self.pieces, strict=True))
+        return seconds / max(sum(int(changed.sum()) for changed in changes), 1)
+
     def _apart(self, found: Found) -> float:
         """Share by which the effects of motors differ from those of regression."""
         own = layout.effects(self.theta)
@@ -280,9 +322,12 @@ class _Work:
 
     def finish(self) -> FittedVehicle:
         """The vehicle, with what each flight has of its own."""
+        self._doubt()
         facts = []
         for place, damage in enumerate(self.flights.damage):
             records = [r for r in self.flights.records if r.flight == damage.flight]
+            if not any(record.stretches for record in records):
+                self.notes.append(f"{damage.flight}: no whole second in the air, so it tells nothing")
             facts.append(
                 FlightFacts(
                     damage.flight,

@@ -12,6 +12,7 @@ from flysid.errors import DataError, RecipeError
 from flysid.ingest.align.align import align
 from flysid.ingest.align.recipe import ChannelSpec, Recipe
 from flysid.ingest.align.signals import Log, find_source, load_signal
+from flysid.stretch import FloatArray
 
 CHANNEL = "vehicle"
 MOTOR = "motor"
@@ -44,8 +45,9 @@ def vehicle_data(logs: Sequence[Log], recipe: Recipe) -> VehicleData:
     Raises
     ------
     RecipeError : the recipe names no motors, or a log has no motor or no gyro.
-    DataError : no motor turns; a stretch is too short.
+    DataError : no motor turns; motors of one log are not in another; a stretch is too short.
     """
+    _require_alike(logs, recipe)
     motors = [name for name in recipe.signals if name.startswith(MOTOR) and _in_all(logs, recipe, name)]
     turning = [name for name in motors if any(_turns(log, recipe, name) for log in logs)]
     if not motors:
@@ -58,14 +60,14 @@ def vehicle_data(logs: Sequence[Log], recipe: Recipe) -> VehicleData:
     lacking = []
     outputs: list[str] = []
     for instrument, names in INSTRUMENTS.items():
-        if all(name in recipe.signals and _in_all(logs, recipe, name) for name in names):
+        if all(name in recipe.signals and _measured(logs, recipe, name) for name in names):
             outputs += names
         else:
             lacking.append(instrument)
     if "gyro" in lacking:
         raise RecipeError("no gyro is logged", hint="log body rates at 50 Hz or more")
     inputs = list(turning)
-    if VOLTAGE in recipe.signals and _in_all(logs, recipe, VOLTAGE):
+    if VOLTAGE in recipe.signals and _measured(logs, recipe, VOLTAGE):
         inputs.append(VOLTAGE)
     else:
         lacking.append(VOLTAGE)
@@ -78,9 +80,32 @@ def _in_all(logs: Sequence[Log], recipe: Recipe, name: str) -> bool:
     return all(find_source(recipe.signals[name].sources, log) is not None for log in logs)
 
 
+def _require_alike(logs: Sequence[Log], recipe: Recipe) -> None:
+    """DataError where a motor turns in one log and another does not hold it: these are two vehicles."""
+    for name in (name for name in recipe.signals if name.startswith(MOTOR)):
+        without = [log for log in logs if find_source(recipe.signals[name].sources, log) is None]
+        turning = [log for log in logs if log not in without and _turns(log, recipe, name)]
+        if without and turning:
+            raise DataError(
+                f"{name} turns in {turning[0].name}, and {without[0].name} does not log it",
+                hint="fit vehicles with as many motors each apart",
+            )
+
+
+def _measured(logs: Sequence[Log], recipe: Recipe, name: str) -> bool:
+    """All logs hold numbers of the signal."""
+    return _in_all(logs, recipe, name) and all(len(_finite(log, recipe, name)) > 0 for log in logs)
+
+
 def _turns(log: Log, recipe: Recipe, name: str) -> bool:
     """The command changes: an output that is not used stays where it is."""
+    values = _finite(log, recipe, name)
+    return bool(len(values) and np.ptp(values) > 0.0)
+
+
+def _finite(log: Log, recipe: Recipe, name: str) -> FloatArray:
+    """(N,) finite samples of a signal over all boots."""
     loaded = load_signal(name, recipe.signals[name], log)
     values = [boot.x for boot in loaded.boots.values()]
     joined = np.concatenate(values) if values else np.zeros(0)
-    return bool(len(joined) and np.ptp(joined) > 0.0)
+    return np.asarray(joined[np.isfinite(joined)])

@@ -10,8 +10,9 @@ from click.testing import CliRunner, Result
 
 from flysid.cli import root
 from flysid.errors import UsageError
-from flysid.sixdof.changes import MASS, changes_since
+from flysid.sixdof.changes import MASS, changes_since, compare
 from flysid.sixdof.fitted import FittedVehicle
+from flysid.sixdof.layout import EFFECTS, ROTOR_DRAG, THRUST
 from tests.flysid.sixdof.hidden_quad import HiddenQuad, dataset, write_table
 
 QUAD = HiddenQuad()
@@ -52,6 +53,20 @@ def test_a_heavier_vehicle_is_named_in_words(regressed: FittedVehicle, tmp_path:
     assert f"{MASS}: " in told
     assert "% of mass would do" in told
     assert "propeller" not in told
+
+
+def test_what_a_named_change_explains_is_not_named_again(regressed: FittedVehicle) -> None:
+    def later(place: int, factor: float) -> FittedVehicle:
+        theta = regressed.theta.copy()
+        theta[place] *= factor
+        return replace(regressed, theta=theta)
+
+    heavy = later(THRUST, 1.0 / 1.25)
+    heavy.theta[ROTOR_DRAG : ROTOR_DRAG + 2] /= 1.25
+    assert [row.name for row in compare(regressed, heavy).found] == [MASS]
+    weak = later(THRUST, 0.93)
+    weak.theta[[EFFECTS + axis * 4 for axis in range(3)]] *= 0.72
+    assert [row.name for row in compare(regressed, weak).found] == ["motor 1"]
 
 
 def test_a_link_is_no_log(regressed: FittedVehicle, tmp_path: Path) -> None:
