@@ -74,6 +74,7 @@ def main() -> None:
         report_error(error)
         sys.exit(error.exit_code)
     except click.ClickException as error:
+        error.message = "\n".join(map(printable, error.message.split("\n")))
         error.show()
         sys.exit(error.exit_code)
     except (click.Abort, KeyboardInterrupt):
