@@ -34,13 +34,18 @@ FORMS = (
     "--table",
     "--term",
 )
-ARGUMENTS = {
+ARGUMENTS: dict[tuple[str, ...], tuple[str, ...]] = {
     ("tf",): (*FIELDS, "--poles", "1", "--dead-time", "0", "--no-refine"),
     ("step",): FIELDS,
     ("fit",): FIELDS,
     ("plot",): (ANSWER,),
 }
-PAGES = {("plot",): "page.html", ("review",): "page.html", ("scrub",): "copy.mcap", ("export",): "table.csv"}
+PAGES: dict[tuple[str, ...], str] = {
+    ("plot",): "page.html",
+    ("review",): "page.html",
+    ("scrub",): "copy.mcap",
+    ("export",): "table.csv",
+}
 
 
 def flown(seed: int) -> bytes:
@@ -127,7 +132,11 @@ def test_every_export_of_hostile_names_is_inert(kind: str, place: Path, tmp_path
 
 
 def test_a_wrong_call_shows_file_names_as_text(place: Path) -> None:
-    assert_inert(call("fit", *(path.name for path in sorted(place.glob("*.mcap"))), cwd=place))
+    names = [path.name for path in sorted(place.glob("*.mcap"))]
+    for words in (("fit", *names, "-o", "new"), ("show", f"--{names[0]}"), (names[0], f"--{names[1]}")):
+        done = call(*words, cwd=place)
+        assert done.returncode == 2
+        assert_inert(done)
 
 
 @pytest.mark.parametrize("kind", ["csv", "parquet", "mcap"])
