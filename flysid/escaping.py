@@ -7,7 +7,10 @@ cell is no formula, a heading no picture from elsewhere, a comment ends where fl
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import tomli_w
 
 _FORMULA = ("=", "+", "-", "@", "\t", "\r", "\n", "\uff1d", "\uff0b", "\uff0d", "\uff20")
 """Beginnings that a spreadsheet takes for a formula; the last four are the wide forms of the first."""
@@ -67,6 +70,18 @@ def markdown(text: str) -> str:
     '\\\\!\\\\[x\\\\](http://a)'
     """
     return re.sub(r"([\\`*_{}\[\]#+!|<>~&$@-])", r"\\\1", one_line(text))
+
+
+def toml_document(document: Mapping[str, Any]) -> str:
+    """A TOML document whose texts come back as they are and show no terminal anything to obey.
+
+    Examples
+    --------
+    >>> toml_document({"field": "a\u202eb"})
+    'field = "a\\\\U0000202eb"\\n'
+    """
+    lines = tomli_w.dumps(document).split("\n")
+    return "\n".join("".join(c if c.isprintable() else f"\\U{ord(c):08x}" for c in line) for line in lines)
 
 
 def picture_text(text: str) -> str:

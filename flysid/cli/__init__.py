@@ -74,7 +74,10 @@ def main() -> None:
         report_error(error)
         sys.exit(error.exit_code)
     except click.ClickException as error:
-        error.show()
+        shown = "\n".join(
+            map(printable, error.format_message().split("\n"))
+        )  # file names come from strangers
+        click.UsageError(shown, getattr(error, "ctx", None)).show()
         sys.exit(error.exit_code)
     except (click.Abort, KeyboardInterrupt):
         click.echo("interrupted; it is safe to run the same command again", err=True)

@@ -6,10 +6,10 @@ import re
 from collections.abc import Sequence
 
 import numpy as np
-import tomli_w
 
 from flysid.dataset import Dataset
 from flysid.errors import UsageError
+from flysid.escaping import toml_document
 from flysid.flight import split_address
 from flysid.plan.flightplan import CommandedAxis, FlightPlan
 
@@ -67,7 +67,7 @@ def recipe_for(plan: FlightPlan, outputs: Sequence[str]) -> str:
     driving = [names[a.name] for a in plan.axes]
     channels = {names[o]: {"inputs": driving, "outputs": [names[o]]} for o in outputs}
     title = f"a planned flight: {', '.join(map(str, plan.axes))}"
-    return tomli_w.dumps({"name": "plan", "description": title, "signals": signals, "channels": channels})
+    return toml_document({"name": "plan", "description": title, "signals": signals, "channels": channels})
 
 
 def _source(word: str) -> dict[str, str]:

@@ -9,10 +9,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import tomli_w
-
 from flysid.dataset import Dataset
 from flysid.errors import RecipeError, StoreError, UsageError
+from flysid.escaping import toml_document
 from flysid.facts.clock import log_clock
 from flysid.files import slug, write_atomically
 from flysid.foreign import inner_path
@@ -121,7 +120,7 @@ def _as_toml(form: dict[str, Any] | None) -> str:
     if form is None:
         raise UsageError("a recipe is given as 'toml' or as 'form'")
     try:
-        return tomli_w.dumps(_with(form, lambda value: float(value) if value in INFINITE else value))
+        return toml_document(_with(form, lambda value: float(value) if value in INFINITE else value))
     except (TypeError, ValueError, RecursionError) as error:
         raise RecipeError(f"wrong value: {error}") from error
 

@@ -10,10 +10,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import tomli_w
-
 from flysid.dataset import Dataset
 from flysid.errors import RecipeError
+from flysid.escaping import toml_document
 from flysid.flight import BOOT, RECEIVED, TIME, Flight, field_unit, matching_streams
 from flysid.ingest.align.align import align
 from flysid.ingest.align.recipe import QUICK, ChannelSpec, Recipe, SignalSpec, Source, parse_recipe
@@ -124,7 +123,7 @@ def quick_recipe(
             for word in dict.fromkeys(outputs)
         },
     }
-    return tomli_w.dumps(recipe)
+    return toml_document(recipe)
 
 
 def driven_by(recipe: Recipe, reference: Sequence[str], logs: Sequence[Log]) -> Recipe:

@@ -7,9 +7,9 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
-import tomli_w
 
 from flysid.errors import UsageError
+from flysid.escaping import toml_document
 from flysid.ingest.align.doubts import Doubt
 from flysid.ingest.align.recipe import Recipe, Source, load_recipe, recipe_text
 from flysid.ingest.align.signals import Log, find_source
@@ -216,7 +216,7 @@ def corrected_recipe(name: str, log: Log, found: Compatibility) -> tuple[str, li
             f"no field of recipe {name!r} was found at fault",
             hint="flysid doctor LOG --kinematics says what was compared",
         )
-    return tomli_w.dumps(document), done
+    return toml_document(document), done
 
 
 def _change(correction: Correction, source: Source, own: Source, gain: float) -> dict[str, Any]:

@@ -28,6 +28,7 @@ from flysid.ingest.align.resample import GAP_PERIODS, grid_in, linear, period_ns
 from flysid.ingest.align.resample import hold as hold_last
 from flysid.ingest.align.signals import Log
 from flysid.ingest.formats.common.arrow_arrays import numeric
+from flysid.ingest.formats.common.table_columns import once_each
 from flysid.ingest.lake.ranges import is_number
 
 SECONDS = "time_s"
@@ -145,9 +146,12 @@ def _physical(table: pa.Table, clock: LogClock) -> pa.Table:
         field = table.schema.field(name)
         for label, values in _elements(name, table[name].combine_chunks()):
             scaled = _scale(values, field_scale(field))
+            if label == SECONDS and scaled.equals(time_s):
+                continue
             columns.append(scaled)
             fields.append(pa.field(label, scaled.type, metadata=field_metadata(unit=field_unit(field))))
-    return pa.table(columns, schema=pa.schema(fields))
+    names = once_each([field.name for field in fields])
+    return pa.table(columns, schema=pa.schema(f.with_name(n) for f, n in zip(fields, names, strict=True)))
 
 
 def _elements(name: str, column: pa.Array) -> Iterator[tuple[str, pa.Array]]:

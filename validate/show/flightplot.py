@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from flysid.errors import UsageError
-from flysid.escaping import picture_text
+from flysid.escaping import one_line, picture_text
 from flysid.ingest.lake.timeline import Timeline, Trace
 from flysid.pictures import check_picture, save_picture
 from flysid.validate.show.page.decimate import extremes
@@ -60,7 +60,7 @@ def flights_as_text(timelines: Sequence[Timeline], width: int) -> str:
 
     parts = []
     for timeline in timelines:
-        parts.append(timeline.name)
+        parts.append(one_line(timeline.name))
         for panel in timeline.panels:
             plotext.clear_figure()
             plotext.theme("clear")
@@ -69,7 +69,10 @@ def flights_as_text(timelines: Sequence[Timeline], width: int) -> str:
                 time_s, values = _thin(trace, 4 * width)
                 shown = np.isfinite(values)
                 plotext.plot(
-                    time_s[shown].tolist(), values[shown].tolist(), label=_label(trace), marker="braille"
+                    time_s[shown].tolist(),
+                    values[shown].tolist(),
+                    label=one_line(_label(trace)),
+                    marker="braille",
                 )
             parts.append(plotext.build())
     return "\n".join(parts)

@@ -234,8 +234,8 @@ def _header(table: _Table, head: _Head) -> _Header:
         count = 2 if units else 1
         start = table.places[count] if len(rows) > count else table.places[0]
         return _Header(_name(first, units), rows[count:], start, table.places[0])
-    above = [line for line in head.lines if line.at < table.places[0]][-1:]
-    for line in above:
+    above = [line for line in head.lines if line.at < table.places[0]]
+    for line in _lines_above(above):
         names = _fitted(cells_of(line.text, table.separator), rows)
         words = [bool(_LETTER.search(names[i])) for i in told if names and names[i]]
         if names and _names(names, told) and 2 * sum(words) >= len(words):
@@ -246,6 +246,17 @@ def _header(table: _Table, head: _Head) -> _Header:
     if named and len(named[0]) == len(first) and not all(map(_is_value, named[0])):
         return _Header(_name(named[0], units), rows, table.places[0], 0)
     return _Header(_name([""] * len(first), units), rows, table.places[0])
+
+
+def _lines_above(above: Sequence[_Line]) -> list[_Line]:
+    """What may be the header: the lines that a cell in quotes spans ("Roll\\n(deg)"), then the last alone."""
+    for first in reversed(range(len(above))):
+        parts = above[first:]
+        text = " ".join(part.text for part in parts)
+        if text.count('"') % 2 == 0:
+            whole = _Line(parts[0].at, text, any(part.is_damaged for part in parts))
+            return [whole, *above[-1:]]
+    return list(above[-1:])
 
 
 def _judged(rows: list[list[str]], most: int = 100) -> list[list[str]]:

@@ -27,19 +27,22 @@ def read_preamble(layout: Layout, before: bytes, tally: Tally) -> dict[str, str]
     """
     facts: dict[str, str] = {}
     at = 0
+    is_open = False  # a cell of the header goes on in the next line
     for raw in before.splitlines(keepends=True):
         line = raw.removeprefix(b"\xef\xbb\xbf").rstrip(b"\r\n")
         text = text_of(line)
         cells = cells_of(text, layout.separator)
         is_row = len(cells) == len(layout.columns) and text.count('"') % 2 == 0
         is_read = is_row or text.startswith(COMMENT) or is_instruction(text)
+        is_header = is_open or at == layout.header
+        is_open = is_header and is_open != (text.count('"') % 2 == 1)
         if not line.strip():
             pass
-        elif at == layout.header and not is_printable(line):
+        elif is_header and not is_printable(line):
             _count_damage(raw, at, tally)
         elif at < layout.header and is_printable(line) and not is_read:
             _note(facts, cells)
-        elif at != layout.header and not (is_read and is_printable(line)):
+        elif not is_header and not (is_read and is_printable(line)):
             tally.skip(at, at + len(raw), "a line above the table")
         at += len(raw)
     return facts
