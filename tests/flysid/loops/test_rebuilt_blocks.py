@@ -32,7 +32,7 @@ EVERY = 16
 
 def drawn_rows(rng: np.random.Generator, count: int) -> Rows:
     def walk(size: float) -> np.ndarray:
-        return size * np.cumsum(rng.normal(size=count)) / np.sqrt(count)
+        return np.asarray(size * np.cumsum(rng.normal(size=count)) / np.sqrt(count))
 
     setpoint, rate = walk(200.0), walk(200.0)
     throttle = np.clip(0.5 + walk(0.3), 0.0, 1.0)
