@@ -14,6 +14,7 @@ from flysid.model.threads import on_one_thread
 from flysid.sixdof import layout, rotations, shooting
 from flysid.sixdof.actuators import interval_means
 from flysid.sixdof.descent import Found
+from flysid.sixdof.figures import Z95
 from flysid.sixdof.fitted import FittedVehicle, FlightFacts
 from flysid.sixdof.layout import (
     ARM,
@@ -293,9 +294,11 @@ class _Work:
                 [LAG, DELAY], f"commands change every {1e3 * interval:.0f} ms, slower than motors follow"
             )
         mean = np.mean([interval_means(p.halves(self.theta)[0]).mean(axis=0) for p in self.pieces], axis=0)
-        for axis, own in zip(layout.AXES[:2], effects, strict=False):
-            left = abs(float(own @ mean)) / float(np.abs(own) @ mean)
-            if left > UNBALANCED:
+        for k, (axis, own) in enumerate(zip(layout.AXES[:2], effects, strict=False)):
+            places = EFFECTS + k * self.motors + np.arange(self.motors)
+            spread = Z95 * np.sqrt(mean @ self.covariance[np.ix_(places, places)] @ mean)
+            left = (abs(float(own @ mean)) - float(spread)) / float(np.abs(own) @ mean)
+            if self.inside[places].all() and left > UNBALANCED:
                 self.notes.append(
                     f"{axis} torques of these motors do not cancel ({100.0 * left:.0f} % is left over): a "
                     "motor is not logged, or one of these outputs is no motor but a servo, as on a plane. "
