@@ -9,6 +9,7 @@ import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import isfinite
 
 import numpy as np
 import numpy.typing as npt
@@ -32,6 +33,7 @@ HALF = 0.5
 MOSTLY = 0.9
 """Of the cells that shall tell how a column is to be read."""
 _NUMBER = re.compile(NUMBER)
+_NUMBER_SIGNS = re.compile("[0-9.eE+-]*")  # what Python makes a number of these, Arrow reads, too
 _WITH_POINT = re.compile(r"^[+-]?\d*\.\d+([eE][+-]?\d+)?$")
 _WITH_COMMA = re.compile(r"^[+-]?\d*,\d+([eE][+-]?\d+)?$")
 _SPACES = " \u00a0\u2007\u2009\u202f'\u2019"  # between thousands: thin and no-break blanks, apostrophes
@@ -154,6 +156,22 @@ def may_group(cells: Sequence[str]) -> bool:
     """Whether the points in numbers may all stand between thousands: 1.234 beside 567."""
     short = (not cell.partition(".")[1] or _GROUPED["."].match(cell) for cell in cells)
     return all(short) and any("." in cell for cell in cells)
+
+
+def are_plain(cells: Sequence[str]) -> bool:
+    """Whether every cell is a finite number that Arrow reads as it is; hardly slower than one look at each.
+
+    Examples
+    --------
+    >>> are_plain(["1", "-.5", "2e-3"]), are_plain(["1", ""]), are_plain(["1e400"])
+    (True, False, False)
+    """
+    if not _NUMBER_SIGNS.fullmatch("".join(cells)):
+        return False
+    try:
+        return all(map(isfinite, map(float, cells)))
+    except ValueError:
+        return False
 
 
 def is_number(cell: str) -> bool:

@@ -37,6 +37,7 @@ from flysid.ingest.formats.common.table_numbers import (
     PLAIN_SIGNS,
     Signs,
     Style,
+    are_plain,
     floats,
     may_group,
     numbers_in,
@@ -230,7 +231,7 @@ def columns_of(named: Sequence[tuple[str, str]], rows: Sequence[Sequence[str]]) 
     rows : cells of the first rows.
     """
     told = [[row[i] for row in rows if row[i] not in MISSING] for i in range(len(named))]
-    plain = [not floats(strings(cells), PLAIN)[1].any() and not may_group(cells) for cells in told]
+    plain = [_are_numbers(cells) and not may_group(cells) for cells in told]
     words = [not is_plain and _holds_words(cells) for cells, is_plain in zip(told, plain, strict=True)]
     table = PLAIN_SIGNS
     if not all(map(or_, plain, words)):
@@ -243,6 +244,11 @@ def columns_of(named: Sequence[tuple[str, str]], rows: Sequence[Sequence[str]]) 
         else:
             found.append(_column(name, unit, cells, table))
     return found
+
+
+def _are_numbers(cells: Sequence[str]) -> bool:
+    """Whether all cells are numbers in the plain style, or infinite."""
+    return are_plain(cells) or not floats(strings(cells), PLAIN)[1].any()
 
 
 def _holds_words(cells: Sequence[str]) -> bool:

@@ -21,7 +21,7 @@ from functools import lru_cache
 
 from flysid.ingest.formats.common.stamps import is_stamp
 from flysid.ingest.formats.common.table_columns import named_and_measured, once_each, unit_in
-from flysid.ingest.formats.common.table_numbers import MISSING, MOSTLY, is_number
+from flysid.ingest.formats.common.table_numbers import MISSING, MOSTLY, are_plain, is_number
 from flysid.ingest.formats.common.time_columns import (
     Column,
     TimeColumn,
@@ -77,12 +77,16 @@ class Layout:
 
 @dataclass(frozen=True)
 class _Table:
-    """The lines that a separator splits alike: their places and cells; the share of cells that are values."""
+    """The lines that a separator splits alike: their places and cells.
+
+    Of the rows that are judged: the share of cells that are values, and the columns where most are.
+    """
 
     separator: bytes
     places: list[int]
     rows: list[list[str]]
     told: float
+    columns: list[int]
 
 
 @dataclass(frozen=True)
@@ -143,7 +147,7 @@ def layout_of(head: bytes) -> Layout | None:
 
 def _table(lines: Sequence[_Line], size: int, separator: bytes) -> _Table | None:
     """The lines that a separator splits alike, if they are a table; words between blanks are none."""
-    split = [(line, cells_of(line.text, separator)) for line in lines]
+    split = [(line, cells_of(line.text, separator)) for line in lines if _is_split(line.text, separator)]
     counts = Counter(len(row) for _, row in split)
     counts.pop(1, None)
     cells, alike = max(counts.items(), key=lambda c: c[1], default=(0, 0))
@@ -152,10 +156,22 @@ def _table(lines: Sequence[_Line], size: int, separator: bytes) -> _Table | None
         return None
     rows = [row for _, row in whole]
     below = _judged(rows)
-    told = sum(_is_value(cell) for row in below for cell in row) / (cells * len(below))
+    values = [_count_values(column) for column in zip(*below, strict=True)]
+    told = sum(values) / (cells * len(below))
     if separator == BLANKS and told < MOSTLY:
         return None
-    return _Table(separator, [line.at for line, _ in whole], rows, told)
+    columns = [i for i, count in enumerate(values) if 2 * count >= len(below)]
+    return _Table(separator, [line.at for line, _ in whole], rows, told, columns)
+
+
+def _is_split(text: str, separator: bytes) -> bool:
+    """Whether a line may have more than one cell."""
+    return len(text.split(None, 1)) > 1 if separator == BLANKS else separator.decode() in text
+
+
+def _count_values(cells: Sequence[str]) -> int:
+    """How many cells of a column are values; a column of plain numbers is seen at once."""
+    return len(cells) if are_plain(cells) else sum(map(_is_value, cells))
 
 
 def _lines(head: bytes) -> _Head:
@@ -198,7 +214,8 @@ def is_instruction(text: str) -> bool:
 def is_printable(line: bytes) -> bool:
     """Whether a line can be a header or a row: no control characters, and no erased flash in front."""
     text = line.decode("utf-8", "replace").strip("\r")
-    return text.translate(_WITHOUT_BLANKS).isprintable() and not line.startswith(b"\xff")
+    is_text = text.isprintable() or text.translate(_WITHOUT_BLANKS).isprintable()
+    return is_text and not line.startswith(ERASED)
 
 
 def cells_of(line: str, separator: bytes) -> list[str]:
@@ -224,11 +241,7 @@ def _header(table: _Table, head: _Head) -> _Header:
     """The header of a table, and its rows."""
     rows = table.rows
     first = rows[0]
-    told = [
-        i
-        for i, cells in enumerate(zip(*_judged(rows), strict=True))
-        if 2 * sum(map(_is_value, cells)) >= len(cells)
-    ]
+    told = table.columns
     if _names(first, told):
         units = _units(rows[1]) if len(rows) > 2 else []
         count = 2 if units else 1

@@ -61,7 +61,7 @@ Column = npt.NDArray[np.int64] | npt.NDArray[np.float64] | list[str]
 
 def sniff(head: bytes, name: str) -> float:  # noqa: ARG001
     """Confidence that these bytes begin a DataFlash text log: is there a line that defines a message?"""
-    return 0.9 if FMT_LINE.search(head) else 0.0
+    return 0.9 if b"FMT," in head and FMT_LINE.search(head) else 0.0
 
 
 @dataclass

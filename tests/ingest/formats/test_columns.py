@@ -21,6 +21,7 @@ from flysid.ingest.formats.common.columns import (
     gather,
     message_schema,
 )
+from flysid.ingest.formats.common.table_numbers import PLAIN, are_plain, floats
 from tests.samplelogs import blackbox, dataflash, dataflash_text, mcap, tlog, ulog
 
 
@@ -115,3 +116,16 @@ def test_logs_are_read_without_importing_pandas(log: ModuleType, tmp_path: Path)
     script = f"import sys, flysid; flysid.read({str(path)!r}); print('pandas' in sys.modules)"
     ended = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
     assert ended.stdout.split() == ["False"]
+
+
+@pytest.mark.parametrize("cell", ["1", "-.5", "2.", "+2e-3"])
+def test_plain_numbers_are_seen_without_arrow(cell: str) -> None:
+    assert are_plain([cell, "1"])
+    assert not floats(strings([cell]), PLAIN)[1].any()
+
+
+@pytest.mark.parametrize(
+    "cell", ["1e400", "1_0", "\u0663", "++5", "+-5", ".", "e5", "nan", "inf", "", "1.2.3"]
+)
+def test_what_python_alone_takes_for_a_number_is_not_plain(cell: str) -> None:
+    assert not are_plain(["1", cell])
