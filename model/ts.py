@@ -62,8 +62,7 @@ class TS(RuleSettings):
         then left as they are. Where one of these four is given, "auto" means 0.
     flight_offsets : a constant of every flight beside the model, see `flysid.model.flight_offsets`: "auto"
         where flights differ beyond chance, True or False to force.
-    ridge : weight on the difference of the rules, in shares of the error that is left, or "auto": a strong
-        one while they grow, in the end what the data say of how far they differ.
+    ridge : weight on the difference of the rules, in shares of the error that is left, or "auto".
 
     Source: Takagi & Sugeno (1985), IEEE Trans. SMC 15; the search: `flysid.model.rules.learning`.
 

@@ -35,7 +35,7 @@ from flysid.model.rules.judging import (
 )
 from flysid.model.rules.linear_starts import PLAIN, StateRealisation, as_linear, as_stage
 from flysid.model.rules.operating_points import describe
-from flysid.model.rules.refit import STEPS_ON_PARTS, on_all_runs, refit, reweigh
+from flysid.model.rules.refit import STEPS_ON_PARTS, on_all_runs, refit
 from flysid.model.rules.regressor_layout import runs_of, scaling
 from flysid.model.rules.search import search
 from flysid.model.rules.search_context import (
@@ -451,8 +451,6 @@ def refit_lags(found: Search) -> Search:
     runs = runs_of(found.stage.layout, data.segments, context.least)
     stage = refit(replace(found.chosen, stage=found.stage), data, runs, settings.iterations)
     notes = [_AS_IT_WAS if stage is found.stage else _ON_ALL] if found.own else []
-    if stage.rules > 1 and stage is not found.stage and settings.ridge == "auto":
-        stage = reweigh(stage, settings.iterations)
     if stage.problem.integrates and context.must_be_bounded:
         notes.append(INTEGRATES)
     method = (

@@ -11,7 +11,6 @@ import numpy as np
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError
 from flysid.model.noise import noise_models
-from flysid.model.polynomials import VANISHING
 from flysid.model.rules.boundedness import is_bounded
 from flysid.model.rules.free_run_error import Body, Problem, antecedent_range, widen
 from flysid.model.rules.growth import best_started, first_basis, holds_integrator, rule_support
@@ -52,31 +51,6 @@ def on_all_runs(stage: Stage, runs: Sequence[FloatArray], iterations: int) -> St
     problem = replace(stage.problem, runs=tuple(runs), z_range=np.where(change, known, wider))
     found = best_started(problem, stage.body).refined(iterations, 1e-5)
     return found if is_bounded(found) else stage
-
-
-def reweigh(stage: Stage, iterations: int, *, rounds: int = 3) -> Stage:
-    """The rules refined under the ridge that they themselves ask for; the last ones that are bounded.
-
-    While rules grow, little is known of how far they differ, and a strong ridge keeps them from running away.
-    Of grown ones the evidence says how strong it may be: the error that is left, per sample, beside what they
-    differ by, per number (MacKay 1992). A stronger one draws them together, which errs in the free run.
-    """
-    for _ in range(rounds):
-        tried = stage.under(ridge=_ridge_of_evidence(stage)).refined(iterations, 1e-5)
-        if not (np.isfinite(tried.cost) and is_bounded(tried)):
-            break
-        stage = tried
-    return stage
-
-
-def _ridge_of_evidence(stage: Stage) -> float:
-    """As it is where the rules are one and the same."""
-    a = stage.body.a
-    away = (a - a.mean(axis=0)).reshape(len(a), -1)
-    metric = stage.problem.metric
-    apart = float((away * (away if metric is None else away @ metric)).sum()) / away[1:].size
-    error = stage.mean_square() / stage.problem.samples
-    return error / apart if apart > VANISHING * error else stage.problem.ridge
 
 
 def as_problem(

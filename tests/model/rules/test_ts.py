@@ -72,16 +72,6 @@ def test_nonlinear_plant_is_followed_better_with_rules(bent: FittedTS) -> None:
     assert free_run_rmse(bent, u, y) < 0.3 * free_run_rmse(linear, u, y)
 
 
-def test_grown_rules_are_held_together_no_more_than_the_data_say() -> None:
-    u, y = second_order(1000, 1, bend=0.1)
-    noise = 0.05 * y.std() * np.random.default_rng(101).normal(size=len(y))
-    data = Dataset.from_arrays(u, y + noise, DT)
-    asked = TS(rules=3, na=2, nb=1, nk=1, antecedents=("y(k-1)",), search=QUICK)
-    fresh = second_order(1500, 51, bend=0.1)
-    strong = free_run_rmse(over_lags(replace(asked, ridge=0.01), data), *fresh)
-    assert free_run_rmse(over_lags(asked, data), *fresh) < 0.7 * strong
-
-
 def test_far_inputs_stay_finite_and_inside_the_limits(bent: FittedTS) -> None:
     u = np.full((500, 1), 1e6)
     u[::7] = -1e300
