@@ -10,8 +10,6 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import tomli_w
-
 _FORMULA = ("=", "+", "-", "@", "\t", "\r", "\n", "\uff1d", "\uff0b", "\uff0d", "\uff20")
 """Beginnings that a spreadsheet takes for a formula; the last four are the wide forms of the first."""
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
@@ -80,6 +78,8 @@ def toml_document(document: Mapping[str, Any]) -> str:
     >>> toml_document({"field": "a\u202eb"})
     'field = "a\\\\U0000202eb"\\n'
     """
+    import tomli_w
+
     lines = tomli_w.dumps(document).split("\n")
     return "\n".join("".join(c if c.isprintable() else f"\\U{ord(c):08x}" for c in line) for line in lines)
 

@@ -20,9 +20,10 @@ import click
 import flysid
 from flysid.cli.config import take_settings
 from flysid.cli.lazy import LazyVerbs
-from flysid.cli.output import explain, final_code, printable
+from flysid.cli.output import explain, final_code
 from flysid.cli.verbs import ENTRY_POINTS, VERBS
 from flysid.errors import FlysidError
+from flysid.escaping import one_line
 from flysid.extras import hearing
 from flysid.showing import WIDTH
 from flysid.surroundings import ignore_matplotlib_style, keep_working_folder_out, refuse_numba_settings
@@ -58,11 +59,11 @@ root.result_callback()(final_code)
 
 def report_error(error: FlysidError) -> None:
     """What, where, what to try; on stderr."""
-    click.secho(f"error: {printable(error.message)}", fg="red", err=True)
+    click.secho(f"error: {one_line(error.message)}", fg="red", err=True)
     if error.where:
-        click.echo(f"  where: {printable(error.where)}", err=True)
+        click.echo(f"  where: {one_line(error.where)}", err=True)
     if error.hint:
-        click.echo(f"  try:   {printable(error.hint)}", err=True)
+        click.echo(f"  try:   {one_line(error.hint)}", err=True)
 
 
 def main() -> None:
@@ -74,9 +75,7 @@ def main() -> None:
         report_error(error)
         sys.exit(error.exit_code)
     except click.ClickException as error:
-        shown = "\n".join(
-            map(printable, error.format_message().split("\n"))
-        )  # file names come from strangers
+        shown = "\n".join(map(one_line, error.format_message().split("\n")))  # file names come from strangers
         click.UsageError(shown, getattr(error, "ctx", None)).show()
         sys.exit(error.exit_code)
     except (click.Abort, KeyboardInterrupt):

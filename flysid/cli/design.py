@@ -15,11 +15,12 @@ from flysid.cli.bounds import POSITIVE, Number
 from flysid.cli.checks import Reading
 from flysid.cli.display import Display, progress_options
 from flysid.cli.options import channels_option, gather, target_options
-from flysid.cli.output import align_columns, print_json, printable, say
+from flysid.cli.output import align_columns, print_json, say
 from flysid.cli.ratedesign import AXES, design_rates
 from flysid.cli.source import flight_options, reading_options
 from flysid.cli.trust import ProjectFile, Setting
 from flysid.errors import UsageError
+from flysid.escaping import one_line
 
 if TYPE_CHECKING:
     from flysid.design.designed import Design
@@ -211,7 +212,7 @@ def command(
         print_json(design.to_dict())
     else:
         for axis in design.axes:
-            click.echo("\n".join(printable(line) for line in axis.lines()))
+            click.echo("\n".join(one_line(line) for line in axis.lines()))
             click.echo("\n".join(f"    {line}" for line in align_columns(axis.table())) + "\n")
     _write(design, out, display.quiet)
     if not as_json:

@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING
 import click
 
 from flysid.cli.options import gather
-from flysid.cli.output import printable, say
+from flysid.cli.output import say
+from flysid.escaping import one_line
 from flysid.progress import Step, listening
 from flysid.showing import duration
 
@@ -141,7 +142,7 @@ def _speaking(state: State, words: Callable[[Step], str], every_step: bool) -> I
 
     def speak(step: Step) -> None:
         spoken[0] = time.monotonic()
-        click.echo(printable(words(step)), err=True)
+        click.echo(one_line(words(step)), err=True)
 
     def hear(step: Step) -> None:
         with lock:
@@ -196,7 +197,7 @@ def drawn(state: State) -> Group:
     foot = ", ".join(
         part for part in (f"{100.0 * state.share:.0f} % done", duration(state.seconds), state.left) if part
     )
-    lines = [Text(printable(f"{whole}  {foot}".strip()), no_wrap=True, overflow="ellipsis")]
+    lines = [Text(one_line(f"{whole}  {foot}".strip()), no_wrap=True, overflow="ellipsis")]
     channels = [name for name in state.last if name]
     if not channels:
         return Group(*lines)
@@ -213,7 +214,7 @@ def _channel_table(state: State, channels: list[str]) -> Table:
     table = Table(box=None, pad_edge=False, header_style="bold")
     for name in ("CHANNEL", *models, "NOW"):
         table.add_column(
-            Text(printable(name)), justify="left" if name in ("CHANNEL", "NOW") else "right", no_wrap=True
+            Text(one_line(name)), justify="left" if name in ("CHANNEL", "NOW") else "right", no_wrap=True
         )
     for channel in channels:
         step = state.last[channel]
@@ -224,5 +225,5 @@ def _channel_table(state: State, channels: list[str]) -> Table:
             for e in errors.values()
         ]
         now = f"{step.model}: {step.stage}" if step.model else step.stage
-        table.add_row(Text(printable(channel)), *cells, Text(printable(now), overflow="ellipsis"))
+        table.add_row(Text(one_line(channel)), *cells, Text(one_line(now), overflow="ellipsis"))
     return table

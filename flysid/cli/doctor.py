@@ -22,7 +22,6 @@ from flysid.cli.output import (
     align_columns,
     check_target,
     note_losses,
-    printable,
     say,
     say_passed_over,
     shorten,
@@ -30,6 +29,7 @@ from flysid.cli.output import (
 from flysid.cli.source import reading_options
 from flysid.cli.trust import Own
 from flysid.errors import FlysidError, UsageError
+from flysid.escaping import one_line
 from flysid.facts.losses import lost_words, repeat_lines
 from flysid.progress import tell
 from flysid.showing import WIDTH, clock, counted, first_of, fold
@@ -180,7 +180,7 @@ def lines(
         for remark in [*remarks(found), *(telemetered or {}).get(path, ())]:
             about.setdefault(remark, []).append(name)
     for remark, those in about.items():
-        yield fold(printable(f"{first_of(those, NAMES_SHOWN)}: {remark}"))
+        yield fold(one_line(f"{first_of(those, NAMES_SHOWN)}: {remark}"))
 
 
 def row(found: Survey) -> tuple[str, ...]:

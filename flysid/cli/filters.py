@@ -11,9 +11,10 @@ from flysid.cli.addresses import SOURCE
 from flysid.cli.bounds import POSITIVE
 from flysid.cli.checks import Reading
 from flysid.cli.display import Display
-from flysid.cli.output import align_columns, print_json, printable
+from flysid.cli.output import align_columns, print_json
 from flysid.cli.source import flight_options, reading_options, reviewed_logs
 from flysid.cli.trust import Setting
+from flysid.escaping import one_line
 from flysid.showing import fold
 
 if TYPE_CHECKING:
@@ -77,5 +78,5 @@ def command(
     for name, trial in found if not as_json else ():
         head = [name] if len(found) > 1 else []
         lines = [*head, *align_columns(trial.rows()), *(fold(note) for note in trial.notes())]
-        click.echo("\n".join(printable(line) for text in lines for line in text.splitlines()))
+        click.echo("\n".join(one_line(line) for text in lines for line in text.splitlines()))
     return 0 if any(trial.is_whole for _, trial in found) else 3

@@ -10,8 +10,9 @@ import click
 
 from flysid.cli.display import Display, progress_options
 from flysid.cli.lakeoptions import seconds
-from flysid.cli.output import ExitCode, printable, say
+from flysid.cli.output import ExitCode, say
 from flysid.cli.trust import Own
+from flysid.escaping import one_line
 from flysid.showing import counted
 
 if TYPE_CHECKING:
@@ -59,7 +60,7 @@ def command(lake: str, repair: bool, older: float, as_json: bool, display: Displ
     else:
         click.echo(f"{counted(len(state.flights), 'flight')}, {'whole' if state.is_whole else 'not whole'}")
         for line in faults(state):
-            click.echo(printable(line))
+            click.echo(one_line(line))
     if removed:
         say(f"{counted(removed, 'object')} removed", display.quiet)
     if state.unlisted or state.stale or state.orphans:

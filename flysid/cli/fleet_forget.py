@@ -5,9 +5,10 @@ from __future__ import annotations
 import click
 
 from flysid.cli.display import Display, progress_options
-from flysid.cli.output import printable, say
+from flysid.cli.output import say
 from flysid.cli.trust import Own
 from flysid.errors import UsageError
+from flysid.escaping import one_line
 from flysid.showing import counted
 
 SHOWN = 3
@@ -43,7 +44,7 @@ def command(lake: str, vehicle: str, yes: bool, display: Display) -> None:
     say(f"{counted(done.flights, 'flight')} and {counted(done.objects, 'object')} removed", display.quiet)
     if done.sources:
         some = ", ".join(done.sources[:SHOWN]) + (", ..." if len(done.sources) > SHOWN else "")
-        say(f"the logs are still there, and the next ingest would bring them back: {printable(some)}")
+        say(f"the logs are still there, and the next ingest would bring them back: {one_line(some)}")
     say(
         "not removed: former versions that the bucket keeps, its backups and access logs, caches in "
         "~/.cache/flysid of everyone who read them, and models that were fitted to them",

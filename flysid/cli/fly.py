@@ -11,9 +11,10 @@ from flysid.cli.bounds import AT_LEAST_ONE, NOT_NEGATIVE, POSITIVE
 from flysid.cli.design import a_range, refuse_given
 from flysid.cli.display import Display, progress_options
 from flysid.cli.options import target_options
-from flysid.cli.output import ExitCode, align_columns, print_json, printable, say
+from flysid.cli.output import ExitCode, align_columns, print_json, say
 from flysid.cli.trust import Setting
 from flysid.errors import UsageError
+from flysid.escaping import one_line
 from flysid.showing import counted
 
 if TYPE_CHECKING:
@@ -110,7 +111,7 @@ def command(
         print_json(campaign.to_dict())
     else:
         for axis in campaign.rows:
-            click.echo(printable(f"{axis}, {counted(campaign.vehicles, 'vehicle')}"))
+            click.echo(one_line(f"{axis}, {counted(campaign.vehicles, 'vehicle')}"))
             click.echo("\n".join(f"  {line}" for line in align_columns(campaign.table(axis))) + "\n")
         held = " and ".join(f"{v:.1f} m/s along {a}" for a, v in campaign.held_wind_m_s.items())
         if held:
@@ -119,7 +120,7 @@ def command(
                 display.quiet,
             )
         for note in campaign.notes:
-            say(printable(note), display.quiet)
+            say(one_line(note), display.quiet)
         say(SAFETY, display.quiet)
     if out is not None:
         with writing_to(out):

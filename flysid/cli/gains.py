@@ -15,8 +15,9 @@ from flysid.cli.addresses import SOURCE, here
 from flysid.cli.checks import Reading
 from flysid.cli.display import Display
 from flysid.cli.options import picture_options
-from flysid.cli.output import align_columns, explain, print_json, printable, say, say_drawn
+from flysid.cli.output import align_columns, explain, print_json, say, say_drawn
 from flysid.cli.source import flight_options, flights_of_one_vehicle, reading_options
+from flysid.escaping import one_line
 from flysid.extras import Extra, extra
 from flysid.showing import fold
 
@@ -70,7 +71,7 @@ def command(
         told_of = [j.to_dict() | {"contradiction": contradiction_of(j, found) or None} for j in found]
         print_json(told_of)
     else:
-        click.echo("\n\n".join("\n".join(fold(printable(line)) for line in j.lines()) for j in found))
+        click.echo("\n\n".join("\n".join(fold(one_line(line)) for line in j.lines()) for j in found))
         by_name = {log.name: log for log in logs}
         extra(Extra.SETS_TABLE, partial(_print_sets, found, by_name, source), None)
         if known:

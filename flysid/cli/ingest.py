@@ -13,9 +13,10 @@ from flysid.cli.display import Display, progress_options
 from flysid.cli.lakeoptions import LakeOptions, check_pattern, lake_options
 from flysid.cli.losses import report
 from flysid.cli.options import jobs_option
-from flysid.cli.output import printable, say, say_passed_over
+from flysid.cli.output import say, say_passed_over
 from flysid.cli.source import reading_options
 from flysid.cli.trust import Own
+from flysid.escaping import one_line
 from flysid.showing import counted
 
 if TYPE_CHECKING:
@@ -95,7 +96,7 @@ def command(
     else:
         for result in results:
             if result.flight and not result.unchanged:
-                click.echo(printable(result.flight.id))
+                click.echo(one_line(result.flight.id))
     say_passed_over(found.passed_over, display.quiet)
     report(results, display.quiet)
     return 1 if all(result.skipped for result in results) else 0

@@ -9,8 +9,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from flysid.cli.display import Display
-from flysid.cli.output import printable, say
+from flysid.cli.output import say
 from flysid.errors import FlysidError, UsageError
+from flysid.escaping import one_line
 
 if TYPE_CHECKING:
     from flysid.ingest.formats.base import Limits
@@ -32,10 +33,10 @@ class Motion:
 
         name = short_name(path)
         if self.found is None:
-            return [printable(f"kinematics of {name}: {self.reason}")]
+            return [one_line(f"kinematics of {name}: {self.reason}")]
         if nothing := nothing_to_compare(self.found):
-            return [printable(f"kinematics of {name}: {nothing}")]
-        return [printable(line) for line in (f"kinematics of {name}", *(f"  {w}" for w in lines(self.found)))]
+            return [one_line(f"kinematics of {name}: {nothing}")]
+        return [one_line(line) for line in (f"kinematics of {name}", *(f"  {w}" for w in lines(self.found)))]
 
     def as_document(self) -> dict[str, Any]:
         """For `--json`."""

@@ -13,8 +13,9 @@ import click
 
 from flysid.cli.display import Display
 from flysid.cli.lakeoptions import LakeOptions, dask_cluster
-from flysid.cli.output import ExitCode, cores, printable, say
+from flysid.cli.output import ExitCode, cores, say
 from flysid.errors import FlysidError, PlaceError, UsageError
+from flysid.escaping import one_line
 from flysid.showing import counted, duration, first_of
 
 if TYPE_CHECKING:
@@ -59,7 +60,7 @@ def ingest_to_lake(
         else:
             for outcome in outcomes:
                 if outcome.status == "ingested" and outcome.facts:
-                    click.echo(printable(outcome.facts.id))
+                    click.echo(one_line(outcome.facts.id))
         summarise(found, outcomes, display.quiet)
         return exit_code(outcomes, found)
 

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import click
 
 from flysid.errors import UsageError
+from flysid.escaping import one_line
 from flysid.extras import Extra, extra
 from flysid.showing import align, counted, first_of, fold
 
@@ -49,14 +50,9 @@ def final_code(code: int | None) -> int | None:
     return code or (ExitCode.LOSSES if click.get_current_context().meta.get(_LOSSES) else code)
 
 
-def printable(text: str) -> str:
-    """`text` without control characters: names come from logs and may carry terminal escapes."""
-    return "".join(c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in text)
-
-
 def align_columns(rows: Sequence[Sequence[str]]) -> list[str]:
     """Rows of cells as lines with aligned columns, control characters removed."""
-    return align([[printable(cell) for cell in cells] for cells in rows])
+    return align([[one_line(cell) for cell in cells] for cells in rows])
 
 
 def shorten(name: str, longest: int = 18) -> str:
@@ -68,12 +64,12 @@ def shorten(name: str, longest: int = 18) -> str:
 def say(text: str, quiet: bool = False) -> None:
     """A line for people, on stderr."""
     if not quiet:
-        click.echo(printable(text), err=True)
+        click.echo(one_line(text), err=True)
 
 
 def print_lines(lines: Iterable[str]) -> None:
     """Lines for people, on stdout, each within the width."""
-    click.echo("\n".join(fold(printable(line)) for line in lines))
+    click.echo("\n".join(fold(one_line(line)) for line in lines))
 
 
 def print_json(body: object) -> None:
@@ -84,7 +80,7 @@ def print_json(body: object) -> None:
 def explain(text: str, quiet: bool = False) -> None:
     """A sentence or two for people, on stderr, within the width."""
     if not quiet:
-        click.echo(fold(printable(text)), err=True)
+        click.echo(fold(one_line(text)), err=True)
 
 
 def say_left_out(channel: str, why: str, done: str = "skipped") -> None:

@@ -12,10 +12,11 @@ from flysid.cli.bounds import POSITIVE
 from flysid.cli.checks import Reading, Request
 from flysid.cli.display import Display
 from flysid.cli.options import gather, target_options
-from flysid.cli.output import print_json, printable
+from flysid.cli.output import print_json
 from flysid.cli.source import open_source, selection_options, source_options
 from flysid.cli.trust import Setting
 from flysid.errors import UsageError
+from flysid.escaping import one_line
 from flysid.manifest import RUN_FILE
 
 if TYPE_CHECKING:
@@ -313,14 +314,14 @@ def _print(
 
     goal = None if aim is None else aim / 100.0
     for known in begun.known:
-        click.echo(printable(f"{known.channel} ({known.model}): {known.words(60.0 * more, goal)}"))
+        click.echo(one_line(f"{known.channel} ({known.model}): {known.words(60.0 * more, goal)}"))
     for line in begun.unknown:
-        click.echo(printable(line))
+        click.echo(one_line(line))
     if plan is None:
         return
     if begun.known or begun.unknown:
         click.echo()
-    click.echo("\n".join(map(printable, briefing(plan))))
+    click.echo("\n".join(map(one_line, briefing(plan))))
     for name, (_, words) in files.items():
         click.echo(f"{name}: {words}.")
 

@@ -12,9 +12,10 @@ from flysid.cli.addresses import SOURCE
 from flysid.cli.checks import Reading
 from flysid.cli.display import Display
 from flysid.cli.options import picture_options
-from flysid.cli.output import explain, print_json, printable, say, say_drawn
+from flysid.cli.output import explain, print_json, say, say_drawn
 from flysid.cli.source import flight_options, flights_of_one_vehicle, reading_options
 from flysid.cli.trust import Setting
+from flysid.escaping import one_line
 from flysid.showing import fold
 
 if TYPE_CHECKING:
@@ -85,7 +86,7 @@ def command(
         print_json(body)
     else:
         click.echo(
-            "\n\n".join("\n".join(fold(printable(line)) for line in describe_forecast(one)) for one in found)
+            "\n\n".join("\n".join(fold(one_line(line)) for line in describe_forecast(one)) for one in found)
         )
         if found:
             explain(CAUTION)

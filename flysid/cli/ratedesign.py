@@ -11,9 +11,10 @@ import click
 
 from flysid.cli.checks import Reading
 from flysid.cli.display import Display
-from flysid.cli.output import print_json, printable, say
+from flysid.cli.output import print_json, say
 from flysid.cli.predict import describe_forecast
 from flysid.cli.source import flights_of_one_vehicle
+from flysid.escaping import one_line
 from flysid.showing import fold
 
 if TYPE_CHECKING:
@@ -51,9 +52,9 @@ def design_rates(
         print_json(found.to_dict())
     else:
         for one in found.axes:
-            click.echo("\n".join(fold(printable(line)) for line in describe_forecast(one)) + "\n")
+            click.echo("\n".join(fold(one_line(line)) for line in describe_forecast(one)) + "\n")
         for angle in found.angles:
-            click.echo(printable(angle.line()))
+            click.echo(one_line(angle.line()))
         click.echo("\n".join(_stated(found.new, found)))
     for axis, why in found.refused.items():
         say(f"{axis}: refused: {why.message}. Try: {why.hint}")

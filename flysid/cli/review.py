@@ -17,9 +17,10 @@ from flysid.cli.addresses import SOURCE
 from flysid.cli.checks import Reading
 from flysid.cli.display import Display
 from flysid.cli.options import condition_option, target_options
-from flysid.cli.output import ExitCode, explain, print_json, printable, say
+from flysid.cli.output import ExitCode, explain, print_json, say
 from flysid.cli.source import flight_options, opened_flights, reading_options
 from flysid.cli.trust import Setting
+from flysid.escaping import one_line
 from flysid.extras import Extra, Missing, extra
 from flysid.showing import fold
 
@@ -89,7 +90,7 @@ def command(
     elif as_markdown:
         from flysid.reviews.lines import markdown
 
-        together = ["\n".join(["```", *map(printable, series.lines()), "```"])] if series.vehicles else []
+        together = ["\n".join(["```", *map(one_line, series.lines()), "```"])] if series.vehicles else []
         click.echo("\n\n".join([*together, *map(markdown, found)]))
     else:
         click.echo(_text(found, series))
@@ -154,7 +155,7 @@ def _text(found: Sequence[Review], series: Series) -> str:
     alone = [headline(review) for review in found if not series.holds(review)]
     shared = shared_findings([review for review in found if series.holds(review)])
     lines = [*alone, *series.lines(MOST_LINES - len(shared)), *shared]
-    return "\n".join(fold(printable(line)) for line in lines)
+    return "\n".join(fold(one_line(line)) for line in lines)
 
 
 def _write(output: Path, found: Sequence[Review], series: Series, sources: Sequence[Path]) -> None:

@@ -14,9 +14,10 @@ from flysid.cli.addresses import SOURCE
 from flysid.cli.checks import Reading
 from flysid.cli.display import Display
 from flysid.cli.options import force_option, gather
-from flysid.cli.output import ExitCode, explain, printable, say
+from flysid.cli.output import ExitCode, explain, say
 from flysid.cli.source import format_option
 from flysid.errors import FormatError
+from flysid.escaping import one_line
 from flysid.progress import tell
 
 if TYPE_CHECKING:
@@ -83,7 +84,7 @@ def table(done: Scrubbed) -> str:
     """What was removed: kind, number of fields, where."""
     if not done.removed:
         return "found nothing to remove"
-    rows = [(what, f"{n:,}", printable(where)) for (what, where), n in done.removed.items()]
+    rows = [(what, f"{n:,}", one_line(where)) for (what, where), n in done.removed.items()]
     rows.insert(0, ("REMOVED", "COUNT", "WHERE"))
     first, second = (max(len(row[k]) for row in rows) for k in (0, 1))
     return "\n".join(f"{what:<{first}}  {count:>{second}}  {where}" for what, count, where in rows)

@@ -17,9 +17,10 @@ from flysid.cli.addresses import SOURCE
 from flysid.cli.bounds import COUNT
 from flysid.cli.checks import Reading
 from flysid.cli.display import Display
-from flysid.cli.output import align_columns, printable, say
+from flysid.cli.output import align_columns, say
 from flysid.cli.source import opened_flights, reading_options
 from flysid.errors import StoreError, UsageError
+from flysid.escaping import one_line
 from flysid.facts.clock import log_clock
 from flysid.facts.losses import loss_lines, repeat_lines
 from flysid.flight import BOOT, RECEIVED, TIME
@@ -177,7 +178,7 @@ def _print_parameters(log: StoredLog) -> None:
     if not last:
         say("the log holds no parameters")
     for name in sorted(last):
-        click.echo(printable(f"{name} {written(last[name])}"))
+        click.echo(one_line(f"{name} {written(last[name])}"))
 
 
 def _print_events(log: StoredLog, kinds: Sequence[str]) -> None:
@@ -268,7 +269,7 @@ def flight_text(manifest: Manifest, modes: Sequence[str] = (), flown: str = "") 
 def stream_title(entry: StreamEntry) -> str:
     """A stream's name, rows and rate."""
     rate = stream_rate(entry)
-    return f"{printable(entry.stream)}: {counted(entry.rows, 'row')}" + ("" if rate == "-" else f", {rate}")
+    return f"{one_line(entry.stream)}: {counted(entry.rows, 'row')}" + ("" if rate == "-" else f", {rate}")
 
 
 def stream_rate(entry: StreamEntry) -> str:

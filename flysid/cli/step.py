@@ -15,7 +15,7 @@ from flysid.cli.bounds import POSITIVE
 from flysid.cli.checks import Reading, Request, check_source
 from flysid.cli.display import Display
 from flysid.cli.options import channels_option, picture_options
-from flysid.cli.output import print_json, printable, say_drawn, say_left_out
+from flysid.cli.output import print_json, say_drawn, say_left_out
 from flysid.cli.source import (
     open_source,
     say_mixed_gains,
@@ -23,6 +23,7 @@ from flysid.cli.source import (
     source_options,
 )
 from flysid.cli.trust import Own
+from flysid.escaping import one_line
 
 if TYPE_CHECKING:
     from flysid.ingest.lake.chosen_flights import Selection
@@ -107,7 +108,7 @@ def command(
         print_json(body)
     else:
         for step in sorted(found, key=lambda s: s.name):
-            click.echo("\n".join(printable(line) for line in step.line().split("\n")))
+            click.echo("\n".join(one_line(line) for line in step.line().split("\n")))
     if plot is not None and found:
         say_drawn("step responses", plot, partial(draw_steps, found, plot), quiet)
     for name, reason in skipped.items():

@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING
 
 import click
 
-from flysid.cli.output import align_columns, printable, say, shorten
+from flysid.cli.output import align_columns, say, shorten
 from flysid.cli.pooled_suggestions import HEADINGS as POOLED_HEADINGS
 from flysid.cli.pooled_suggestions import dead_time, hertz, pool, pooled_advice
+from flysid.escaping import one_line
 from flysid.showing import counted, fold
 
 if TYPE_CHECKING:
@@ -62,7 +63,7 @@ def print_suggestions(
     lines += pooled_advice(shown, names) if together else advice(shown, names)
     lines += unusable(found, flights, names, told=every)
     lines += _more(len(found) - len(shown), together)
-    click.echo("\n".join(fold(printable(line)) for line in lines).strip())
+    click.echo("\n".join(fold(one_line(line)) for line in lines).strip())
     say(next_command(found, data, vehicles))
 
 

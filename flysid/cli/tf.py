@@ -219,13 +219,13 @@ def command(
 
 def text_of(channel: ChannelTransfers, table: bool) -> str:
     """What is printed of one channel."""
-    from flysid.cli.output import printable
+    from flysid.escaping import one_line
 
-    lines = [printable(line) for text in channel.lines() for line in text.split("\n")]
+    lines = [one_line(line) for text in channel.lines() for line in text.split("\n")]
     lines = [fold(line) if line.startswith("- ") else line for line in lines]  # no polynomial is broken
     if table:
         for i, output in enumerate(channel.data.outputs):
             for j, source in enumerate(channel.data.inputs):
-                lines += ["", printable(f"{source.name} to {output.name}, measured (+- 95 %) and modelled")]
+                lines += ["", one_line(f"{source.name} to {output.name}, measured (+- 95 %) and modelled")]
                 lines += align_columns(channel.table(i, j))
     return "\n".join(lines)

@@ -21,10 +21,11 @@ from flysid.cli.addresses import SOURCE
 from flysid.cli.bounds import ALARM_RATE, POSITIVE
 from flysid.cli.losses import say_damage
 from flysid.cli.options import gather
-from flysid.cli.output import ExitCode, check_target, print_lines, printable, say
+from flysid.cli.output import ExitCode, check_target, print_lines, say
 from flysid.cli.trust import Own, ProjectFile, Setting
 from flysid.cli.vehicleexport import is_vehicle
 from flysid.errors import DataError, UsageError
+from flysid.escaping import one_line
 from flysid.showing import counted, one_of
 from flysid.surroundings import environment_of_the_user
 
@@ -292,7 +293,7 @@ def line(event: Event) -> str:
     """An event for people: when, in which flight, and what."""
     where = f"{event.flight} " if event.flight else ""
     mark = "ALARM " if event.kind == "alarm" else ""
-    return printable(f"{where}{event.time_s:.2f} s  {mark}{event.text}")
+    return one_line(f"{where}{event.time_s:.2f} s  {mark}{event.text}")
 
 
 def call(hook: str, event: Event) -> None:

@@ -54,15 +54,20 @@ CASES = [
 ]
 
 
+def check_lead(trial: Trial, flight: Flight, folder: Path, begin: str, end: str) -> None:
+    """The review of the trial's log leads with such a line."""
+    text = first_sentence(write(trial, flight, folder, "log"))
+    line = next(line for line in text.splitlines() if begin in line)
+    assert end in line
+    assert text.index(begin) < 200
+
+
 @pytest.mark.parametrize(("kind", "firmware", "begin", "end"), CASES)
 def test_a_quadrotor(
     flights: Mapping[str, Flight], kind: str, firmware: str, begin: str, end: str, tmp_path: Path
 ) -> None:
     trial = Trial(kind, FAULTY[kind], firmware, rpm=True)
-    text = first_sentence(write(trial, flights[kind], tmp_path, "log"))
-    line = next(line for line in text.splitlines() if begin in line)
-    assert end in line
-    assert text.index(begin) < 200  # it leads
+    check_lead(trial, flights[kind], tmp_path, begin, end)
 
 
 BY_DEFAULT = [
@@ -84,10 +89,7 @@ def test_a_log_as_its_firmware_logs_it_by_default(
     flights: Mapping[str, Flight], kind: str, firmware: str, begin: str, end: str, tmp_path: Path
 ) -> None:
     trial = Trial(kind, FAULTY[kind], firmware, rpm=False, logging=DEFAULT.get(firmware, TUNING))
-    text = first_sentence(write(trial, flights[kind], tmp_path, "log"))
-    line = next(line for line in text.splitlines() if begin in line)
-    assert end in line
-    assert text.index(begin) < 200  # it leads
+    check_lead(trial, flights[kind], tmp_path, begin, end)
 
 
 WITHOUT_IMU = [
