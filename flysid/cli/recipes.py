@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING
 import click
 
 from flysid.cli import complete
-from flysid.cli.addresses import SOURCE
+from flysid.cli.addresses import SOURCE, here
 from flysid.cli.display import Display
+from flysid.place import is_address
 
 if TYPE_CHECKING:
     from flysid.ingest.align.recipe import Recipe, Source
@@ -27,7 +28,10 @@ if TYPE_CHECKING:
 )
 @click.option("--toml", is_flag=True, help="Print the recipe's text, as a start for your own.")
 def command(name: str, source: Path | None, toml: bool) -> None:
-    """List the recipes, or explain one: its channels, signals, units and sources."""
+    """List the recipes, or explain one: its channels, signals, units and sources.
+
+    Instead of a recipe's NAME, a log or a folder of flights lists the recipes that fit it, as --for does.
+    """
     from flysid.cli.output import say
     from flysid.errors import UsageError
     from flysid.ingest.align.recipe import load_recipe, recipe_text, shipped_recipes
@@ -35,6 +39,8 @@ def command(name: str, source: Path | None, toml: bool) -> None:
 
     if name and source is not None:
         raise UsageError("a recipe's name and --for are mutually exclusive", hint="give one of them")
+    if name and source is None and is_log(name):
+        name, source = "", here(name) if is_address(name) else Path(name)
     if toml and not name:
         raise UsageError("--toml prints one recipe", hint="flysid recipes NAME --toml")
     if toml:
@@ -50,6 +56,15 @@ def command(name: str, source: Path | None, toml: bool) -> None:
             say(f"no recipe fits {source}; shipped ones: {', '.join(shipped_recipes())}")
             listed = f"'flysid show {source} --fields' lists the fields"
             say(f"next: {listed}; name two to 'flysid fit': --from, --to")
+
+
+def is_log(name: str) -> bool:
+    """Whether a name is no recipe's but a log's or a folder's: a recipe's own file is TOML."""
+    from flysid.ingest.align.recipe import SUFFIX, shipped_recipes
+
+    if name in shipped_recipes():
+        return False
+    return is_address(name) or (Path(name).suffix != SUFFIX and Path(name).exists())
 
 
 def _list_served(source: Path | None) -> dict[str, tuple[str, ...]]:

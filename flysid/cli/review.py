@@ -97,12 +97,18 @@ def command(
     if output is not None:
         _write(output, found, series, sources)
     elif not (as_json or as_markdown):
-        names = " ".join(shlex.quote(str(source)) for source in sources)
-        page = "series.html" if series.vehicles else "review.html"
-        say(f"next: the page with pictures and evidence: flysid review {names} -o {page}")
+        say(f"next: {_next_step(found, series, ' '.join(shlex.quote(str(source)) for source in sources))}")
     if condition and _holds(condition, found):
         return ExitCode.CHECK_FAILED
     return 0 if all(review.is_judged for review in found) else 3
+
+
+def _next_step(found: Sequence[Review], series: Series, names: str) -> str:
+    """The page; where nothing could be judged, the verb that says what is missing."""
+    if not any(review.is_judged for review in found):
+        return f"what to log, and what the log is good for as it is: flysid doctor {names}"
+    page = "series.html" if series.vehicles else "review.html"
+    return f"the page with pictures and evidence: flysid review {names} -o {page}"
 
 
 def _reviewed(

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from flysid.showing import counted
 from flysid.stretch import FloatArray
 
 BoolArray = npt.NDArray[np.bool_]
@@ -19,12 +20,16 @@ CHANCE = 1e-6
 """Chance runs that may be expected in a flight beyond the length that counts."""
 LINE = 1e-5
 """Of a signal's spread: a second difference below it is what writing in decimals leaves of a line."""
-BEYOND = 1.0005
-"""Of full scale: what rounding may add."""
+ROUNDS = 1e-3
+"""Of a signal's spread: a motor at its stop moves by less, as commands are rounded and filtered."""
+RINGS = 0.09
+"""Of full scale: the low-pass that brings a command onto the grid overshoots a step by no more."""
 WINDOW_S = 4.0
 """Over which two clocks are compared."""
 LATEST_S = 0.12
 """Two clocks are sought no further apart."""
+WANDERS_S = 0.01
+"""Standard deviation of two clocks that a slow estimator of attitude leaves."""
 ALIKE = 0.6
 """Least correlation of two rates that show how their clocks stand."""
 
@@ -35,18 +40,21 @@ class Damage:
 
     Attributes
     ----------
+    dt_s : between samples.
     samples : looked at.
     straight, beyond : samples in straight lines, and with a command beyond full scale.
     straight_runs : how many lines.
-    most : size of the largest command, as a share of full scale.
+    least, most : smallest and largest command, as a share of full scale.
     clock_sd_s, clock_range_s : of the gyro's clock against the attitude's; None where either is missing.
     """
 
     flight: str
+    dt_s: float
     samples: int
     straight: int
     straight_runs: int
     beyond: int
+    least: float
     most: float
     clock_sd_s: float | None = None
     clock_range_s: float | None = None
@@ -58,13 +66,13 @@ class Damage:
         if self.straight:
             share = 100.0 * self.straight / self.samples
             said.append(
-                f"link losses: {self.straight} of {self.samples} samples ({share:.1f} %) "
-                f"lie on {self.straight_runs} straight lines"
+                f"straight lines, as a link loss leaves them: {self.straight} of {self.samples} samples "
+                f"({share:.1f} %) in {counted(self.straight_runs, 'stretch')}"
             )
         if self.beyond:
             said.append(
                 f"commands below 0 or beyond full scale in {self.beyond} of {self.samples} samples, "
-                f"as far as {self.most:.3g} times full scale"
+                f"from {self.least:.3g} to {self.most:.3g} times full scale"
             )
         if self.clock_sd_s is not None and self.clock_range_s is not None and self.wanders:
             said.append(
@@ -75,8 +83,12 @@ class Damage:
 
     @property
     def wanders(self) -> bool:
-        """The gyro's clock against the attitude's moves by more than comparing windows leaves."""
-        return self.clock_sd_s is not None and self.clock_sd_s > 0.01
+        """The gyro's clock against the attitude's moves by more than comparing windows leaves.
+
+        Offsets that are even over one sample have a standard deviation of a sample over the root of 12.
+        """
+        floor_s = max(WANDERS_S, self.dt_s / np.sqrt(12.0))
+        return self.clock_sd_s is not None and self.clock_sd_s > floor_s
 
 
 def straight_lines(signals: FloatArray, dt_s: float, *, standing: bool = False) -> BoolArray:
@@ -102,7 +114,7 @@ def straight_lines(signals: FloatArray, dt_s: float, *, standing: bool = False) 
     least = max(round(STRAIGHT_S / dt_s), STRAIGHT_ROWS) - 1
     least = max(least, longest_by_chance([last - first for first, last in bends], least))
     for first, last in bends:
-        moved = np.abs(moving[last] - moving[first - 1]).max() > 0.0
+        moved = (np.abs(moving[last] - moving[first - 1]) > ROUNDS * spread[spread > 0.0]).any()
         if last - first >= least and (standing or moved):
             found[first - 1 : last + 1] = True
     return found
@@ -143,8 +155,8 @@ def runs(mask: BoolArray) -> list[tuple[int, int]]:
 
 
 def beyond_full_scale(commands: FloatArray) -> BoolArray:
-    """(N,) samples with a command above full scale or below zero."""
-    return np.asarray(((commands > BEYOND) | (commands < 1.0 - BEYOND)).any(axis=1))
+    """(N,) samples with a command above full scale or below zero, by more than the low-pass rings."""
+    return np.asarray(((commands > 1.0 + RINGS) | (commands < -RINGS)).any(axis=1))
 
 
 def clock_offsets(

@@ -218,11 +218,13 @@ def _damage(records: Sequence[Record]) -> Damage:
     known = len(late) >= LEAST_WINDOWS
     return Damage(
         records[0].flight,
+        records[0].dt_s,
         samples=sum(map(len, records)),
         straight=int(sum(line.sum() for line in lines)),
         straight_runs=sum(len(runs(line)) for line in lines),
         beyond=int(sum(mask.sum() for mask in beyond)),
-        most=max(float(np.abs(record.commands).max()) for record in records),
+        least=min(float(record.commands.min()) for record in records),
+        most=max(float(record.commands.max()) for record in records),
         clock_sd_s=float(late.std(ddof=1)) if known else None,
         clock_range_s=float(np.ptp(late)) if known else None,
     )

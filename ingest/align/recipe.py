@@ -349,7 +349,12 @@ def recipe_text(name: str) -> tuple[str, str]:
             f"cannot be read: {why_unread(error)}", path=name, hint=remedy_unread(error)
         ) from error
     except UnicodeDecodeError as error:
-        raise RecipeError("not a text file in UTF-8", path=name, byte=error.start) from error
+        raise RecipeError(
+            "not a text file in UTF-8",
+            path=name,
+            byte=error.start,
+            hint="a recipe is a .toml file: flysid recipes lists those that come with flysid",
+        ) from error
 
 
 _KINDS = {

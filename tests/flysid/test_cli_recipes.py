@@ -46,6 +46,14 @@ def test_only_what_fits_a_log_is_listed(tmp_path: Path) -> None:
         assert line.startswith("ardupilot")
 
 
+def test_a_log_in_the_place_of_a_name_is_a_log(tmp_path: Path) -> None:
+    log = Path(__file__).resolve().parents[2] / "sample_logs" / "01-multisine-seed1.tlog"
+    assert recipes(log).stdout == recipes("--for", log).stdout != ""
+    own = tmp_path / "own.toml"
+    own.write_text(recipes("px4-rates", "--toml").stdout)
+    assert "channel roll_rate: " in recipes(own).stdout
+
+
 def test_wrong_orders_are_refused() -> None:
     assert isinstance(recipes("px4-rats").exception, RecipeError)
     assert isinstance(recipes("--toml").exception, UsageError)

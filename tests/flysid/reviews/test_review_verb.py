@@ -44,6 +44,17 @@ def test_the_page_is_written_once(tmp_path: Path) -> None:
         run("review", LOG, "-o", page)
 
 
+def test_of_a_log_that_shows_nothing_the_next_step_says_what_to_log(tmp_path: Path) -> None:
+    table = tmp_path / "table.csv"
+    table.write_text("t,a\n" + "".join(f"{0.1 * k:.1f},{k % 7}\n" for k in range(200)))
+    code, shown, said = run("review", table)
+    assert (code, "Nothing in this log can be judged" in shown) == (3, True)
+    assert f"next: what to log, and what the log is good for as it is: flysid doctor {table}" in " ".join(
+        said.split()
+    )
+    assert "name two of its columns" in " ".join(run("doctor", table)[1].split())
+
+
 @pytest.mark.parametrize(("condition", "code"), [("trust.duration > 1", 4), ("trust.duration > 1e9", None)])
 def test_a_condition_guards(condition: str, code: int | None) -> None:
     found = run("review", LOG, "--fail-if", condition)[0]
