@@ -18,13 +18,14 @@ from flysid.cli.checks import Reading
 from flysid.cli.display import Display
 from flysid.cli.options import condition_option, target_options
 from flysid.cli.output import ExitCode, explain, print_json, say
-from flysid.cli.source import flight_options, opened_flights, reading_options
+from flysid.cli.source import flight_options, opened_flights, reading_options, recipe_option
 from flysid.cli.trust import Setting
 from flysid.escaping import one_line
 from flysid.extras import Extra, Missing, extra
 from flysid.showing import fold
 
 if TYPE_CHECKING:
+    from flysid.ingest.align.recipe import Recipe
     from flysid.ingest.lake.chosen_flights import Selection
     from flysid.reviews.reviewed import Review
     from flysid.reviews.series import Series
@@ -51,6 +52,7 @@ if TYPE_CHECKING:
     metavar="FIGURE=WATCH,BAD",
     help="Judge a figure by your own limits, e.g. power.motor_spread=15,40; repeatable.",
 )
+@recipe_option
 @reading_options
 def command(
     sources: tuple[Path, ...],
@@ -60,13 +62,15 @@ def command(
     as_markdown: bool,
     condition: str | None,
     limits: tuple[str, ...],
+    recipe: str,
     reading: Reading,
 ) -> int:
     """Review a log: does the vehicle fly well, and what should be changed?
 
     The first sentence is the answer. What follows are at most three next actions, each from evidence in the
     log, and every figure that it holds: tracking, vibration, power, estimator, events. What it does not hold
-    is named with the parameter that logs it. `flysid LOG` does the same.
+    is named with the parameter that logs it. `flysid LOG` does the same. With --recipe, a table's
+    columns are setpoints, measurements and body rates: see docs/recipes.md.
 
     Of several logs, or a folder, the first sentences are printed, and what the flights of one vehicle show
     together: their gains and figures in order, what a change did beyond the scatter between flights, and what
@@ -76,6 +80,7 @@ def command(
     4: --fail-if holds.
     """
     from flysid.errors import UsageError
+    from flysid.ingest.align.recipe import load_recipe
     from flysid.reviews.figures import own_limits, parse_limits
     from flysid.validate.compare.condition import check_grammar
 
@@ -83,8 +88,9 @@ def command(
         raise UsageError("--json and --markdown each say what to print", hint="give one of them")
     if condition:
         check_grammar(condition)
+    own = load_recipe(recipe) if recipe else None
     with own_limits(parse_limits(limits)):
-        found, series = _reviewed(sources, reading, selection, with_evidence=output is not None)
+        found, series = _reviewed(sources, reading, selection, own, with_evidence=output is not None)
     if as_json:
         print_json(_document(found, series))
     elif as_markdown:
@@ -94,25 +100,27 @@ def command(
         click.echo("\n\n".join([*together, *map(markdown, found)]))
     else:
         click.echo(_text(found, series))
+    logs = list(map(str, sources))
+    named = shlex.join([*logs, "--recipe", recipe] if recipe else logs)
     if output is not None:
-        _write(output, found, series, sources)
+        _write(output, found, series, named)
+    elif not any(review.is_judged for review in found):
+        say(f"next: what to log, and what a log is good for as it is: flysid doctor {shlex.join(logs)}")
     elif not (as_json or as_markdown):
-        say(f"next: {_next_step(found, series, ' '.join(shlex.quote(str(source)) for source in sources))}")
+        page = "series.html" if series.vehicles else "review.html"
+        say(f"next: the page with pictures and evidence: flysid review {named} -o {page}")
     if condition and _holds(condition, found):
         return ExitCode.CHECK_FAILED
     return 0 if all(review.is_judged for review in found) else 3
 
 
-def _next_step(found: Sequence[Review], series: Series, names: str) -> str:
-    """The page; where nothing could be judged, the verb that says what is missing."""
-    if not any(review.is_judged for review in found):
-        return f"what to log, and what the log is good for as it is: flysid doctor {names}"
-    page = "series.html" if series.vehicles else "review.html"
-    return f"the page with pictures and evidence: flysid review {names} -o {page}"
-
-
 def _reviewed(
-    sources: Sequence[Path], reading: Reading, selection: Selection, *, with_evidence: bool
+    sources: Sequence[Path],
+    reading: Reading,
+    selection: Selection,
+    recipe: Recipe | None,
+    *,
+    with_evidence: bool,
 ) -> tuple[list[Review], Series]:
     """The reviews of all flights of all sources in their order, and what several of one vehicle show."""
     Thread(target=_load_reviews, daemon=True).start()
@@ -126,7 +134,7 @@ def _reviewed(
 
         pairs: list[tuple[Review, LoggedFlight]] = []
         for log in (log for lake in lakes for log in select(lake, selection).logs):
-            flight = LoggedFlight(log, log.manifest.damage, log.manifest.source.name)
+            flight = LoggedFlight(log, log.manifest.damage, log.manifest.source.name, recipe=recipe)
             pairs.append((review_flight(flight, with_evidence=with_evidence), flight))
         missing = Missing()
         with missing.gathering():
@@ -164,13 +172,12 @@ def _text(found: Sequence[Review], series: Series) -> str:
     return "\n".join(fold(one_line(line)) for line in lines)
 
 
-def _write(output: Path, found: Sequence[Review], series: Series, sources: Sequence[Path]) -> None:
+def _write(output: Path, found: Sequence[Review], series: Series, named: str) -> None:
     """The page, and the parameters that it proposes in a file beside it."""
     from flysid.reviews.page import write_review
     from flysid.reviews.parameter_file import file_suffix, parameter_text
 
-    names = " ".join(shlex.quote(str(source)) for source in sources)
-    command = f"flysid review {names} -o {shlex.quote(str(output))}"
+    command = f"flysid review {named} -o {shlex.quote(str(output))}"
     write_review(output, found, command, series.tables, series.missing)
     click.echo(str(output))
     for review in found:

@@ -79,15 +79,16 @@ _READING = (
     format_option,
 )
 _FIELD = "[STREAM.]FIELD"
+recipe_option = click.option(
+    "--recipe",
+    "-r",
+    cls=ProjectFile,
+    default="",
+    shell_complete=complete.recipes,
+    help="A shipped recipe, or a .toml file.",
+)
 _CHANNELS = (
-    click.option(
-        "--recipe",
-        "-r",
-        cls=ProjectFile,
-        default="",
-        shell_complete=complete.recipes,
-        help="A shipped recipe, or a .toml file.",
-    ),
+    recipe_option,
     click.option(
         "--from",
         "inputs",

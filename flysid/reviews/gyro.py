@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -218,9 +218,21 @@ def _mavlink(flight: LoggedFlight) -> dict[str, Column]:
 
 
 def _others(flight: LoggedFlight) -> LoggedGyro:
-    """Crazyflie, other blackboxes, and MAVLink of other autopilots."""
+    """What a recipe names; Crazyflie, other blackboxes, and MAVLink of other autopilots."""
+    named = _named(flight)
+    if named:
+        return LoggedGyro({}, named)
     own = _of_axes(flight, "gyro.{}", "xyz", UNIT) or _of_axes(flight, "main.gyroADC[{}]", "012", UNIT)
     return LoggedGyro({}, own or _mavlink(flight))
+
+
+def _named(flight: LoggedFlight) -> dict[str, Column]:
+    """The body rates of the reader's own recipe; {} where it has not all three."""
+    signals = {} if flight.recipe is None else flight.recipe.signals
+    specs = [signals[name] for name in (f"{axis}_rate" for axis in AXES) if name in signals]
+    found = [flight.signal(replace(spec, unit=UNIT)) for spec in specs]
+    columns = [column for column in found if column is not None]
+    return dict(zip(AXES, columns, strict=True)) if len(columns) == len(AXES) else {}
 
 
 def throttle_of(flight: LoggedFlight) -> Column | None:

@@ -11,12 +11,22 @@ from flysid.ingest.lake.clocked import ClockedLog
 from flysid.ingest.lake.clocked import Column as Column
 
 if TYPE_CHECKING:
+    from flysid.ingest.align.recipe import Recipe
     from flysid.loops.judged import Judged
 
 
 @dataclass(frozen=True, eq=False)
 class LoggedFlight(ClockedLog):
-    """A log under review."""
+    """A log under review.
+
+    Attributes
+    ----------
+    recipe : where a log whose format names nothing, such as a table, holds what: its channels are loops
+        where they carry a loop's name (roll, roll_rate, v_north, height), its signals roll_rate, pitch_rate
+        and yaw_rate are the gyro.
+    """
+
+    recipe: Recipe | None = None
 
     @cached_property
     def judged(self) -> tuple[Judged, ...]:

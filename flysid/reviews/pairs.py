@@ -1,13 +1,14 @@
 """Which setpoint belongs to which measurement: the loops of a vehicle, from outside to inside.
 
-Roll and pitch are paired by the shipped recipes, the rest by `tracking.toml` beside this module.
+Roll and pitch are paired by the shipped recipes, the rest by `tracking.toml` beside this module; a recipe of
+the reader's own comes first.
 """
 
 from __future__ import annotations
 
 import tomllib
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from importlib.resources import files
 
@@ -123,14 +124,15 @@ def pairs(flight: LoggedFlight) -> Iterator[Pair]:
 
 
 def _pair(flight: LoggedFlight, loop: Loop, axis: str, channel: str) -> Pair | None:
-    for recipe in (*map(recipe_of, loop.recipes), tracking_recipe()):
+    own = () if flight.recipe is None else (flight.recipe,)
+    for recipe in (*own, *map(recipe_of, loop.recipes), tracking_recipe()):
         spec = recipe.channels.get(channel)
         if spec is None:
             continue
-        setpoint = flight.signal(recipe.signals[spec.inputs[0]])
+        setpoint = flight.signal(replace(recipe.signals[spec.inputs[0]], unit=loop.unit))
         if setpoint is None or not setpoint.values.any():
             continue  # MAVLink fills what is not commanded with zeros
-        measured = flight.signal(recipe.signals[spec.outputs[0]])
+        measured = flight.signal(replace(recipe.signals[spec.outputs[0]], unit=loop.unit))
         if measured is not None and len(setpoint) > 1 and len(measured) > 1:
             return Pair(loop, axis, setpoint, measured, spec.min_rate_hz, spec.remedy)
     return None

@@ -40,6 +40,7 @@ def review(
     page: str | Path | None = None,
     *,
     limits: Mapping[str, tuple[float, float]] | None = None,
+    recipe: str = "",
 ) -> Review:
     """Review one log: does the vehicle fly well, and what should be changed?
 
@@ -49,6 +50,7 @@ def review(
     page : write the page to this file, too.
     limits : figure, such as "power.motor_spread" -> your own limits: from which value on it is to be
         watched, and bad, in the figure's unit.
+    recipe : a shipped recipe or a .toml file, by which a table's columns are read: see `LoggedFlight`.
 
     Raises
     ------
@@ -63,6 +65,7 @@ def review(
     >>> found.to_dict()["log"]
     '01-multisine-seed1.tlog'
     """
+    from flysid.ingest.align.recipe import load_recipe
     from flysid.ingest.lake.batch import ingest_logs
     from flysid.ingest.lake.finding import find_logs
     from flysid.ingest.lake.lake import open as open_lake
@@ -77,7 +80,8 @@ def review(
         if len(logs) != 1:
             raise UsageError(f"it holds {len(logs)} flights", path=path, hint=f"flysid review {path}")
         (stored,) = logs
-        flight = LoggedFlight(stored, stored.manifest.damage, stored.manifest.source.name)
+        own = load_recipe(recipe) if recipe else None
+        flight = LoggedFlight(stored, stored.manifest.damage, stored.manifest.source.name, recipe=own)
         with own_limits(limits or {}):
             found = review_flight(flight, with_evidence=page is not None)
     if page is not None:

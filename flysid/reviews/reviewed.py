@@ -18,6 +18,7 @@ VERSION = 1
 FIRST_SCREEN = 3
 """Sentences, and next actions: what a person reads before looking away."""
 NOTHING_FOUND = Finding("Nothing in this log can be judged", Grade.WATCH, 0.0, "trust.duration")
+NOTHING_STRIKES = Finding("Nothing in this log stands out, good or bad", Grade.PLAIN, 0.0, "trust.duration")
 
 NO_TIMELINE = Timeline("", (), (), ())
 
@@ -63,7 +64,13 @@ class Review(Shown):
     @property
     def is_judged(self) -> bool:
         """Whether any section has something to say of the flight, beside how much of it the log holds."""
-        return any(section.findings for section in self.sections if section.key != "trust")
+        found = any(section.findings for section in self.sections if section.key != "trust")
+        return found or self.shows_tracking
+
+    @property
+    def shows_tracking(self) -> bool:
+        """Whether the log holds a setpoint and what came of it: good or bad, that much is known."""
+        return any(fact.value is not None for fact in self.facts if fact.key.startswith("tracking."))
 
     @property
     def values(self) -> dict[str, dict[str, float | str | None]]:
@@ -77,7 +84,7 @@ class Review(Shown):
     def findings(self) -> list[Finding]:
         """The sentences of the first screen, the gravest first; the first one is the headline."""
         found = order([finding for section in self.sections for finding in section.findings])
-        return found[:FIRST_SCREEN] or [NOTHING_FOUND]
+        return found[:FIRST_SCREEN] or [NOTHING_STRIKES if self.shows_tracking else NOTHING_FOUND]
 
     @property
     def actions(self) -> list[Action]:

@@ -49,10 +49,46 @@ def test_of_a_log_that_shows_nothing_the_next_step_says_what_to_log(tmp_path: Pa
     table.write_text("t,a\n" + "".join(f"{0.1 * k:.1f},{k % 7}\n" for k in range(200)))
     code, shown, said = run("review", table)
     assert (code, "Nothing in this log can be judged" in shown) == (3, True)
-    assert f"next: what to log, and what the log is good for as it is: flysid doctor {table}" in " ".join(
+    assert f"next: what to log, and what a log is good for as it is: flysid doctor {table}" in " ".join(
         said.split()
     )
     assert "name two of its columns" in " ".join(run("doctor", table)[1].split())
+
+
+OWN_RECIPE = """
+name = "own"
+
+[signals]
+cmd = { unit = "rad", sources = [{ stream = "table", field = "roll_sp", unit = "rad" }] }
+angle = { unit = "rad", sources = [{ stream = "table", field = "phi", unit = "rad" }] }
+roll_rate = { unit = "rad/s", sources = [{ stream = "table", field = "p", unit = "rad/s" }] }
+pitch_rate = { unit = "rad/s", sources = [{ stream = "table", field = "q", unit = "rad/s" }] }
+yaw_rate = { unit = "rad/s", sources = [{ stream = "table", field = "r", unit = "rad/s" }] }
+
+[channels.roll]
+inputs = ["cmd"]
+outputs = ["angle"]
+"""
+
+
+def test_a_table_is_reviewed_by_a_recipe_of_ones_own(tmp_path: Path) -> None:
+    """Its lag and its error are those that it was written with, in degrees."""
+    rng = np.random.default_rng(3)
+    setpoint = np.repeat(rng.normal(0.0, 0.2, 60), 100)
+    angle = np.concatenate([np.zeros(8), setpoint])[: len(setpoint)]
+    rates = 0.1 * rng.standard_normal((len(setpoint), 3))
+    rows = np.column_stack([0.005 * np.arange(len(setpoint)), setpoint, angle, rates])
+    table, recipe = tmp_path / "table.csv", tmp_path / "own.toml"
+    np.savetxt(table, rows, "%.6g", ",", header="time,roll_sp,phi,p,q,r", comments="")
+    recipe.write_text(OWN_RECIPE)
+    found = flysid.review(table, recipe=str(recipe))
+    error_deg = np.degrees(np.sqrt(np.mean((setpoint - angle)[100:] ** 2)))
+    assert found.fact("tracking.attitude_roll_rms").value == pytest.approx(error_deg, rel=0.05)
+    assert found.fact("tracking.attitude_roll_lag").value == pytest.approx(40.0, abs=5.0)
+    assert found.fact("vibration.gyro_rate").value == pytest.approx(200.0, rel=0.01)
+    code, shown, _ = run("review", table, "--recipe", recipe, "-o", tmp_path / "r.html")
+    assert (code, "Nothing in this log stands out" in shown) == (0, True)
+    assert f"--recipe {recipe}" in (tmp_path / "r.html").read_text("utf-8")
 
 
 @pytest.mark.parametrize(("condition", "code"), [("trust.duration > 1", 4), ("trust.duration > 1e9", None)])
