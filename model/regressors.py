@@ -92,21 +92,6 @@ def regressors(
     return phi
 
 
-def stack(data: Dataset, lags: LagTerms, start: int | None = None) -> tuple[FloatArray, FloatArray]:
-    """Phi and Y of all segments: (M, lags.count) and (M, n_y).
-
-    Raises
-    ------
-    DataError : no segment is longer than the deepest lag.
-    """
-    first = lags.depth if start is None else start
-    usable = usable_segments(data, first)
-    return (
-        np.concatenate([regressors(s.u, s.y, lags, first) for s in usable]),
-        np.concatenate([s.y[first:] for s in usable]),
-    )
-
-
 class RegressorTransform(Protocol):
     """Inputs and outputs as scaled deviations."""
 

@@ -1,4 +1,4 @@
-"""Dead time between input and output: cross-correlation, impulse response, and a search over `nk`.
+"""Dead time between input and output: cross-correlation, and a search over `nk`.
 
 A lag of the dynamics shifts the peak of the correlation too, so the peak alone overestimates the dead
 time. The search compares models with different dead times and takes the one that errs least (`delay_fits`):
@@ -48,15 +48,6 @@ class Delay:
     feedback: bool
 
 
-@dataclass(frozen=True, eq=False)
-class ImpulseResponse:
-    """(L,) lags, s; (L,) response of the output to a unit sample of the input; (L,) standard errors."""
-
-    lag_s: FloatArray
-    g: FloatArray
-    std: FloatArray
-
-
 def cross_correlation(
     data: Dataset, column: int = 0, output: int = 0, max_lag_s: float = 1.0
 ) -> tuple[FloatArray, FloatArray]:
@@ -78,51 +69,6 @@ def cross_correlation(
     scale = np.sqrt(power_u * power_y)
     lag_s = np.asarray(np.arange(-lags, lags + 1) * data.dt_s, dtype=np.float64)
     return lag_s, np.asarray(total / scale if scale > 0 else total)
-
-
-def impulse_response(
-    data: Dataset, column: int = 0, output: int = 0, length_s: float = 1.0, before_s: float = 0.2
-) -> ImpulseResponse:
-    """Finite impulse response by regularised least squares over all segments.
-
-    Taps at negative lags (`before_s`) are estimated too: where they differ from zero, the output acts on
-    the input (feedback), or the clocks of the two are not the same.
-
-    Raises
-    ------
-    DataError : the segments are too short.
-    """
-    before = round(before_s / data.dt_s)
-    after = max(2, round(length_s / data.dt_s))
-    taps = before + after + 1
-    gram = np.zeros((taps, taps))
-    right = np.zeros(taps)
-    squares = 0.0
-    rows = 0
-    for segment in data.segments:
-        if len(segment) <= 2 * taps:
-            continue
-        u = segment.u[:, column] - segment.u[:, column].mean()
-        y = segment.y[after : len(segment) - before, output] - segment.y[:, output].mean()
-        phi = np.lib.stride_tricks.sliding_window_view(u, taps)[:, ::-1]
-        gram += phi.T @ phi
-        right += phi.T @ y
-        squares = squares + float(y @ y)
-        rows = rows + len(y)
-    if rows <= taps:
-        raise DataError(
-            f"channel {data.name!r}: segments are too short for an impulse response of {taps} samples",
-            hint="a shorter response, or longer segments",
-        )
-    ridge = 1e-3 * np.trace(gram) / taps * np.eye(taps)
-    inverse = np.linalg.inv(gram + ridge)
-    g = inverse @ right
-    variance = max(0.0, squares - float(g @ right)) / (rows - taps)
-    return ImpulseResponse(
-        lag_s=np.asarray(np.arange(-before, after + 1) * data.dt_s, dtype=np.float64),
-        g=g,
-        std=np.sqrt(variance * np.diag(inverse)),
-    )
 
 
 def estimate_delay(

@@ -30,7 +30,6 @@ from flysid.dataset import FloatArray, Segment
 from flysid.errors import DataError
 from flysid.model.base import Fitted
 
-BoolArray = npt.NDArray[np.bool_]
 DETECTORS = ("cusum", "glr", "level")
 HALF_STEP = 0.5  # the CUSUM is quickest on steps of one standard deviation beyond what wanders anyway
 GLR_S = 20.0
