@@ -81,11 +81,7 @@ def catalogue(data: str | Path) -> tuple[FlightFacts, ...]:
     """All flights of an ingested folder, by id.
 
     Manifests are read only where the catalogue does not know them; it is then written anew, where that is
-    allowed.
-
-    Raises
-    ------
-    UsageError, StoreError : as `check_data_folder` and `read_manifest`.
+    allowed. Raises UsageError, StoreError: as `check_data_folder` and `read_manifest`.
     """
     data = check_data_folder(data)
     known = {facts.id: facts for facts in _read(data / CATALOGUE_FILE)}

@@ -143,10 +143,8 @@ def _later_inputs(
 ) -> tuple[float, float]:
     """(p of the F test, share of the variance) of later inputs in what an output's past does not tell.
 
-    Parameters
-    ----------
-    rows : of `_rows`, segment by segment.
-    floor : of the output's spread; where less than this cannot be known from the past, nothing is tested.
+    `rows`: of `_rows`, segment by segment.
+    `floor`: of the output's spread; where less than this cannot be known from the past, nothing is tested.
     """
     from scipy.special import fdtrc
 

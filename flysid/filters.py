@@ -20,9 +20,7 @@ ONE = np.ones(1)
 def apply_filter(b: FloatArray, a: FloatArray, x: FloatArray, state: FloatArray = NOTHING) -> FloatArray:
     """(N,) x, or each of (N, columns), through B / A.
 
-    Parameters
-    ----------
-    state : (L,) of the transposed direct form before the first sample, as `lfilter` takes it, the same for
+    `state`: (L,) of the transposed direct form before the first sample, as `lfilter` takes it, the same for
         every column; zero when empty.
     """
     if x.ndim > 1:

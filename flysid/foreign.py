@@ -80,15 +80,10 @@ def _why_not_inside(path: Path, folder: Path) -> str:
 def read_object(path: Path, what: str, hint: str) -> dict[str, Any]:
     """The JSON object in a file.
 
-    Parameters
-    ----------
-    what : it is, for the words of an error: "a flysid model".
-    hint : what to try where it is none.
-
-    Raises
-    ------
-    StoreError : it cannot be read, is no file or too large, is not JSON (which has neither NaN nor infinity),
-        or no object.
+    `what`: it is, for the words of an error: "a flysid model".
+    `hint`: what to try where it is none.
+    Raises StoreError: it cannot be read, is no file or too large, is not JSON (which has neither NaN nor
+    infinity), or no object.
     """
     try:
         mode = path.stat()

@@ -129,11 +129,9 @@ class _Averaged:
 class _OutputError:
     """A free run, and what the noise model foresees of its error.
 
-    Parameters
-    ----------
-    measured : samples that the free run is started from; until more have come, `predict` answers.
-    noise, ma : (p + 1, n_y) and (q + 1, n_y) monic, or None.
-    begun : the free run from the first samples on: its outputs along them, and what carries it on.
+    `measured`: samples that the free run is started from; until more have come, `predict` answers.
+    `noise`, `ma`: (p + 1, n_y) and (q + 1, n_y) monic, or None.
+    `begun`: the free run from the first samples on: its outputs along them, and what carries it on.
     """
 
     def __init__(

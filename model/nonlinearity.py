@@ -114,10 +114,8 @@ def _sums(
 ) -> FloatArray | None:
     """(blocks, m) products of the linear remainder with orthonormal combinations of the shapes, by block.
 
-    Parameters
-    ----------
-    grams : (blocks, c, c) products of linear columns, shapes and the model's error.
-    least_share : of the largest: variances of combinations of shapes below it are rounding.
+    `grams`: (blocks, c, c) products of linear columns, shapes and the model's error.
+    `least_share`: of the largest: variances of combinations of shapes below it are rounding.
     """
     if len(grams) < fewest:
         return None

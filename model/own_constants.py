@@ -49,12 +49,7 @@ def as_document(constants: OwnConstants | None) -> dict[str, Any]:
 
 
 def from_document(document: Mapping[str, Any], n_y: int) -> OwnConstants | None:
-    """What `as_document` wrote.
-
-    Raises
-    ------
-    ValueError : not one finite number per output.
-    """
+    """What `as_document` wrote. Raises ValueError: not one finite number per output."""
     found = document.get("flight_offsets")
     if found is None:
         return None

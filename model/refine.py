@@ -73,16 +73,11 @@ def levenberg_marquardt(
 ) -> Refinement:
     """Minimise the sum of squared residuals from a start.
 
-    Parameters
-    ----------
-    evaluate : theta -> (r, J) or (cost, JᵀJ, Jᵀr). May return non-finite values for divergent models.
-    theta0 : (n,) start; its cost must be finite.
-    cost : theta -> rᵀr without derivatives, when that is cheaper: trial points are then tried with it first.
-    tolerance : relative decrease of the cost, and relative length of the step, that count as converged.
-
-    Raises
-    ------
-    FitError : the cost of the start is not finite.
+    `evaluate`: theta -> (r, J) or (cost, JᵀJ, Jᵀr). May return non-finite values for divergent models.
+    `theta0`: (n,) start; its cost must be finite.
+    `cost`: theta -> rᵀr without derivatives, when that is cheaper: trial points are then tried with it first.
+    `tolerance`: relative decrease of the cost, and relative length of the step, that count as converged.
+    Raises FitError: the cost of the start is not finite.
     """
     point = _start(evaluate, theta0)
     scale = _floor(point.diagonal)

@@ -76,9 +76,7 @@ def settled_start_rows(spread: Callable[[int], float], rows: int, most: int) -> 
 
     All structures ask alike. A few rows more may not help where many do, so that all doublings are looked at.
 
-    Parameters
-    ----------
-    spread : by number of samples, how far a free run errs for want of the right start, in standard
+    `spread`: by number of samples, how far a free run errs for want of the right start, in standard
         deviations of what is measured on top of it.
     """
     enough = max(_DROWNED, spread(most) / _HELPS) if rows < most else 0.0
@@ -237,9 +235,7 @@ def run_from_window(
 ) -> FloatArray:
     """(N, n_y) simulation of a segment whose first `window` samples only give the starting state.
 
-    Parameters
-    ----------
-    drifting : the segment has a constant or a drift of its own beside the model, see `own_part`; None: where
+    `drifting`: the segment has a constant or a drift of its own beside the model, see `own_part`; None: where
         the model says that flights have one.
     """
     drifting = drifting or drifting_of([model])

@@ -182,9 +182,7 @@ def _chosen(settings: StateSpace, parts: Parts) -> tuple[Choice, str, float]:
 def _from_disk(settings: StateSpace, train: OnDisk, validation: Dataset | None) -> FittedStateSpace:
     """Choices on the head, matrices from all blocks.
 
-    Raises
-    ------
-    UsageError : a refinement or a trend was asked for.
+    Raises UsageError: a refinement or a trend was asked for.
     """
     if settings.refine is True or settings.trend != "none":
         raise UsageError(

@@ -159,10 +159,7 @@ def gated(settings: S, search: Search[S], train: Dataset, validation: Dataset | 
     """What a search finds; one rule, split if asked for, where more miss what ARX follows in training.
 
     Rules of clusters and least squares (`refine=False`) are what the literature has, and pass as they are.
-
-    Raises
-    ------
-    FitError : what was found errs clearly more there than ARX, or than the first value held.
+    Raises FitError: what was found errs clearly more there than ARX, or than the first value held.
     """
     with sharing():
         model = search(settings, train, validation)

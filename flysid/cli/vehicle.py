@@ -155,9 +155,7 @@ def fit_flights(
 ) -> Fitted:
     """A vehicle of flights, judged on some of them where `judge`; raises what `Vehicle.fit` does.
 
-    Parameters
-    ----------
-    places : of its motors, see `FittedVehicle.placed`.
+    `places`: of its motors, see `FittedVehicle.placed`.
     """
     from flysid.ingest.align.vehicle_channel import vehicle_data
     from flysid.sixdof.judging import judge_vehicle

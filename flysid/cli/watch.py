@@ -167,9 +167,7 @@ def is_link(source: str) -> bool:
 def check_watch(run: Run, source: str, watched: Watched, hook: str | None) -> None:
     """What can be known wrong before flights are read.
 
-    Raises
-    ------
-    UsageError : the run has no such channel or model; no such log; no such command.
+    Raises UsageError: the run has no such channel or model; no such log; no such command.
     """
     if is_link(source):
         from flysid.live.links import parse_link
@@ -312,9 +310,8 @@ def call(hook: str, event: Event) -> None:
 def watch_vehicle(folder: Path, log: Path, recipe: str, *, fail: bool, as_json: bool) -> int:
     """Print what has changed; the verb's exit code.
 
-    Raises
-    ------
-    UsageError : no such log; another number of motors. StoreError : no vehicle. DataError : nothing flies.
+    Raises UsageError: no such log; another number of motors. Raises StoreError: no vehicle. Raises DataError:
+    nothing flies.
     """
     from flysid.ingest.align.recipe import load_recipe
     from flysid.ingest.align.signals import FlightLog

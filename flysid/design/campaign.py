@@ -67,13 +67,11 @@ class Row:
 class Campaign:
     """All trials.
 
-    Attributes
-    ----------
-    flown : law -> trial -> axis.
-    rows : axis -> law by law.
-    drawn : what differs from vehicle to vehicle, by name: ends of a range, or a number.
-    held_wind_m_s : that full tilt holds, by axis; of simulated vehicles.
-    notes : sentences.
+    `flown`: law -> trial -> axis.
+    `rows`: axis -> law by law.
+    `drawn`: what differs from vehicle to vehicle, by name: ends of a range, or a number.
+    `held_wind_m_s`: that full tilt holds, by axis; of simulated vehicles.
+    `notes`: sentences.
     """
 
     vehicles: int
@@ -137,9 +135,7 @@ def check_number(vehicles: int) -> None:
 def fly_design(axes: Sequence[Axis], vehicles: int, seed: int, doubtful: Doubtful) -> Campaign:
     """Fly every law of a design on the same simulated vehicles in the same wind.
 
-    Raises
-    ------
-    UsageError : no channel of the design drives the simulated vehicle, at its sample time.
+    Raises UsageError: no channel of the design drives the simulated vehicle, at its sample time.
     """
     check_number(vehicles)
     laws, notes = _laws(axes)
@@ -215,10 +211,8 @@ def row_of_law(
 ) -> Row:
     """What a law did on an axis over all trials.
 
-    Parameters
-    ----------
-    flown : law -> trial -> axis.
-    true : (P, F) responses of the vehicles, at the frequencies of `parts`.
+    `flown`: law -> trial -> axis.
+    `true`: (P, F) responses of the vehicles, at the frequencies of `parts`.
     """
     own = [f[axis] for f in flown[law]]
     ise = np.array([f.ise for f in own])

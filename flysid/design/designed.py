@@ -153,12 +153,10 @@ class Axis:
 class Design:
     """What `flysid design` found.
 
-    Attributes
-    ----------
-    firmware : name, and in words the versions whose parameters these are.
-    axes : designed channels.
-    refused : channel -> (why, what to fly next).
-    old, new : parameters of the vehicle; empty without present gains.
+    `firmware`: name, and in words the versions whose parameters these are.
+    `axes`: designed channels.
+    `refused`: channel -> (why, what to fly next).
+    `old`, `new`: parameters of the vehicle; empty without present gains.
     """
 
     run: str
@@ -222,9 +220,7 @@ def _plain(value: Any) -> Any:
 def open_design(path: Path) -> tuple[Axis, ...]:
     """The channels of a design's JSON, or of the folder that holds it.
 
-    Raises
-    ------
-    UsageError : no such file, or a design of rate loops. StoreError : no design, or damaged.
+    Raises UsageError: no such file, or a design of rate loops. Raises StoreError: no design, or damaged.
     """
     file = inner_path(path, FILE, path) if path.is_dir() else path
     if not file.is_file():

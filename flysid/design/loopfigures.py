@@ -82,11 +82,9 @@ def figures_of_paths(
 ) -> Figures:
     """Of controllers (S, 1, F) by their paths to the input, on every plant (P, F).
 
-    Parameters
-    ----------
-    centre, asked, seen : from the velocity and the position that it comes to; from the reference; from the
-        measured velocity alone.
-    integral : (S, 1) more than 0 where the controller integrates; None: all do.
+    `centre`, `asked`, `seen`: from the velocity and the position that it comes to; from the reference; from
+        the measured velocity alone.
+    `integral`: (S, 1) more than 0 where the controller integrates; None: all do.
     """
     loop = centre * plants
     whole = 1.0 + loop

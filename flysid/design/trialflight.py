@@ -146,10 +146,8 @@ def fly_trial(
 ) -> dict[str, Flown]:
     """Fly the course under the laws of x and y; the same noise and wind whatever the laws.
 
-    Parameters
-    ----------
-    rules : of an axis that gains of rules fly instead of its law.
-    tuners : of an axis, what sets its law's gains of position and velocity in flight.
+    `rules`: of an axis that gains of rules fly instead of its law.
+    `tuners`: of an axis, what sets its law's gains of position and velocity in flight.
     """
     rng = np.random.default_rng(trial.seed)
     place, speed = course()
@@ -195,10 +193,8 @@ def judge_flight(
 ) -> Flown:
     """What a flight over the course comes to.
 
-    Parameters
-    ----------
-    away, u : (N,) the commanded place less the vehicle's, m, and the input.
-    step_s : when the first step of 2 m begins and ends.
+    `away`, `u`: (N,) the commanded place less the vehicle's, m, and the input.
+    `step_s`: when the first step of 2 m begins and ends.
     """
     first, last = (round(t / dt_s) for t in step_s)
     step = away[first:last] / 2.0

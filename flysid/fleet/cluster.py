@@ -65,11 +65,8 @@ class Cluster:
     ) -> Iterator[tuple[tuple[Log, ...], list[LogOutcome]]]:
         """Each batch with what became of its logs, as they finish.
 
-        A batch that Dask gives up is not done; its logs wait for the next time.
-
-        Raises
-        ------
-        PlaceError : the scheduler is gone.
+        A batch that Dask gives up is not done; its logs wait for the next time. Raises PlaceError: the
+        scheduler is gone.
         """
         for part, outcomes in self.each(partial(_ingest, self.do, settings), batches, _parts_of):
             if outcomes is None:
@@ -82,14 +79,9 @@ class Cluster:
     ) -> Iterator[tuple[Task, Result | None]]:
         """Each task with its result, as they finish; None where its workers were killed again and again.
 
-        Parameters
-        ----------
-        do : importable on the workers; what it raises is raised here, after the results that came with it.
-        parts_of : texts that tell a task from others, the first its kind; equal texts are one task.
-
-        Raises
-        ------
-        PlaceError : the scheduler is gone.
+        `do`: importable on the workers; what it raises is raised here, after the results that came with it.
+        `parts_of`: texts that tell a task from others, the first its kind; equal texts are one task.
+        Raises PlaceError: the scheduler is gone.
         """
         from distributed import as_completed
         from distributed.client import FutureCancelledError
@@ -175,10 +167,8 @@ def _key(kind: str, *parts: str) -> str:
 def connect(address: str = "", workers: int = 0) -> Iterator[Cluster]:
     """A cluster: the scheduler at an address; or one of this many processes here, for as long as the block.
 
-    Raises
-    ------
-    UsageError : Dask is not installed; workers have another flysid, or may not start processes.
-    PlaceError : nobody answers there.
+    Raises UsageError: Dask is not installed; workers have another flysid, or may not start processes.
+    Raises PlaceError: nobody answers there.
     """
     try:
         import dask

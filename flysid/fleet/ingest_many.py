@@ -85,16 +85,11 @@ def find(
     names do not tell, their first bytes do, as of files on this machine. Archives count as one log until
     they are read; logs on this machine are sorted out later, by their hashes.
 
-    Parameters
-    ----------
-    since : only objects that arrived at this moment or later.
-    retry : those in quarantine, too.
-    force : all of them, whatever the lake knows.
-    bounds : of memory and time for looking into one file of this machine; see `find_logs`.
-
-    Raises
-    ------
-    UsageError : nothing there is a log.
+    `since`: only objects that arrived at this moment or later.
+    `retry`: those in quarantine, too.
+    `force`: all of them, whatever the lake knows.
+    `bounds`: of memory and time for looking into one file of this machine; see `find_logs`.
+    Raises UsageError: nothing there is a log.
     """
     addresses = [item for item in given if is_address(item)]
     paths = [item for item in given if not is_address(item)]

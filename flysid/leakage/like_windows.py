@@ -66,11 +66,9 @@ def pairs_alike(
 ) -> Iterator[tuple[int, int]]:
     """Numbers of a flight of `mine` and one of `theirs` that have a window in common, each pair once.
 
-    Parameters
-    ----------
-    theirs, mine : one output of every flight, without gaps.
-    apart : how far a copy may lie from the flight, root mean square over a window, of the flight's spread.
-    farthest : of a window's size: beyond it, windows are not alike.
+    `theirs`, `mine`: one output of every flight, without gaps.
+    `apart`: how far a copy may lie from the flight, root mean square over a window, of the flight's spread.
+    `farthest`: of a window's size: beyond it, windows are not alike.
     """
     if not len(theirs) or not len(mine):
         return

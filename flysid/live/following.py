@@ -26,11 +26,9 @@ class Follower:
 
     It follows the first sender that is heard; another one is followed when that one has fallen silent.
 
-    Parameters
-    ----------
-    watches : of the channels.
-    recipe : of the run.
-    tell : is called with every event, from the thread that calls `step`.
+    `watches`: of the channels.
+    `recipe`: of the run.
+    `tell`: is called with every event, from the thread that calls `step`.
     """
 
     watches: Sequence[ChannelWatch]

@@ -298,14 +298,9 @@ KINDS: dict[str, Callable[[Target], Link]] = {
 def open_link(text: str, *, buffer: int | None = None, sends: bool = False) -> Link:
     """Open the link that `text` names.
 
-    Parameters
-    ----------
-    buffer : bytes of socket buffer to ask for; as much as can be had where None.
-    sends : whether heartbeats will be sent: a `udpout:` link hears nothing without.
-
-    Raises
-    ------
-    UsageError : not understood, in use, not there, or not allowed.
+    `buffer`: bytes of socket buffer to ask for; as much as can be had where None.
+    `sends`: whether heartbeats will be sent: a `udpout:` link hears nothing without.
+    Raises UsageError: not understood, in use, not there, or not allowed.
     """
     target = parse_link(text)
     if target.kind == "udpout" and not sends:

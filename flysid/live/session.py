@@ -17,10 +17,8 @@ from flysid.validate.diagnose.detect import LEVEL_EVERY_S
 class Session:
     """A recording with watches beside it.
 
-    Parameters
-    ----------
-    recording : not yet started.
-    watches, recipe : of a run; none and None to record only.
+    `recording`: not yet started.
+    `watches`, `recipe`: of a run; none and None to record only.
     """
 
     def __init__(

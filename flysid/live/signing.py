@@ -38,11 +38,7 @@ def load_key(path: Path | None) -> bytes | None:
     """The key in a file that only its owner can read, or in the environment; None where there is neither.
 
     A key is 32 bytes, or 64 hexadecimal digits; any other text is a pass phrase, whose SHA-256 is the key, as
-    ground stations do.
-
-    Raises
-    ------
-    UsageError : the file cannot be read, or others can.
+    ground stations do. Raises UsageError: the file cannot be read, or others can.
     """
     if path is None:
         text = os.environ.get(KEY_VARIABLE)

@@ -83,13 +83,11 @@ class _Output:
 class ChannelWatch:
     """Watches one channel with one model.
 
-    Parameters
-    ----------
-    name : the channel.
-    model : predicts one step ahead and runs freely.
-    thresholds : one per output (`flysid.validate.diagnose.detect.calibrate`).
-    known : (2, n_u) lowest and highest inputs that are judged (`known_inputs`).
-    trace : keeps what was seen, for a page; None where nobody looks.
+    `name`: the channel.
+    `model`: predicts one step ahead and runs freely.
+    `thresholds`: one per output (`flysid.validate.diagnose.detect.calibrate`).
+    `known`: (2, n_u) lowest and highest inputs that are judged (`known_inputs`).
+    `trace`: keeps what was seen, for a page; None where nobody looks.
     """
 
     name: str
@@ -284,14 +282,9 @@ class ChannelWatch:
 def watch_of(held: HeldOut, label: str | None, false_alarms_1_h: float) -> ChannelWatch:
     """The watch of a run's channel: thresholds from its held-out flights.
 
-    Parameters
-    ----------
-    label : of the model; the channel's baseline when None.
-    false_alarms_1_h : an hour, for this channel.
-
-    Raises
-    ------
-    UsageError : no such model. DataError : too little held-out flight.
+    `label`: of the model; the channel's baseline when None.
+    `false_alarms_1_h`: an hour, for this channel.
+    Raises UsageError: no such model. Raises DataError: too little held-out flight.
     """
     label = label or held.channel.baseline
     if label not in held.models:

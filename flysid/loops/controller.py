@@ -140,10 +140,8 @@ def refuse_misfit(
 ) -> float:
     """The miss of a controller; raises DataError where it is not what the log recorded.
 
-    Parameters
-    ----------
-    low, high : Hz, between which it is compared.
-    checks : of its terms; those that miss are named. All of them must fit where the law only stands in.
+    `low`, `high`: Hz, between which it is compared.
+    `checks`: of its terms; those that miss are named. All of them must fit where the law only stands in.
     """
     miss = controller.miss(loop, low, high)
     off = "; ".join(check.complaint() for check in checks if not check.fits)

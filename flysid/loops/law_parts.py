@@ -33,11 +33,9 @@ class Means:
 class Boost:
     """How D grows from the gain `d`: by up to `most` with quick motions.
 
-    Attributes
-    ----------
-    most : of D, over the least.
-    by_rate, by_setpoint : what a deg/s^2 of the filtered rate, or of the setpoint, adds to the share.
-    range_filters, smooth_filters : of the rate's slope, and of the factor.
+    `most`: of D, over the least.
+    `by_rate`, `by_setpoint`: what a deg/s^2 of the filtered rate, or of the setpoint, adds to the share.
+    `range_filters`, `smooth_filters`: of the rate's slope, and of the factor.
     """
 
     most: float

@@ -75,12 +75,7 @@ class Rebuilt:
 
 
 def rebuild(law: BetaflightLaw, rows: Rows, step_s: float) -> Rebuilt:
-    """The terms P, I and D.
-
-    Parameters
-    ----------
-    step_s : of the loop as it ran; the law's own step is that of its filters.
-    """
+    """The terms P, I and D. `step_s`: of the loop as it ran; the law's own step is that of its filters."""
     whole = np.zeros((3, len(rows.loop)))
     pieces = _pieces(rows.loop)
     squares = np.sum([_rebuild_piece(law, rows, own, step_s, whole) for own in pieces], axis=0)
@@ -101,9 +96,7 @@ def _rebuild_piece(
 ) -> FloatArray:
     """(4, 2) sums whose quotients are the means; the terms of a stretch are written to `whole` (3, N).
 
-    Parameters
-    ----------
-    most_loops : held at once: a log of every sixteenth loop has sixteen times its rows of them.
+    `most_loops`: held at once: a log of every sixteenth loop has sixteen times its rows of them.
     """
     loop = rows.loop[own]
     fixed = (
@@ -151,10 +144,8 @@ def _step_rows(
 ) -> tuple[FloatArray, tuple[float, int]]:
     """(3, n) terms of every loop of some rows; the moving cut-offs' sum and number.
 
-    Parameters
-    ----------
-    goes_on : the last row is the first of the next call.
-    state, sums : changed in place.
+    `goes_on`: the last row is the first of the next call.
+    `state`, `sums`: changed in place.
     """
     loop = rows.loop[own]
     every = np.arange(loop[0], loop[-1] + (0.0 if goes_on else 1.0))

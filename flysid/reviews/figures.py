@@ -111,9 +111,7 @@ def own_limits(limits: Mapping[str, tuple[float, float]]) -> Iterator[None]:
 def parse_limits(words: Iterable[str]) -> dict[str, tuple[float, float]]:
     """Limits as a person writes them: "power.motor_spread=15,40".
 
-    Raises
-    ------
-    UsageError : it is written otherwise.
+    Raises UsageError: it is written otherwise.
     """
     found = {}
     for text in words:

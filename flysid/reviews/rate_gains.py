@@ -66,9 +66,7 @@ def scaled_gains(
 ) -> list[Change]:
     """The gains of an axis that are not zero, multiplied, rounded towards what they are.
 
-    Parameters
-    ----------
-    proportional, integral, slope : whether P, I and D are among them.
+    `proportional`, `integral`, `slope`: whether P, I and D are among them.
     """
     wanted = {"p": proportional, "i": integral, "d": slope}
     whole = flight.has("main")

@@ -43,9 +43,7 @@ def write_vehicle_page(
 ) -> Path:
     """Write the page whole or not at all; returns its path. The rest is as in `render_vehicle`.
 
-    Raises
-    ------
-    StoreError : the file cannot be written.
+    Raises StoreError: the file cannot be written.
     """
     return write_page(path, render_vehicle(vehicle, judged, command))
 
@@ -53,10 +51,8 @@ def write_vehicle_page(
 def render_vehicle(vehicle: FittedVehicle, judged: Judgement | None = None, command: str = "") -> str:
     """The page of a vehicle.
 
-    Parameters
-    ----------
-    judged : its errors on flights that were left out; None where it was not judged.
-    command : that made it, for its foot.
+    `judged`: its errors on flights that were left out; None where it was not judged.
+    `command`: that made it, for its foot.
     """
     missing = Missing()
     with missing.gathering():

@@ -96,11 +96,9 @@ def peaks_of(
     A peak stands so high over the floor that noise alone would do so anywhere in this spectrum with the
     probability `by_chance`, and at least `least_db`.
 
-    Parameters
-    ----------
-    lowest_hz : below it, what moves is the vehicle.
-    faintest_db : below the highest peak, smaller ones are what the windows make of it.
-    most : of them.
+    `lowest_hz`: below it, what moves is the vehicle.
+    `faintest_db`: below the highest peak, smaller ones are what the windows make of it.
+    `most`: of them.
     """
     density, hz = windows.mean, windows.hz
     if len(hz) < 16:

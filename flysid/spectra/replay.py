@@ -66,9 +66,7 @@ def replay(chain: Chain, rows: Rows, row_hz: float) -> FloatArray:
 
     Between rows the raw signal is taken on straight lines; what it did there is not in the log.
 
-    Parameters
-    ----------
-    row_hz : rows a second.
+    `row_hz`: rows a second.
     """
     if not chain.steps:
         return rows.raw

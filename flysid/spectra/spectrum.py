@@ -68,11 +68,9 @@ class Windows:
 def whole_stretches(time_s: FloatArray, *, longest_gap: float = 4.0, fewest: int = 16) -> list[slice]:
     """Stretches of a signal without a lost sample.
 
-    Parameters
-    ----------
-    time_s : (N,) rising.
-    longest_gap : periods from sample to sample beyond which one is lost; a stretch ends there.
-    fewest : samples of a stretch that is kept.
+    `time_s`: (N,) rising.
+    `longest_gap`: periods from sample to sample beyond which one is lost; a stretch ends there.
+    `fewest`: samples of a stretch that is kept.
     """
     if len(time_s) < 2:
         return []
@@ -194,10 +192,8 @@ class Spread:
 def spread_over(windows: Windows, quantity: FloatArray, bins: int = 20) -> Spread:
     """The spectrum in bins of a quantity.
 
-    Parameters
-    ----------
-    quantity : (W,) during each window; a window where it is NaN counts nowhere.
-    bins : between its least and its largest value.
+    `quantity`: (W,) during each window; a window where it is NaN counts nowhere.
+    `bins`: between its least and its largest value.
     """
     known = np.isfinite(quantity)
     low, high = (float(quantity[known].min()), float(quantity[known].max())) if known.any() else (0.0, 1.0)

@@ -33,9 +33,7 @@ ALWAYS = -resample.FOREVER
 def condition_spans(conditions: Sequence[Condition], log: Log) -> Allowed:
     """Where all conditions hold in a log. A value counts until the next one (zero-order hold).
 
-    Raises
-    ------
-    RecipeError : a required condition has no source in the log.
+    Raises RecipeError: a required condition has no source in the log.
     """
     spans: dict[int, Sequence[Span]] = {}
     notes: list[str] = []

@@ -26,16 +26,14 @@ from flysid.stretch import FloatArray
 class Delay:
     """Dead time from an input to an output.
 
-    Attributes
-    ----------
-    nk : samples until the output can answer: y[k] depends on u[k - nk] and earlier, so the dead time lies
+    `nk`: samples until the output can answer: y[k] depends on u[k - nk] and earlier, so the dead time lies
         between nk - 1 and nk samples; 0 where the log shows an answer within the same sample.
-    delay_s : dead time in seconds, between samples by interpolation of the error.
-    low_s, high_s : dead times whose error is not significantly larger.
-    sign : +1 where the output follows the input, -1 where it goes against it; 0 where a loop hides it: the
+    `delay_s`: dead time in seconds, between samples by interpolation of the error.
+    `low_s`, `high_s`: dead times whose error is not significantly larger.
+    `sign`: +1 where the output follows the input, -1 where it goes against it; 0 where a loop hides it: the
         model and the correlation at later times disagree.
-    correlation, peak_s : largest absolute correlation, and the lag where it lies.
-    feedback : the output leads the input; the dead time was then found by prediction error.
+    `correlation`, `peak_s`: largest absolute correlation, and the lag where it lies.
+    `feedback`: the output leads the input; the dead time was then found by prediction error.
     """
 
     nk: int
@@ -78,9 +76,7 @@ def estimate_delay(
 
     `step_s`: the sign is that of the step response so long after the dead time.
 
-    Raises
-    ------
-    DataError : the segments are too short, or the input or output does not move.
+    Raises DataError: the segments are too short, or the input or output does not move.
     """
     last = max(2, round(max_delay_s / data.dt_s))
     pieces = _pieces(data, column, output, min_length=2 * (last + sum(ARX_ORDERS)))

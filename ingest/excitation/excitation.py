@@ -71,12 +71,10 @@ class Spectrum:
 class Excitation:
     """How an input moves, in its unit.
 
-    Attributes
-    ----------
-    rms : about the mean of each segment.
-    span : largest minus smallest value.
-    band_hz : the frequency below which 95 % of its power lies.
-    quiet : it moves less than sensors of its unit are noisy, or less than its own resolution.
+    `rms`: about the mean of each segment.
+    `span`: largest minus smallest value.
+    `band_hz`: the frequency below which 95 % of its power lies.
+    `quiet`: it moves less than sensors of its unit are noisy, or less than its own resolution.
     """
 
     rms: float

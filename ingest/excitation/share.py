@@ -52,9 +52,7 @@ class Share:
 def share_explained(data: Dataset, moves: Excitation, column: int = 0, output: int = 0) -> Share:
     """The share of an output's power, in the band of an input, that a linear response to it explains.
 
-    Parameters
-    ----------
-    moves : `excitation` of that input. The interval is from 0 to 1 where all segments are too short.
+    `moves`: `excitation` of that input. The interval is from 0 to 1 where all segments are too short.
     """
     found = [_powers(s, data.dt_s, moves.band_hz, (column, output)) for s in data.segments]
     noise, whole = np.concatenate(found, axis=1) if found else np.zeros((2, 0))

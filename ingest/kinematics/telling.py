@@ -183,9 +183,7 @@ def _places(recipe: Recipe, signal: str, log: Log) -> set[tuple[str, str]]:
 def corrected_recipe(name: str, log: Log, found: Compatibility) -> tuple[str, list[str]]:
     """A recipe's text with a log's findings taken out of its signals, and what was done, one line each.
 
-    Raises
-    ------
-    UsageError : none of the recipe's fields is at fault.
+    Raises UsageError: none of the recipe's fields is at fault.
     """
     text, _ = recipe_text(name)
     document = tomllib.loads(text)

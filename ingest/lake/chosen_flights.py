@@ -62,9 +62,7 @@ class Selection:
 def select(lake: Lake, selection: Selection) -> Lake:
     """The flights that are meant.
 
-    Raises
-    ------
-    UsageError : a name is of no flight, or of several; so is a vehicle's; nothing is left.
+    Raises UsageError: a name is of no flight, or of several; so is a vehicle's; nothing is left.
     """
     chosen = _name_flights(lake, selection.flights) or [facts.id for facts in lake.facts]
     excluded = set(_name_flights(lake, selection.exclude))
@@ -103,13 +101,8 @@ def vehicle_words(lake: Lake) -> dict[str, str]:
 def of_one_vehicle(lake: Lake, recipe: str) -> Lake:
     """The flights, or those with the streams of a recipe where these alone are of one vehicle.
 
-    Parameters
-    ----------
-    recipe : "" for none.
-
-    Raises
-    ------
-    UsageError : as `require_one_vehicle`, of the flights that have the streams.
+    `recipe`: "" for none.
+    Raises UsageError: as `require_one_vehicle`, of the flights that have the streams.
     """
     able = _serving(lake, load_recipe(recipe)) if recipe and len(vehicles(lake)) > 1 else lake
     chosen = able if able.facts else lake

@@ -112,9 +112,7 @@ class StreamCount:
 class Survey:
     """What `flysid doctor` says about a log.
 
-    Attributes
-    ----------
-    flown : when the vehicle was in the air, as far as the log tells.
+    `flown`: when the vehicle was in the air, as far as the log tells.
     """
 
     source: Source

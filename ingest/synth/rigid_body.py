@@ -203,18 +203,13 @@ def fly_vehicle(
 ) -> Trajectory:
     """Fly commands that are held for `period_s` each.
 
-    Parameters
-    ----------
-    commands : (N, 3) or (N, 4) theta_in, phi_in (deg), vz_in (m/s), and yaw rate (deg/s, to the right).
-    period_s, record_s : whole steps; the record must divide the flight.
-    wind_m_s : (N, 3) of the air, world axes x forward, y left, z up; held alike. Still air when None.
-    start : (26,) first state; hover at 20 m when None.
-    fault : a time in seconds, a whole number of records, and the vehicle that this one is from then on.
-    step_s : of the integration; four times as long is four times as fast, for fleets.
-
-    Raises
-    ------
-    UsageError : shapes or periods do not fit. DataError : the flight hit the ground or was lost.
+    `commands`: (N, 3) or (N, 4) theta_in, phi_in (deg), vz_in (m/s), and yaw rate (deg/s, to the right).
+    `period_s`, `record_s`: whole steps; the record must divide the flight.
+    `wind_m_s`: (N, 3) of the air, world axes x forward, y left, z up; held alike. Still air when None.
+    `start`: (26,) first state; hover at 20 m when None.
+    `fault`: a time in seconds, a whole number of records, and the vehicle that this one is from then on.
+    `step_s`: of the integration; four times as long is four times as fast, for fleets.
+    Raises UsageError: shapes or periods do not fit. Raises DataError: the flight hit the ground or was lost.
     """
     inputs = _inputs(vehicle, np.asarray(commands, dtype=np.float64), wind_m_s, period_s)
     hold = round(period_s / step_s)

@@ -24,14 +24,12 @@ SPREAD = {"mass_kg": 0.03, "thrust_factor": 0.03, "motor_lag_s": 0.1, "sag": 0.1
 class Air:
     """What a flight meets.
 
-    Attributes
-    ----------
-    wind, rng : the wind, and the generator of its direction and turbulence.
-    vehicle, seed : which of a fleet flies; the first is the nominal one, `seed` disperses the others.
-    altitude_m : at the start.
-    without : names of the effects that are switched off.
-    changes : what has changed on this vehicle: a name of `CHANGES` and a factor.
-    step_s : of the integration.
+    `wind`, `rng`: the wind, and the generator of its direction and turbulence.
+    `vehicle`, `seed`: which of a fleet flies; the first is the nominal one, `seed` disperses the others.
+    `altitude_m`: at the start.
+    `without`: names of the effects that are switched off.
+    `changes`: what has changed on this vehicle: a name of `CHANGES` and a factor.
+    `step_s`: of the integration.
     """
 
     wind: Wind

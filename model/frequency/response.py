@@ -209,9 +209,7 @@ def measure_response(
 def split_references(data: Dataset, reference: Sequence[str]) -> tuple[Dataset, tuple[int, ...]]:
     """The dataset without the inputs that are references, and which of its inputs those were.
 
-    Raises
-    ------
-    UsageError : no such input; no input is left; fewer references than inputs.
+    Raises UsageError: no such input; no input is left; fewer references than inputs.
     """
     names = [s.name for s in data.inputs]
     for name in reference:
@@ -260,12 +258,7 @@ def _check_motion(records: Sequence[FloatArray], data: Dataset, order: Sequence[
 
 
 def _check_apart(records: Sequence[FloatArray], names: Sequence[str]) -> float:
-    """The largest squared correlation between two inputs.
-
-    Raises
-    ------
-    DataError : two inputs are one signal.
-    """
+    """The largest squared correlation between two inputs. Raises DataError: two inputs are one signal."""
     gram = np.asarray(sum(r.T @ r for r in records))
     size = np.sqrt(np.maximum(np.diag(gram), 1e-300))
     squared = (gram / np.outer(size, size)) ** 2

@@ -57,9 +57,7 @@ class TermTable(NamedTuple):
 def sweep(W, rows, terms, theta, limits, S):  # type: ignore[no-untyped-def]
     """Free run of rows[0] <= k < rows[1] of W in place; how many of them were held at a limit.
 
-    Parameters
-    ----------
-    S : (D + rows, n_y, P) sensitivities, D at least the deepest lag; those of the D rows before are given.
+    `S`: (D + rows, n_y, P) sensitivities, D at least the deepest lag; those of the D rows before are given.
         The first T columns are the coefficients', the others only propagate. Without columns: the run alone.
     """
     n_y = limits.shape[1]

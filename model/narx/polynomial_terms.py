@@ -101,9 +101,7 @@ def _ends(runs: Sequence[FloatArray]) -> FloatArray:
 def table_of(terms: Sequence[Term], seen: SeenRange | None = None) -> TermTable:
     """The terms as compiled code takes them.
 
-    Parameters
-    ----------
-    seen : factors of nonlinear terms are held inside; None: they are not.
+    `seen`: factors of nonlinear terms are held inside; None: they are not.
     """
     shape = (len(terms), MOST_FACTORS)
     column = np.full(shape, -1, dtype=np.int64)

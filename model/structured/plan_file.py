@@ -265,9 +265,7 @@ class _Terms:
     def found(self) -> tuple[FreeNumber, ...]:
         """All terms, in the order of the file.
 
-        Raises
-        ------
-        UsageError : a tie to a term that is not there; nothing is free.
+        Raises UsageError: a tie to a term that is not there; nothing is free.
         """
         for name in self.places:
             if name not in self.starts:

@@ -150,9 +150,7 @@ class Columns:
     ) -> Columns:
         """For a triangle of all lags 0..depth, depth at least `window(past, method)`; signals (n_y, n_u).
 
-        Raises
-        ------
-        UsageError : an unknown method.
+        Raises UsageError: an unknown method.
         """
         if method not in METHODS:
             raise UsageError(f"there is no subspace method {method!r}", hint=f"one of {', '.join(METHODS)}")
@@ -213,9 +211,7 @@ class Columns:
 class Projection:
     """The singular value decomposition behind a method: every order is read off it.
 
-    Attributes
-    ----------
-    singular_values : of the weighted map from the past to the future, largest first.
+    `singular_values`: of the weighted map from the past to the future, largest first.
     """
 
     columns: Columns
@@ -235,9 +231,7 @@ class Projection:
     def realise(self, order: int) -> Realisation:
         """The system of that order, for scaled deviations.
 
-        Raises
-        ------
-        UsageError : the order is not positive. FitError : it exceeds `most`.
+        Raises UsageError: the order is not positive. Raises FitError: it exceeds `most`.
         """
         if order < 1:
             raise UsageError(f"a state-space model has an order of at least 1, not {order}")
@@ -263,9 +257,7 @@ class Projection:
 def project(columns: Columns, method: Method) -> Projection:
     """The map from the past to the future, weighted as the method says, and its singular values.
 
-    Raises
-    ------
-    DataError : fewer samples than unknowns.
+    Raises DataError: fewer samples than unknowns.
     """
     n_y = columns.n_y
     n_u = columns.n_u

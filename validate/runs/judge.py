@@ -85,16 +85,11 @@ def judge_run(
 ) -> Judgement:
     """Compare every channel of a run on its held-out part; tells of its progress (`flysid.progress`).
 
-    Parameters
-    ----------
-    data : the ingested folder, where it moved since the fit.
-    only : judge on these of the held-out flights and stretches alone.
-    beside : further models, by channel and label, that are judged on the same flights as the run's.
-
-    Raises
-    ------
-    DataError : no channel can be judged, or the data differs from what was fitted.
-    StoreError, UsageError : the run or the data folder cannot be read.
+    `data`: the ingested folder, where it moved since the fit.
+    `only`: judge on these of the held-out flights and stretches alone.
+    `beside`: further models, by channel and label, that are judged on the same flights as the run's.
+    Raises DataError: no channel can be judged, or the data differs from what was fitted.
+    Raises StoreError, UsageError: the run or the data folder cannot be read.
     """
     chosen = None if only is None else chosen_lake(run, data, only)  # from the catalogue: before tables
     missing = Missing(*run.missing)
@@ -117,9 +112,7 @@ def _compare(
 ) -> tuple[Mapping[str, Comparison], dict[str, DataError]]:
     """The comparisons by channel, corrected over channels; and why others could not be judged.
 
-    Raises
-    ------
-    DataError : no channel can be judged.
+    Raises DataError: no channel can be judged.
     """
     comparisons: dict[str, Comparison] = {}
     failed: dict[str, DataError] = {}

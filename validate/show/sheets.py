@@ -90,10 +90,8 @@ def height_of(picture: Markup) -> float:
 class Sheet:
     """A matplotlib figure on which pictures lie, each where it is laid, in pixels of the page.
 
-    Parameters
-    ----------
-    width, height : of the sheet, in pixels.
-    width_in : inches that the width becomes.
+    `width`, `height`: of the sheet, in pixels.
+    `width_in`: inches that the width becomes.
     """
 
     def __init__(self, width: float, height: float, width_in: float) -> None:

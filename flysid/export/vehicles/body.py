@@ -50,14 +50,9 @@ class Body:
 def body_of(vehicle: FittedVehicle, mass_kg: float = MASS_KG, arm_m: float = ARM_M) -> Body:
     """The body that moves as the vehicle does.
 
-    Parameters
-    ----------
-    mass_kg : as weighed.
-    arm_m : mean distance of motors from the centre of mass, seen from above.
-
-    Raises
-    ------
-    UsageError : mass or arm is not above zero; the motors have no effect about roll or pitch.
+    `mass_kg`: as weighed.
+    `arm_m`: mean distance of motors from the centre of mass, seen from above.
+    Raises UsageError: mass or arm is not above zero; the motors have no effect about roll or pitch.
     """
     if not (mass_kg > 0.0 and arm_m > 0.0):
         raise UsageError(f"mass {mass_kg:g} kg and arm {arm_m:g} m must be above zero")

@@ -52,9 +52,7 @@ def band_of(
 
     `least_cycles`: in a window: a lower frequency looks like a drift.
 
-    Raises
-    ------
-    DataError : there is none.
+    Raises DataError: there is none.
     """
     coherence = coherence_of(spectra, source, target)
     good = coherence >= GOOD_COHERENCE

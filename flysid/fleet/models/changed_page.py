@@ -30,14 +30,9 @@ def write_fleet_page(
 ) -> Path:
     """Write the page whole or not at all; returns its path.
 
-    Parameters
-    ----------
-    command : that makes it again.
-    reports : vehicle -> the page of its own run.
-
-    Raises
-    ------
-    StoreError : the file cannot be written.
+    `command`: that makes it again.
+    `reports`: vehicle -> the page of its own run.
+    Raises StoreError: the file cannot be written.
     """
     links = {v: os.path.relpath(page, path.parent) for v, page in (reports or {}).items()}
     return write_page(path, render(compared, command, links))

@@ -58,14 +58,9 @@ class Sampling(msgspec.Struct, frozen=True):
 def choose_sampling(data: Dataset, rate_hz: float | None = None, *, lags: int = 10) -> Sampling:
     """The grid for a fleet from a few of its flights on the recipe's grid.
 
-    Parameters
-    ----------
-    rate_hz : the user's choice; None: from the coherence.
-    lags : so that the history is one such period.
-
-    Raises
-    ------
-    DataError : nowhere are input and output coherent.
+    `rate_hz`: the user's choice; None: from the coherence.
+    `lags`: so that the history is one such period.
+    Raises DataError: nowhere are input and output coherent.
     """
     seconds = float(np.median([len(s) for s in data.segments])) * data.dt_s
     window = window_of(seconds, data.dt_s)

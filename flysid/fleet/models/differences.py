@@ -99,13 +99,8 @@ def judge_channel(
 ) -> JudgedChannel:
     """Has any vehicle changed in this channel? No test is flagged yet: that is for `judge`.
 
-    Parameters
-    ----------
-    before_ns : flights that began before (UTC) are early; None: the first half of each vehicle's flights.
-
-    Raises
-    ------
-    DataError : several inputs or outputs; no band of coherence; too few repeated flights.
+    `before_ns`: flights that began before (UTC) are early; None: the first half of each vehicle's flights.
+    Raises DataError: several inputs or outputs; no band of coherence; too few repeated flights.
     """
     if len(sampling.inputs) != 1 or len(sampling.outputs) != 1:
         raise DataError(
@@ -158,9 +153,7 @@ def judge_channel(
 def judge(channels: Sequence[JudgedChannel], rate: float) -> list[JudgedChannel]:
     """All channels with the vehicles compared with each other too, and the tests flagged.
 
-    Parameters
-    ----------
-    rate : of false discoveries, e.g. 0.05.
+    `rate`: of false discoveries, e.g. 0.05.
     """
     first = flagged([t for c in channels for t in c.tests], rate)
     changed = {t.vehicle for t in first if t.flagged}

@@ -80,10 +80,8 @@ def finding(
 ) -> Finding:
     """A flagged test in physical words.
 
-    Parameters
-    ----------
-    starts : when flights began, UTC in ns.
-    name : what to call the vehicle.
+    `starts`: when flights began, UTC in ns.
+    `name`: what to call the vehicle.
     """
     gain, delay = sizes(test, judged.band.frequencies)
     first = since(judged, test.vehicle) if test.question == "changed" else ""
@@ -148,10 +146,8 @@ class Smallest:
 def smallest(judged: JudgedChannel, tests: int, rate: float) -> Smallest | None:
     """Of the same change of gain, or the same delay, at all frequencies; None without a test.
 
-    Parameters
-    ----------
-    tests : how many are made in all, of which one alone must pass the strictest step.
-    rate : of false discoveries.
+    `tests`: how many are made in all, of which one alone must pass the strictest step.
+    `rate`: of false discoveries.
     """
     own = [t for t in judged.tests if t.question == "changed"]
     if not own or tests < 1:

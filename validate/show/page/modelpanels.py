@@ -96,9 +96,7 @@ def panels_of(
 def _offered() -> tuple[Figure, ...]:
     """The figures of installed packages.
 
-    Raises
-    ------
-    UsageError : one of them is no figure, or has no place on the page.
+    Raises UsageError: one of them is no figure, or has no place on the page.
     """
     found = []
     for offer, row in rows(ENTRY_POINTS, Figure):
