@@ -31,7 +31,7 @@ from flysid.surroundings import environment_of_the_user
 
 if TYPE_CHECKING:
     from flysid.ingest.align.recipe import Recipe
-    from flysid.live.watching import ChannelWatch, Event
+    from flysid.live.watching import ChannelWatch, Notice
     from flysid.validate.runs.run import Run
 
 KINDS = ("udp:", "udpout:", "tcp:", "serial:")
@@ -142,9 +142,9 @@ def command(
     for one in watches:
         for text in one.visibility:
             say(text, quiet)
-    alarms: list[Event] = []
+    alarms: list[Notice] = []
 
-    def tell(event: Event) -> None:
+    def tell(event: Notice) -> None:
         if event.kind == "alarm":
             alarms.append(event)
         click.echo(json.dumps(event.to_dict()) if as_json else line(event))
@@ -217,7 +217,7 @@ def recipe_of(run: Run, source: str) -> Recipe:
 
 
 def look_back(
-    run: Run, watches: list[ChannelWatch], log: Path, tell: Callable[[Event], None], quiet: bool
+    run: Run, watches: list[ChannelWatch], log: Path, tell: Callable[[Notice], None], quiet: bool
 ) -> None:
     """All events of a log, in the order of time."""
     import flysid
@@ -243,7 +243,7 @@ def follow(
     watches: list[ChannelWatch],
     link: str,
     reception: Reception,
-    tell: Callable[[Event], None],
+    tell: Callable[[Notice], None],
 ) -> None:
     """Watch a link until interrupted, or the time is over."""
     from flysid.cli.record import run as record
@@ -287,14 +287,14 @@ def receive(run: Callable[[threading.Event], None], seconds: float | None) -> No
     thread.join()
 
 
-def line(event: Event) -> str:
+def line(event: Notice) -> str:
     """An event for people: when, in which flight, and what."""
     where = f"{event.flight} " if event.flight else ""
     mark = "ALARM " if event.kind == "alarm" else ""
     return one_line(f"{where}{event.time_s:.2f} s  {mark}{event.text}")
 
 
-def call(hook: str, event: Event) -> None:
+def call(hook: str, event: Notice) -> None:
     """Start the user's command with the event on its stdin; it runs beside us."""
     try:
         process = subprocess.Popen(

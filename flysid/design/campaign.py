@@ -26,7 +26,7 @@ from flysid.design.trialflight import (
     true_plants,
 )
 from flysid.errors import UsageError
-from flysid.ingest.synth.rigid_body import Vehicle
+from flysid.ingest.synth.rigid_body import SimulatedVehicle
 from flysid.progress import tell
 
 BETTER = 0.8
@@ -156,7 +156,9 @@ def fly_design(axes: Sequence[Axis], vehicles: int, seed: int, doubtful: Doubtfu
         ]
         for axis in AXES
     }
-    return Campaign(vehicles, seed, asdict(doubtful), laws, flown, rows, held_wind_m_s(Vehicle()), notes)
+    return Campaign(
+        vehicles, seed, asdict(doubtful), laws, flown, rows, held_wind_m_s(SimulatedVehicle()), notes
+    )
 
 
 def _laws(axes: Sequence[Axis]) -> tuple[dict[str, dict[str, Gains]], tuple[str, ...]]:
@@ -197,7 +199,7 @@ def _laws(axes: Sequence[Axis]) -> tuple[dict[str, dict[str, Gains]], tuple[str,
 def _published_gains() -> Gains:
     """The default of the AR.Drone's best known autopilot, on the simulated vehicle's limit of tilt."""
     scheme = SCHEMES["tum-ardrone"][0]
-    limit = math.degrees(Vehicle().loop.tilt_max_rad)
+    limit = math.degrees(SimulatedVehicle().loop.tilt_max_rad)
     return Firmware("tum-ardrone", scheme, limit=limit).gains(scheme.published)
 
 

@@ -21,7 +21,7 @@ from flysid.errors import UsageError
 from flysid.ingest.synth.dryden import Wind, wind_field
 from flysid.ingest.synth.inner_loop import Axis
 from flysid.ingest.synth.quadrotor import INPUTS, ROTORS, STATES, integrate
-from flysid.ingest.synth.rigid_body import STEP_S, Vehicle, fly_vehicle
+from flysid.ingest.synth.rigid_body import STEP_S, SimulatedVehicle, fly_vehicle
 from flysid.ingest.synth.tuning import linearise
 
 PERIOD_S = 0.02
@@ -57,7 +57,7 @@ class Doubtful:
 class Trial:
     """One vehicle in one wind; `seed` fixes turbulence and noise."""
 
-    vehicle: Vehicle
+    vehicle: SimulatedVehicle
     wind: Wind
     seed: int
 
@@ -65,7 +65,7 @@ class Trial:
     def drawn(cls, doubtful: Doubtful, seed: int, number: int) -> Trial:
         """The `number`-th of a seed, whatever else is drawn."""
         rng = np.random.default_rng([seed, number])
-        nominal = Vehicle()
+        nominal = SimulatedVehicle()
         a = nominal.airframe
         drag = rng.uniform(*doubtful.drag)
         linear = a.linear_drag_1_s
@@ -84,7 +84,7 @@ class Trial:
             attitude_rad_s=nominal.loop.attitude_rad_s * rng.uniform(*doubtful.inner),
             attitude_damping=nominal.loop.attitude_damping * rng.uniform(*doubtful.damping),
         )
-        vehicle = Vehicle(airframe, loop, nominal.effects, rng.uniform(*doubtful.delay_s))
+        vehicle = SimulatedVehicle(airframe, loop, nominal.effects, rng.uniform(*doubtful.delay_s))
         wind = Wind(rng.uniform(*doubtful.wind_m_s), rng.uniform(0.0, 360.0))
         return cls(vehicle, wind, int(rng.integers(2**31)))
 
@@ -296,7 +296,9 @@ def _fly(x, place, speed, noise, air, laws, keep, limit, late, f, tuners, counts
     return states, inputs
 
 
-def true_plants(vehicle: Vehicle, omega: FloatArray, *, settling_s: float = 10.0) -> dict[str, ComplexArray]:
+def true_plants(
+    vehicle: SimulatedVehicle, omega: FloatArray, *, settling_s: float = 10.0
+) -> dict[str, ComplexArray]:
     """(F,) what x and y of this very vehicle answer about hover, in still air, with delay and hold."""
     still = np.zeros((round(settling_s / PERIOD_S), 3))
     rest = fly_vehicle(vehicle, still, start=vehicle.hover(ALTITUDE_M)).states[-1]
@@ -306,7 +308,7 @@ def true_plants(vehicle: Vehicle, omega: FloatArray, *, settling_s: float = 10.0
     return {name: np.asarray(response[:, k, k] * late) for k, name in enumerate(AXES)}
 
 
-def held_wind_m_s(vehicle: Vehicle) -> dict[str, float]:
+def held_wind_m_s(vehicle: SimulatedVehicle) -> dict[str, float]:
     """Steady wind along x and y that full tilt just holds, m/s: drag against gravity's share."""
     a = vehicle.airframe
     quadratic = a.quadratic_drag_1_m[0]

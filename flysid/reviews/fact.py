@@ -178,7 +178,7 @@ class Action:
 
 
 @dataclass(frozen=True, eq=False)
-class Line:
+class PictureLine:
     """A line of a picture: (N,) x and y, NaN where it breaks.
 
     `style` is its colour: "measured", "setpoint", or "r1" to "r8".
@@ -204,7 +204,7 @@ class Picture:
     title: str
     x_label: str
     y_label: str
-    lines: tuple[Line, ...]
+    lines: tuple[PictureLine, ...]
     aside: str = ""
     marks: Mapping[float, str] = field(default_factory=dict)
     hidden_from: float | None = None

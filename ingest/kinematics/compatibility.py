@@ -101,7 +101,7 @@ class Parameter:
 
 
 @dataclass(frozen=True)
-class Comparison:
+class InstrumentCheck:
     """One instrument against the others.
 
     Attributes
@@ -133,7 +133,7 @@ class Compatibility:
     """All that could be compared of one log."""
 
     name: str
-    comparisons: tuple[Comparison, ...]
+    comparisons: tuple[InstrumentCheck, ...]
 
     @property
     def findings(self) -> tuple[Parameter, ...]:
@@ -203,18 +203,18 @@ def corrections_of(parameters: Sequence[Parameter]) -> dict[str, Correction]:
     return made
 
 
-def _compare(instrument: str, log: Log, corrections: Mapping[str, Correction]) -> Comparison:
+def _compare(instrument: str, log: Log, corrections: Mapping[str, Correction]) -> InstrumentCheck:
     recipe = quantities()
     names = recipe.signals_of(instrument)
     absent = [n for n in names if find_source(recipe.signals[n].sources, log) is None]
     if absent:
-        return Comparison(instrument, reason="not logged: " + ", ".join(absent))
+        return InstrumentCheck(instrument, reason="not logged: " + ", ".join(absent))
     try:
         clocks = align_clocks(recipe.clocks, log)
         loaded = {n: clocks.apply(load_signal(n, recipe.signals[n], log)) for n in names}
         spans = condition_spans(recipe.conditions, log)
     except FlysidError as error:
-        return Comparison(instrument, reason=error.message)
+        return InstrumentCheck(instrument, reason=error.message)
     sources = {n: (found.stream, found.field) for n, found in loaded.items()}
     records: list[MotionRecord] = []
     highest = np.inf
@@ -238,17 +238,17 @@ def _compare(instrument: str, log: Log, corrections: Mapping[str, Correction]) -
             highest = min(highest, highest_hz(series))
             slowest = max(slowest, source_s)
     if not records:
-        return Comparison(
+        return InstrumentCheck(
             instrument, sources, reason=f"no stretch of {MIN_SECONDS:g} s in which all of it was logged"
         )
     alive = np.max([np.ptp(r.measured, axis=0) for r in records], axis=0) > 0.0
     axes = [a for a, moves in zip(recipe.channels[instrument].outputs, alive, strict=True) if moves]
     if not axes:
-        return Comparison(instrument, sources, reason="its readings never change")
+        return InstrumentCheck(instrument, sources, reason="its readings never change")
     records = [_of_axes(r, alive) for r in records]
     found = agreement(records, highest)
     gravity = np.mean(upright, axis=0)[alive] * GRAVITY_RANGE if upright else np.zeros(len(axes))
-    return Comparison(
+    return InstrumentCheck(
         instrument,
         sources,
         seconds := sum(len(r.measured) * r.dt_s for r in records),
@@ -306,7 +306,7 @@ def _parameters(
         yield Parameter(instrument, "", f"arm {axis}", float(value), float(sd), 0.0, 0.0, "m")
 
 
-def _judge(comparisons: Sequence[Comparison], *, level: float = 0.05) -> list[Comparison]:
+def _judge(comparisons: Sequence[InstrumentCheck], *, level: float = 0.05) -> list[InstrumentCheck]:
     """Holm over all parameters; an axis that follows another motion has no other finding.
 
     `level`: chance of any finding at all in a flight whose instruments agree.

@@ -84,7 +84,7 @@ PAPER = Effects(**{f.name: False for f in fields(Effects)})
 
 
 @dataclass(frozen=True)
-class Vehicle:
+class SimulatedVehicle:
     """An airframe, its inner loop and the effects that act on it.
 
     `delay_s` is the age of a command when it acts (`Effects.delay`).
@@ -191,14 +191,14 @@ class Trajectory:
 
 
 def fly_vehicle(
-    vehicle: Vehicle,
+    vehicle: SimulatedVehicle,
     commands: npt.ArrayLike,
     *,
     period_s: float = 0.02,
     record_s: float = 0.02,
     wind_m_s: npt.ArrayLike | None = None,
     start: FloatArray | None = None,
-    fault: tuple[float, Vehicle] | None = None,
+    fault: tuple[float, SimulatedVehicle] | None = None,
     step_s: float = STEP_S,
 ) -> Trajectory:
     """Fly commands that are held for `period_s` each.
@@ -230,7 +230,7 @@ def fly_vehicle(
 
 
 def _inputs(
-    vehicle: Vehicle, commands: FloatArray, wind_m_s: npt.ArrayLike | None, period_s: float
+    vehicle: SimulatedVehicle, commands: FloatArray, wind_m_s: npt.ArrayLike | None, period_s: float
 ) -> FloatArray:
     """(N, 7) inputs in SI units and world signs, the commands as late as the link makes them."""
     if commands.ndim != 2 or commands.shape[1] not in (3, 4) or not np.isfinite(commands).all():

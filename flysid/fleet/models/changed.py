@@ -14,7 +14,7 @@ from flysid.errors import DataError
 from flysid.facts.vehicle import vehicle_of
 from flysid.fleet.models.common_grid import Sampling
 from flysid.fleet.models.differences import FlightPart, JudgedChannel, Test, judge, judge_channel
-from flysid.fleet.models.flag_words import Finding, Smallest, finding, short_names, sizes, smallest
+from flysid.fleet.models.flag_words import Flag, Smallest, finding, short_names, sizes, smallest
 from flysid.fleet.models.gather import Gathered
 from flysid.ingest.align.recipe import Recipe
 from flysid.model.threads import on_one_thread
@@ -25,7 +25,7 @@ FORMAT_VERSION = 1
 
 
 @dataclass(frozen=True, eq=False)
-class Comparison:
+class FleetComparison:
     """A fleet, compared.
 
     Attributes
@@ -44,7 +44,7 @@ class Comparison:
     rate: float
     before_ns: int | None
     channels: tuple[JudgedChannel, ...]
-    findings: tuple[Finding, ...]
+    findings: tuple[Flag, ...]
     smallest: Mapping[str, Smallest]
     skipped: Mapping[str, str]
     flights: tuple[FlightFacts, ...]
@@ -128,7 +128,7 @@ def compare(
     flights: Sequence[FlightFacts],
     rate: float = 0.05,
     before_ns: int | None = None,
-) -> Comparison:
+) -> FleetComparison:
     """Compare a fleet's vehicles with themselves and with each other.
 
     Parameters
@@ -136,7 +136,7 @@ def compare(
     gathered : what `gather` keeps of the fleet.
     flights : of the fleet.
     rate : of false ones among the flagged, at most.
-    before_ns : see `Comparison`.
+    before_ns : see `FleetComparison`.
 
     Raises
     ------
@@ -154,7 +154,7 @@ def compare(
     tests = sum(len(j.tests) for j in channels)
     flags = sorted(((t, j) for j in channels for t in j.tests if t.flagged), key=lambda flag: flag[0].p)
     names = short_names({vehicle_of(facts.info) for facts in flights})
-    return Comparison(
+    return FleetComparison(
         recipe=recipe,
         rate=rate,
         before_ns=before_ns,

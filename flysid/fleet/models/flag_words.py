@@ -44,7 +44,7 @@ class Size:
 
 
 @dataclass(frozen=True)
-class Finding:
+class Flag:
     """A vehicle that differs, in words and numbers."""
 
     vehicle: str
@@ -77,7 +77,7 @@ def _size(value_low_high: FloatArray, omega: float) -> Size:
 
 def finding(
     test: Test, judged: JudgedChannel, recipe: Recipe, starts: Mapping[str, int | None], name: str
-) -> Finding:
+) -> Flag:
     """A flagged test in physical words.
 
     `starts`: when flights began, UTC in ns.
@@ -91,7 +91,7 @@ def finding(
     cause = _signal(recipe, judged.sampling.inputs[0])
     effect = _signal(recipe, judged.sampling.outputs[0])
     sentence = f"{name}: the same {cause} gives {_compare(gain, delay, effect, other)}{moment}"
-    return Finding(name, test.channel, test.question, one_line(sentence), test.p, gain, delay,
+    return Flag(name, test.channel, test.question, one_line(sentence), test.p, gain, delay,
                    first, day)  # fmt: skip
 
 

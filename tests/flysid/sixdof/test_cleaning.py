@@ -14,7 +14,7 @@ from scipy.signal import butter, sosfilt
 import flysid
 from flysid.cli import root
 from flysid.dataset import Dataset
-from flysid.sixdof.cleaning import Damage, clock_offsets, straight_lines
+from flysid.sixdof.cleaning import SampleFaults, clock_offsets, straight_lines
 from flysid.sixdof.fitted import FittedVehicle
 from flysid.sixdof.records import Scale, find_scale, flights_of
 from tests.flysid.sixdof.hidden_quad import write_table
@@ -83,7 +83,7 @@ def test_a_wandering_clock_is_measured() -> None:
     gyro = np.stack([sum(np.sin(2 * np.pi * f * t + p + k) for f, p in parts) for k in range(3)], axis=1)
     other = np.stack([np.interp(t - late, t, gyro[:, k]) for k in range(3)], axis=1)
     _, found = clock_offsets(gyro, other, np.ones(len(t), dtype=bool), 0.01)
-    damage = Damage("f", len(t), 0, 0, 0, 1.0, float(found.std(ddof=1)), float(np.ptp(found)))
+    damage = SampleFaults("f", len(t), 0, 0, 0, 1.0, float(found.std(ddof=1)), float(np.ptp(found)))
     assert damage.clock_sd_s == pytest.approx(late.std(), rel=0.25)
     assert "wanders" in " ".join(damage.lines)
 
