@@ -104,12 +104,8 @@ def read_object(path: Path, what: str, hint: str) -> dict[str, Any]:
 def shaped(body: object, shape: type[T]) -> T:
     """What was read as JSON as the type that it is meant for, lists as tuples, every entry checked.
 
-    Raises
-    ------
-    ValueError : an entry is missing or of another type; says which.
+    Raises ValueError: an entry is missing or of another type; says which.
 
-    Examples
-    --------
     >>> shaped([1, 2.5], tuple[float, ...])
     (1.0, 2.5)
     """

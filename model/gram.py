@@ -28,13 +28,11 @@ Pieces = Callable[[], Iterable[tuple[FloatArray, FloatArray]]]
 class Triangle:
     """The triangle of [Phi Y 1].
 
-    Attributes
-    ----------
-    r : (n + m + 1, n + m + 1) upper triangular.
-    n : columns of Phi.
-    m : columns of Y.
-    rows : samples behind it.
-    method : "gram" or "tsqr".
+    `r`: (n + m + 1, n + m + 1) upper triangular.
+    `n`: columns of Phi.
+    `m`: columns of Y.
+    `rows`: samples behind it.
+    `method`: "gram" or "tsqr".
     """
 
     r: FloatArray

@@ -49,8 +49,6 @@ def in_pieces(model: Fitted, *, remembered_s: float = 10.0) -> InPieces:
 
     `remembered_s`: of a structure whose row names no function for it.
 
-    Examples
-    --------
     >>> ahead = in_pieces(model)  # doctest: +SKIP
     >>> ahead.feed(u[:10], y[:10]); ahead.feed(u[10:], y[10:])  # doctest: +SKIP
     """

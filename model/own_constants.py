@@ -18,10 +18,8 @@ FlightOffsets: TypeAlias = bool | Literal["auto"]
 class OwnConstants:
     """By flight, what its outputs had beside the inputs' effect in training.
 
-    Attributes
-    ----------
-    values : by flight, one number per output: a constant in its unit, or a drift in its unit per second.
-    drifting : per output, whether the numbers are drifts. An output that integrates has these: what is
+    `values`: by flight, one number per output: a constant in its unit, or a drift in its unit per second.
+    `drifting`: per output, whether the numbers are drifts. An output that integrates has these: what is
         constant at its input makes it drift.
     """
 

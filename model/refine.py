@@ -35,11 +35,9 @@ Reason = Literal["converged", "stalled", "max_iterations"]
 class Refinement:
     """Where the search ended.
 
-    Attributes
-    ----------
-    theta : (n,) the parameters of lowest cost.
-    cost : sum of squared residuals at `theta`.
-    reason : "converged" (step or improvement below the tolerance, or the gradient vanished), "stalled" (no
+    `theta`: (n,) the parameters of lowest cost.
+    `cost`: sum of squared residuals at `theta`.
+    `reason`: "converged" (step or improvement below the tolerance, or the gradient vanished), "stalled" (no
         step lowers the cost), "max_iterations".
     """
 

@@ -43,8 +43,6 @@ def in_flight_order(data: Dataset) -> Dataset:
 
     Parts are held out by their place in the list, and what is found must not hang on how flights are listed.
 
-    Examples
-    --------
     >>> from flysid.model.selection import in_flight_order
     >>> (segment,) = train.segments  # train: see `flysid.Dataset`
     >>> late = segment.slice(100, 600, train.dt_s)

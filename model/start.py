@@ -188,14 +188,9 @@ class FreeRuns:
     def plot_step(self: Fitted, output: int = 0, ax: Any = None) -> Any:
         """Unit steps of every input from rest, as matplotlib axes.
 
-        Parameters
-        ----------
-        output : column of the outputs.
-        ax : axes to draw into; new ones where None.
-
-        Raises
-        ------
-        UsageError : matplotlib is not installed.
+        `output`: column of the outputs.
+        `ax`: axes to draw into; new ones where None.
+        Raises UsageError: matplotlib is not installed.
         """
         from flysid.model.plots import plot_step
 
@@ -214,8 +209,6 @@ class FreeRuns:
         a tenth of the segment, as `start_window` counts them. No score should count that window. Started from
         the first `n_init` measured samples alone, as `simulate` does, noise becomes a transient.
 
-        Example
-        -------
         >>> run = model.free_run(test.segments[0])  # doctest: +SKIP
         """
         window = start_window(self.n_init, len(segment), self.dt_s)

@@ -113,8 +113,6 @@ def of_lags(**asked: Any) -> TS:
 def best(settings: RuleSettings, train: Dataset, validation: Dataset | None = None) -> Fitted:
     """Rules over lags or over hidden states, or the linear model where no rules pay; raises as `TS.fit`.
 
-    Examples
-    --------
     >>> from flysid.model.ts import TS, best
     >>> best(TS(), train).structure  # train: see `flysid.Dataset`; its plant is linear
     'arx'

@@ -134,9 +134,7 @@ class Fitted:
     def write(self, output: Path, typed: str) -> str | None:
         """Write the folder of the vehicle; the name of its page, None where that broke.
 
-        Parameters
-        ----------
-        typed : the command that makes it again, for the page.
+        `typed`: the command that makes it again, for the page.
         """
         from flysid.extras import Extra, extra
         from flysid.files import replacing_folder

@@ -36,17 +36,15 @@ BETTER = 0.8
 class Row:
     """One law on one axis over all trials.
 
-    Attributes
-    ----------
-    ise : median and 90th percentile, m^2 s.
-    better, worse : shares of trials with at least 20 % less ISE than the present gains; with more. NaN where
-        the present gains were not flown.
-    ms : median and largest, on the true vehicles about hover.
-    stable : on all of them.
-    overshoot, settled_s : medians; NaN where most did not settle.
-    moved : median of the input's total variation, deg/s.
-    saturated : mean share of samples at the input's limit.
-    lost, blown : trials that crashed; that the wind carried off, see `Flown`.
+    `ise`: median and 90th percentile, m^2 s.
+    `better`, `worse`: shares of trials with at least 20 % less ISE than the present gains; with more. NaN
+        where the present gains were not flown.
+    `ms`: median and largest, on the true vehicles about hover.
+    `stable`: on all of them.
+    `overshoot`, `settled_s`: medians; NaN where most did not settle.
+    `moved`: median of the input's total variation, deg/s.
+    `saturated`: mean share of samples at the input's limit.
+    `lost`, `blown`: trials that crashed; that the wind carried off, see `Flown`.
     """
 
     law: str

@@ -28,10 +28,8 @@ SPEEDS = (0.05, 0.25, 0.5, 0.75, 0.95)
 class Spread:
     """What the vehicle may be besides what the flights showed: ends of a range each.
 
-    Attributes
-    ----------
-    gain : of the plant, as a factor.
-    delay_s : beside the models' own.
+    `gain`: of the plant, as a factor.
+    `delay_s`: beside the models' own.
     """
 
     gain: tuple[float, float] = (1.0, 1.0)

@@ -25,13 +25,11 @@ OUT_OF_BOUNDS = 1e6
 class Bounds:
     """What every plant must keep.
 
-    Attributes
-    ----------
-    ms : largest amplification of disturbances.
-    peak : largest gain from reference to position.
-    noise : input per m/s of noise in the velocity.
-    crossover_rad_s : of the loop at the plant's input.
-    push : step at the plant's input whose error counts like that of a step of 1 m in the reference.
+    `ms`: largest amplification of disturbances.
+    `peak`: largest gain from reference to position.
+    `noise`: input per m/s of noise in the velocity.
+    `crossover_rad_s`: of the loop at the plant's input.
+    `push`: step at the plant's input whose error counts like that of a step of 1 m in the reference.
     """
 
     ms: float = 1.6

@@ -98,15 +98,13 @@ def _perturb(axis: Axis, rng: np.random.Generator, spread: tuple[float, float]) 
 class Flown:
     """What one law did on one axis of one trial.
 
-    Attributes
-    ----------
-    ise : integral of the squared error of position, m^2 s.
-    overshoot : beyond the first step, as a share of it.
-    settled_s : until the first step's error stays within 5 %; NaN where it does not before the next step.
-    input_rms, moved : of the input, deg, and its total variation over time, deg/s.
-    saturated : share of samples with the input at its limit.
-    lost : the vehicle hit the ground or turned over.
-    blown : it was more than 25 m away: more wind than the tilt's limit holds.
+    `ise`: integral of the squared error of position, m^2 s.
+    `overshoot`: beyond the first step, as a share of it.
+    `settled_s`: until the first step's error stays within 5 %; NaN where it does not before the next step.
+    `input_rms`, `moved`: of the input, deg, and its total variation over time, deg/s.
+    `saturated`: share of samples with the input at its limit.
+    `lost`: the vehicle hit the ground or turned over.
+    `blown`: it was more than 25 m away: more wind than the tilt's limit holds.
     """
 
     ise: float

@@ -142,16 +142,9 @@ class Lpv:
 def to_lpv(model: Fitted, rate_hz: float | None = None) -> Lpv:
     """A fitted model in linear parameter-varying form, whatever its structure.
 
-    Parameters
-    ----------
-    rate_hz : steps a second, of a transfer function in s.
+    `rate_hz`: steps a second, of a transfer function in s.
+    Raises UsageError: the model has no single step (an ensemble).
 
-    Raises
-    ------
-    UsageError : the model has no single step (an ensemble).
-
-    Examples
-    --------
     >>> arx = flysid.ARX(na=1, nb=1, nk=1, refine=False).fit(train)  # train: see `flysid.Dataset`
     >>> to_lpv(arx).A.shape
     (1, 2, 2)

@@ -39,13 +39,11 @@ from flysid.version import __version__
 class Sorted:
     """The logs of an ingest.
 
-    Attributes
-    ----------
-    waiting : to be read, the largest first.
-    known : how many the lake has, or has as a duplicate.
-    quarantined : how many this version could not read before.
-    passed_over : what is no log, by name or by its first bytes.
-    unread : what may be a log and cannot be read, and why.
+    `waiting`: to be read, the largest first.
+    `known`: how many the lake has, or has as a duplicate.
+    `quarantined`: how many this version could not read before.
+    `passed_over`: what is no log, by name or by its first bytes.
+    `unread`: what may be a log and cannot be read, and why.
     """
 
     waiting: tuple[LogAddress, ...]

@@ -84,11 +84,9 @@ class Settings:
 class LogOutcome(msgspec.Struct, frozen=True):
     """What became of a log.
 
-    Attributes
-    ----------
-    status : "ingested", "unchanged" (the lake had it), "duplicate" (of another log), "quarantined",
+    `status`: "ingested", "unchanged" (the lake had it), "duplicate" (of another log), "quarantined",
         "ignored" (an archive without logs), or "waiting": not done, because the store did not answer.
-    reason : why it was quarantined, or waits; the flight that it is a duplicate of.
+    `reason`: why it was quarantined, or waits; the flight that it is a duplicate of.
     """
 
     log: LogAddress

@@ -40,11 +40,9 @@ SLOW_SHAPES = dct(np.eye(WINDOW), norm="ortho", axis=0)[1 : COSINES + 1].T
 class Windows:
     """Windows as points.
 
-    Attributes
-    ----------
-    points : (n, COSINES) shapes, in units of each window's size.
-    size : (n,) root mean square of each, without its mean.
-    flight : (n,) whose they are.
+    `points`: (n, COSINES) shapes, in units of each window's size.
+    `size`: (n,) root mean square of each, without its mean.
+    `flight`: (n,) whose they are.
     """
 
     points: FloatArray

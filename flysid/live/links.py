@@ -63,12 +63,10 @@ def parse_link(text: str) -> Target:
 class Link(ABC):
     """One link: what it receives, and what became of it.
 
-    Attributes
-    ----------
-    target : as it was named.
-    state : "open", or what is wrong and what is done about it.
-    buffer : bytes of the socket's buffer as granted; None where there is none to ask for.
-    keeps_datagrams : whether bytes come in datagrams.
+    `target`: as it was named.
+    `state`: "open", or what is wrong and what is done about it.
+    `buffer`: bytes of the socket's buffer as granted; None where there is none to ask for.
+    `keeps_datagrams`: whether bytes come in datagrams.
     """
 
     keeps_datagrams = False

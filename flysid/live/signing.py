@@ -72,15 +72,10 @@ def _key(content: bytes) -> bytes:
 class Guard:
     """Judges the frames of all links by one key.
 
-    Parameters
-    ----------
-    key : 32 bytes.
-    unsigned : what becomes of frames without a signature: "reject", "keep", or "radio": keep RADIO_STATUS
+    `key`: 32 bytes.
+    `unsigned`: what becomes of frames without a signature: "reject", "keep", or "radio": keep RADIO_STATUS
         alone, which radios put in without knowing the key.
-
-    Attributes
-    ----------
-    refused : (peer, reason) -> frames.
+    `refused`: (peer, reason) -> frames.
     """
 
     key: bytes

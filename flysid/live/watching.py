@@ -38,14 +38,12 @@ OVER_S = 5.0
 class Notice:
     """Something to say about a channel.
 
-    Attributes
-    ----------
-    kind : "alarm", "over" (an alarm ended), "outside" (an input outside what the model knows), "inside".
-    time_s : vehicle time.
-    detector, statistic, threshold : of an alarm.
-    since_s : since when, by the CUSUM.
-    shift : mean of measured less expected since then, in `unit`; `share` of the output's usual size.
-    text : all of it in words.
+    `kind`: "alarm", "over" (an alarm ended), "outside" (an input outside what the model knows), "inside".
+    `time_s`: vehicle time.
+    `detector`, `statistic`, `threshold`: of an alarm.
+    `since_s`: since when, by the CUSUM.
+    `shift`: mean of measured less expected since then, in `unit`; `share` of the output's usual size.
+    `text`: all of it in words.
     """
 
     kind: str

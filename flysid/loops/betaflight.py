@@ -60,16 +60,15 @@ def stated_step_s(settings: Mapping[str, str]) -> float:
 class Conditions:
     """What the gains of one flight depended on.
 
-    Attributes
-    ----------
-    throttle : (N,) us.
-    setpoint, stick : (N,) deg/s, and the stick's way from its middle, 0 to 1.
-    slower : steps of the loop over those that the header states.
-    means : of what moves in laws since 4.0; None: of TPA alone, by the throttle.
-    forward : f (Hz), and the recorded F term's response to the setpoint there; None where there is no F term.
-    checks : how well the law's terms are those that the log recorded.
-    forward_gain : of the law's F term.
-    output_limit : of the controller, thousandths.
+    `throttle`: (N,) us.
+    `setpoint`, `stick`: (N,) deg/s, and the stick's way from its middle, 0 to 1.
+    `slower`: steps of the loop over those that the header states.
+    `means`: of what moves in laws since 4.0; None: of TPA alone, by the throttle.
+    `forward`: f (Hz), and the recorded F term's response to the setpoint there; None where there is no F
+        term.
+    `checks`: how well the law's terms are those that the log recorded.
+    `forward_gain`: of the law's F term.
+    `output_limit`: of the controller, thousandths.
     """
 
     throttle: FloatArray

@@ -48,12 +48,7 @@ class Flown:
 
     @classmethod
     def of(cls, log: Any, axis: str) -> Flown:
-        """A flight, checked against its law.
-
-        Raises
-        ------
-        DataError : see `flysid gains`.
-        """
+        """A flight, checked against its law. Raises DataError: see `flysid gains`."""
         kind = kind_of(log)
         settings = kind.settings(log)
         kind.controller(settings, axis, NO_CONDITIONS)  # what is missing is named before the flight is read

@@ -64,16 +64,14 @@ class Figure:
 class Margins:
     """What the present gains mean.
 
-    Attributes
-    ----------
-    band_hz : where the plant is known to `TRUSTED` of itself.
-    crossover_hz, phase_deg, gain_db, delay_ms : where the loop's gain is one; margins there and at -180 deg.
-        Where the loop reaches -180 deg above the band, the gain margin exceeds what its gain leaves at the
-        band's end.
-    ms : the largest sensitivity inside the band: how much disturbances grow at worst. Never below 1, to which
-        every loop's tends where its gain fades.
-    bandwidth_hz : where the answer to the setpoint falls to -3 dB.
-    noise : the largest gain from measurement noise to the controller's output, inside the band.
+    `band_hz`: where the plant is known to `TRUSTED` of itself.
+    `crossover_hz`, `phase_deg`, `gain_db`, `delay_ms`: where the loop's gain is one; margins there and at
+        -180 deg. Where the loop reaches -180 deg above the band, the gain margin exceeds what its gain leaves
+        at the band's end.
+    `ms`: the largest sensitivity inside the band: how much disturbances grow at worst. Never below 1, to
+        which every loop's tends where its gain fades.
+    `bandwidth_hz`: where the answer to the setpoint falls to -3 dB.
+    `noise`: the largest gain from measurement noise to the controller's output, inside the band.
     """
 
     band_hz: tuple[float, float]

@@ -21,12 +21,8 @@ WORDS = {"ON": "1", "OFF": "0", "PT1": "0", "BIQUAD": "1", "PT2": "2", "PT3": "3
 def settings_in(words: str) -> dict[str, str]:
     """Settings of "NAME=VALUE,NAME=VALUE".
 
-    Raises
-    ------
-    UsageError : a word is not NAME=VALUE.
+    Raises UsageError: a word is not NAME=VALUE.
 
-    Examples
-    --------
     >>> settings_in("p_roll=58, d_roll = 38")
     {'p_roll': '58', 'd_roll': '38'}
     """

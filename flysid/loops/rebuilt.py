@@ -38,17 +38,15 @@ FREE_RATE = 50.0
 class Rows:
     """What the controller saw, row by row of a log.
 
-    Attributes
-    ----------
-    loop : (N,) its number.
-    setpoint, weighed, rate : (N,) deg/s; `weighed` is what the derivative takes of the setpoint.
-    throttle : (N,) 0 to 1, of the kind that the law goes by.
-    asked : (N,) share of the motors' range that the axes demanded.
-    faster : (N,) factor of the integral while the throttle moves in steps.
-    carried : (N,) thousandths a second that turns of the body carry over from the other axes' integrals.
-    slope : (N,) deg/s^2 of the setpoint, as the F term has it.
-    integral : (N,) the recorded I.
-    resolution : of setpoint and rate, deg/s.
+    `loop`: (N,) its number.
+    `setpoint`, `weighed`, `rate`: (N,) deg/s; `weighed` is what the derivative takes of the setpoint.
+    `throttle`: (N,) 0 to 1, of the kind that the law goes by.
+    `asked`: (N,) share of the motors' range that the axes demanded.
+    `faster`: (N,) factor of the integral while the throttle moves in steps.
+    `carried`: (N,) thousandths a second that turns of the body carry over from the other axes' integrals.
+    `slope`: (N,) deg/s^2 of the setpoint, as the F term has it.
+    `integral`: (N,) the recorded I.
+    `resolution`: of setpoint and rate, deg/s.
     """
 
     loop: FloatArray

@@ -136,18 +136,11 @@ def make_plan(
 
     Multisines are flown on all axes at once, chirps and doublets one axis after the other.
 
-    Parameters
-    ----------
-    band_hz : lowest and highest frequency.
-    seconds : of the whole flight; of multisines, one period.
-    rate_hz : rows a second.
+    `band_hz`: lowest and highest frequency.
+    `seconds`: of the whole flight; of multisines, one period.
+    `rate_hz`: rows a second.
+    Raises UsageError: axes, band, rate or duration make no sense together; the hint names values that do.
 
-    Raises
-    ------
-    UsageError : axes, band, rate or duration make no sense together; the hint names values that do.
-
-    Examples
-    --------
     >>> axes = [CommandedAxis("roll", 0.1), CommandedAxis("pitch", 0.1)]
     >>> plan = make_plan("multisine", axes, (0.2, 5.0), 40.0, 50.0)
     >>> plan.u.shape, plan.correlation < 1e-3, max(plan.peak_factors) < 1.12

@@ -27,11 +27,9 @@ OVER = ("time", "throttle", "rpm")
 class FieldSpectrum:
     """The spectrum of one field.
 
-    Attributes
-    ----------
-    name : "roll", or the field as it was named.
-    column : that it is of.
-    windows, peaks : the strongest peak first.
+    `name`: "roll", or the field as it was named.
+    `column`: that it is of.
+    `windows`, `peaks`: the strongest peak first.
     """
 
     name: str

@@ -26,12 +26,8 @@ OTHERWISE_HZ = 30.0
 def stage_of(words: str) -> Stage:
     """A filter as a person writes it: "notch 86 40" (centre and width), "pt1 100", "biquad 90".
 
-    Raises
-    ------
-    UsageError : it is no filter that is known.
+    Raises UsageError: it is no filter that is known.
 
-    Examples
-    --------
     >>> stage_of("notch 86 40").words
     'notch 86 Hz, Q 2.1'
     """
@@ -70,11 +66,9 @@ def crossover_of(flight: LoggedFlight) -> tuple[float, str]:
 class Cost:
     """What a chain does.
 
-    Attributes
-    ----------
-    delay_s : of a tone of `at_hz`.
-    phase_deg : at the crossover.
-    noise : RMS behind it, deg/s; None where the log cannot show it.
+    `delay_s`: of a tone of `at_hz`.
+    `phase_deg`: at the crossover.
+    `noise`: RMS behind it, deg/s; None where the log cannot show it.
     """
 
     delay_s: float

@@ -26,10 +26,8 @@ TOGETHER = 0.9
 class Figure:
     """One figure over the flights of a series.
 
-    Attributes
-    ----------
-    key, name, unit : "lag", "roll lag", "ms".
-    values, halves : (N,) NaN where it is not determined, and half of its own interval.
+    `key`, `name`, `unit`: "lag", "roll lag", "ms".
+    `values`, `halves`: (N,) NaN where it is not determined, and half of its own interval.
     """
 
     key: str

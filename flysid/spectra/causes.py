@@ -17,11 +17,9 @@ from flysid.spectra.spectrum import Windows
 class Source:
     """Something that turns or shakes at a known frequency.
 
-    Attributes
-    ----------
-    name : "motor 2", "the onboard FFT's strongest peak".
-    hz : over time.
-    harmonics : its multiples that are looked for.
+    `name`: "motor 2", "the onboard FFT's strongest peak".
+    `hz`: over time.
+    `harmonics`: its multiples that are looked for.
     """
 
     name: str

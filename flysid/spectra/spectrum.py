@@ -21,12 +21,10 @@ ENOUGH_WINDOWS = 8
 class Windows:
     """Half-overlapping windows of a signal, each with its own spectrum.
 
-    Attributes
-    ----------
-    hz : (F,) frequencies, from one step above zero to just below half the rate.
-    density : (W, F) one-sided, in the signal's unit squared per Hz.
-    at_s : (W,) the middle of each window on the log's clock.
-    rate_hz : samples a second, by the stamps.
+    `hz`: (F,) frequencies, from one step above zero to just below half the rate.
+    `density`: (W, F) one-sided, in the signal's unit squared per Hz.
+    `at_s`: (W,) the middle of each window on the log's clock.
+    `rate_hz`: samples a second, by the stamps.
     """
 
     hz: FloatArray
@@ -94,19 +92,12 @@ def windows_of(
     A window lies within a stretch without losses. Its frequencies are those of its own stamps. Where its
     stamps are not even, the values are taken at even times between them.
 
-    Parameters
-    ----------
-    time_s, values : (N,) s on the log's clock, and any unit.
-    window_s, fewest : length of a window, and samples of it at least; less where the signal is short.
-    longest_gap : see `whole_stretches`.
-    uneven : share of a period by which stamps may differ from even ones.
+    `time_s`, `values`: (N,) s on the log's clock, and any unit.
+    `window_s`, `fewest`: length of a window, and samples of it at least; less where the signal is short.
+    `longest_gap`: see `whole_stretches`.
+    `uneven`: share of a period by which stamps may differ from even ones.
+    Raises DataError: no stretch is long enough.
 
-    Raises
-    ------
-    DataError : no stretch is long enough.
-
-    Examples
-    --------
     >>> t = np.arange(0.0, 10.0, 0.01)
     >>> found = windows_of(t, np.sin(2.0 * np.pi * 20.0 * t))
     >>> float(found.hz[found.mean.argmax()]), round(found.rms(15.0, 25.0), 2)
@@ -170,12 +161,10 @@ def _on_one_axis(density: FloatArray, faster: FloatArray) -> FloatArray:
 class Spread:
     """A spectrum by another quantity, such as throttle or RPM.
 
-    Attributes
-    ----------
-    hz : (F,)
-    edges : (B + 1,) of the quantity's bins.
-    density : (B, F), NaN where no window is of a bin.
-    counts : (B,) windows of each bin.
+    `hz`: (F,)
+    `edges`: (B + 1,) of the quantity's bins.
+    `density`: (B, F), NaN where no window is of a bin.
+    `counts`: (B,) windows of each bin.
     """
 
     hz: FloatArray

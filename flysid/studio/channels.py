@@ -84,9 +84,8 @@ class Recipes:
     def write(self, name: str, draft: Draft) -> dict[str, Any]:
         """Keep a recipe of one's own.
 
-        Raises
-        ------
-        UsageError : a name that is no file name or that a shipped recipe has. RecipeError : not sound.
+        Raises UsageError: a name that is no file name or that a shipped recipe has. Raises RecipeError: not
+        sound.
         """
         if not name or slug(name) != name:
             raise UsageError(f"{name!r} cannot be a recipe's name", hint=slug(name))

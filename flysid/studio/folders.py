@@ -24,10 +24,8 @@ class NotThere(UsageError):
 class Workspace:
     """The ingested folder, and `DATA.studio` beside it.
 
-    Attributes
-    ----------
-    data : the ingested folder.
-    more_runs : further folders in which runs are looked for.
+    `data`: the ingested folder.
+    `more_runs`: further folders in which runs are looked for.
     """
 
     data: Path

@@ -28,12 +28,10 @@ REMARKS = ("holes", "band")
 class Doubt:
     """One reason.
 
-    Attributes
-    ----------
-    kind : "quiet", "slow", "short", "unexplained", "narrow", "holes", "pooled" or "band"; REMARKS are no
+    `kind`: "quiet", "slow", "short", "unexplained", "narrow", "holes", "pooled" or "band"; REMARKS are no
         faults. "kinematics" where instruments disagree (`flysid.ingest.kinematics`).
-    text : what is the matter, no full stop.
-    todo : what to log, to fly or to choose next time.
+    `text`: what is the matter, no full stop.
+    `todo`: what to log, to fly or to choose next time.
     """
 
     kind: str

@@ -31,14 +31,12 @@ QUIET = {
 class Spectrum:
     """Pooled spectra of one input and one output.
 
-    Attributes
-    ----------
-    frequency_hz : (F,) without 0.
-    coherence : (F,) in [0, 1]; biased upwards by about 1 / averages.
-    gain : (F,) magnitude of the frequency response S_uy / S_uu.
-    phase_rad : (F,) its phase.
-    output_power : (F,) S_yy, in no particular scale.
-    averages : number of windows, overlapping ones counted as independent ones are: 0.6 of them.
+    `frequency_hz`: (F,) without 0.
+    `coherence`: (F,) in [0, 1]; biased upwards by about 1 / averages.
+    `gain`: (F,) magnitude of the frequency response S_uy / S_uu.
+    `phase_rad`: (F,) its phase.
+    `output_power`: (F,) S_yy, in no particular scale.
+    `averages`: number of windows, overlapping ones counted as independent ones are: 0.6 of them.
     """
 
     frequency_hz: FloatArray

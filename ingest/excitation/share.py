@@ -33,8 +33,6 @@ TAIL = 0.025
 class Share:
     """A share from 0 to 1 with its 95 % interval.
 
-    Examples
-    --------
     >>> Share(0.5, 0.4, 0.6).words
     'at most 60 %'
     """

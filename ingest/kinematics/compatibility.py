@@ -60,16 +60,14 @@ FLY: Mapping[str, str] = {
 class Parameter:
     """One number between an instrument and what the others say.
 
-    Attributes
-    ----------
-    instrument : a channel of `quantities.toml`.
-    signal : an axis of it; "" where the number is of all axes.
-    kind : "bias" and "offset" (of the reading, in `unit`; an offset is at the flight's mean), "scale",
-        "lag" (s) or "arm" (m; of the accelerometer forward, right and below what the velocity is of).
-    value, sd : estimate and standard deviation.
-    nominal : what it is where nothing is wrong. tolerance : what may pass for it.
-    unit : of value and sd.
-    found : it differs from its nominal value.
+    `instrument`: a channel of `quantities.toml`.
+    `signal`: an axis of it; "" where the number is of all axes.
+    `kind`: "bias" and "offset" (of the reading, in `unit`; an offset is at the flight's mean), "scale", "lag"
+        (s) or "arm" (m; of the accelerometer forward, right and below what the velocity is of).
+    `value`, `sd`: estimate and standard deviation.
+    `nominal`: what it is where nothing is wrong. `tolerance`: what may pass for it.
+    `unit`: of value and sd.
+    `found`: it differs from its nominal value.
     """
 
     instrument: str
@@ -104,14 +102,12 @@ class Parameter:
 class InstrumentCheck:
     """One instrument against the others.
 
-    Attributes
-    ----------
-    instrument : a channel of `quantities.toml`.
-    sources : signal -> stream and field.
-    seconds, cut_s : of flight that were compared, and that were left out around jumps of an estimator.
-    parameters : all that was estimated.
-    still : axes that did not move enough to show their scale.
-    reason : why nothing was compared; "" where it was.
+    `instrument`: a channel of `quantities.toml`.
+    `sources`: signal -> stream and field.
+    `seconds`, `cut_s`: of flight that were compared, and that were left out around jumps of an estimator.
+    `parameters`: all that was estimated.
+    `still`: axes that did not move enough to show their scale.
+    `reason`: why nothing was compared; "" where it was.
     """
 
     instrument: str
@@ -155,8 +151,6 @@ def compatibility(log: Log) -> Compatibility:
     with the velocity as it should be. Findings are those that remain at 5 % a flight (Holm 1979), beyond
     what splines lose, half a period of the slower source, and the range of gravity over the earth.
 
-    Examples
-    --------
     >>> from flysid.ingest.align.signals import FlightLog
     >>> found = compatibility(FlightLog(flysid.read("sample_logs/01-multisine-seed1.tlog")))
     >>> [c.instrument for c in found.comparisons if not c.reason]

@@ -32,13 +32,11 @@ OWN = (
 class Selection:
     """What a user says of the flights.
 
-    Attributes
-    ----------
-    flights : these alone, by id or the unambiguous beginning of it; empty: all.
-    exclude : not these, by id or the unambiguous beginning of it.
-    vehicle : those of this vehicle, by any part of its name that no other has; "": of all.
-    pool : flights of several vehicles may be put together.
-    stretches : what of every flight.
+    `flights`: these alone, by id or the unambiguous beginning of it; empty: all.
+    `exclude`: not these, by id or the unambiguous beginning of it.
+    `vehicle`: those of this vehicle, by any part of its name that no other has; "": of all.
+    `pool`: flights of several vehicles may be put together.
+    `stretches`: what of every flight.
     """
 
     flights: tuple[str, ...] = ()

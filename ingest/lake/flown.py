@@ -87,10 +87,8 @@ class Kept:
 class Flown:
     """When a log was flown.
 
-    Attributes
-    ----------
-    spans : boot -> when all conditions hold; None where the log states none of them.
-    never : of each condition that never holds, what the log has instead.
+    `spans`: boot -> when all conditions hold; None where the log states none of them.
+    `never`: of each condition that never holds, what the log has instead.
     """
 
     spans: Mapping[int, tuple[Span, ...]] | None = None

@@ -26,13 +26,11 @@ _CLOCK = re.compile(r"(?:(?:(\d+):)?(\d+):)?(\d+(?:\.\d*)?)")
 class Stretches:
     """What a user says of the time within flights.
 
-    Attributes
-    ----------
-    between : "12:30..14:00": minutes and seconds (or h:m:s, or seconds) since the beginning of a boot; either
-        end may be missing; "": all of it.
-    modes : names of flight modes, e.g. ("LOITER",); empty: all.
-    mishaps : keep what is a crash, a failsafe or a loss of control, and what follows it.
-    without : parts of single flights that are left out, as `parse_part` reads them, by whole ids.
+    `between`: "12:30..14:00": minutes and seconds (or h:m:s, or seconds) since the beginning of a boot;
+        either end may be missing; "": all of it.
+    `modes`: names of flight modes, e.g. ("LOITER",); empty: all.
+    `mishaps`: keep what is a crash, a failsafe or a loss of control, and what follows it.
+    `without`: parts of single flights that are left out, as `parse_part` reads them, by whole ids.
     """
 
     between: str = ""

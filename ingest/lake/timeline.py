@@ -51,12 +51,10 @@ Boots = Mapping[int, Samples]
 class Trace:
     """One field over time.
 
-    Attributes
-    ----------
-    name : `STREAM.FIELD`, or the name of a recipe's signal.
-    unit : as the log states it; "" where it does not.
-    time_s : (N,) seconds since the log began; see `facts.clock`.
-    values : (N,) in `unit`. A NaN stands inside every pause of the stream, and at the end of every boot.
+    `name`: `STREAM.FIELD`, or the name of a recipe's signal.
+    `unit`: as the log states it; "" where it does not.
+    `time_s`: (N,) seconds since the log began; see `facts.clock`.
+    `values`: (N,) in `unit`. A NaN stands inside every pause of the stream, and at the end of every boot.
     """
 
     name: str
@@ -78,13 +76,11 @@ class Moment:
 class Timeline:
     """Panels of traces of one log on one axis of time. Boots follow one another: their clocks do not compare.
 
-    Attributes
-    ----------
-    name : the log.
-    panels : traces that share an axis.
-    modes : (start, end, name) of the flight modes, in seconds.
-    moments : messages and parameter changes.
-    clock : which clock the seconds are of, in words.
+    `name`: the log.
+    `panels`: traces that share an axis.
+    `modes`: (start, end, name) of the flight modes, in seconds.
+    `moments`: messages and parameter changes.
+    `clock`: which clock the seconds are of, in words.
     """
 
     name: str

@@ -60,10 +60,8 @@ Outcome = TypeVar("Outcome")
 class Bounds:
     """What one task may take; None lifts a bound.
 
-    Attributes
-    ----------
-    memory_bytes : anonymous memory of the process.
-    seconds : wall time.
+    `memory_bytes`: anonymous memory of the process.
+    `seconds`: wall time.
     """
 
     memory_bytes: int | None = 4 * 10**9

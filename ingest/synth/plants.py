@@ -31,11 +31,9 @@ Hold = Literal["zero", "first"]
 class Loop:
     """One inner loop: output over input as polynomials in s, highest power first.
 
-    Attributes
-    ----------
-    numerator, denominator : coefficients as the paper prints them.
-    input, output : names of the signals.
-    input_unit, output_unit : their units.
+    `numerator`, `denominator`: coefficients as the paper prints them.
+    `input`, `output`: names of the signals.
+    `input_unit`, `output_unit`: their units.
     """
 
     numerator: tuple[float, ...]

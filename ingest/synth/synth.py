@@ -56,11 +56,9 @@ WRITERS: Mapping[str, tuple[str, Callable[[Recording], bytes]]] = {
 class Change:
     """Something of a vehicle is `factor` times what it was, from a flight on.
 
-    Attributes
-    ----------
-    vehicle, flight : counted from 1, in the fleet and in the plan.
-    name : of `vehicles.CHANGES`.
-    factor : above 0.
+    `vehicle`, `flight`: counted from 1, in the fleet and in the plan.
+    `name`: of `vehicles.CHANGES`.
+    `factor`: above 0.
     """
 
     vehicle: int

@@ -51,8 +51,6 @@ def view_loop(
 
     `near`: in ln: 4.3 dB, or 29 degrees.
 
-    Example
-    -------
     >>> measured = measure_response(data)  # doctest: +SKIP
     >>> view_loop(data, 0, measured).follows(measured)  # doctest: +SKIP
     [(0.6, 3.3), (80.8, 1005.3)]

@@ -57,11 +57,9 @@ _FLEW = (
 class LoopFigure:
     """One figure.
 
-    Attributes
-    ----------
-    name : e.g. "phase_margin_deg"; the unit is its last word.
-    value, low, high : estimate and 95 % interval; None where the record cannot tell.
-    why : then, why not.
+    `name`: e.g. "phase_margin_deg"; the unit is its last word.
+    `value`, `low`, `high`: estimate and 95 % interval; None where the record cannot tell.
+    `why`: then, why not.
     """
 
     name: str

@@ -20,10 +20,8 @@ Hold = Literal["zero", "first", "none"]
 class Form:
     """Orders of one output: poles, zeros of every input, which dead times are free and their fixed values.
 
-    Attributes
-    ----------
-    dead_time_s : per input; None is estimated.
-    stable : poles must lie in the left half plane.
+    `dead_time_s`: per input; None is estimated.
+    `stable`: poles must lie in the left half plane.
     """
 
     poles: int

@@ -52,13 +52,11 @@ Weighting = Literal["coherence", "likelihood"]
 class ResponseFit:
     """A transfer function fitted to a measured response.
 
-    Attributes
-    ----------
-    covariance : (p, p) of [denominator without its leading 1, numerators, free dead times].
-    cost : Tischler's J per input.
-    chi2 : squared log errors in units of the measured errors, every point by what it tells alone.
-    points : independent points (real numbers) behind it.
-    determined : every pole is known well enough to be one; see `is_determined`.
+    `covariance`: (p, p) of [denominator without its leading 1, numerators, free dead times].
+    `cost`: Tischler's J per input.
+    `chi2`: squared log errors in units of the measured errors, every point by what it tells alone.
+    `points`: independent points (real numbers) behind it.
+    `determined`: every pole is known well enough to be one; see `is_determined`.
     """
 
     form: Form

@@ -37,11 +37,9 @@ POWER = (-1.0, 4.0)
 class FittedAxis:
     """A fitted axis, in the units of its records.
 
-    Attributes
-    ----------
-    theta : parameters, see `rotor_axis`.
-    free : which of them were estimated and stand away from the ends of their range.
-    covariance : (P, P); 0 for what is not free.
+    `theta`: parameters, see `rotor_axis`.
+    `free`: which of them were estimated and stand away from the ends of their range.
+    `covariance`: (P, P); 0 for what is not free.
     """
 
     theta: FloatArray

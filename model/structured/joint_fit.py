@@ -46,10 +46,8 @@ IntArray = npt.NDArray[np.int64]
 class Response:
     """The points of one input and one output.
 
-    Attributes
-    ----------
-    omega, g, spread, trust : (M,) frequency, response, standard error of its logarithm, Tischler's W.
-    correlation : (M, M) of the errors.
+    `omega`, `g`, `spread`, `trust`: (M,) frequency, response, standard error of its logarithm, Tischler's W.
+    `correlation`: (M, M) of the errors.
     """
 
     output: int

@@ -285,9 +285,7 @@ def resting(
 ) -> FittedStateSpace:
     """A model of given (A, B, C, D) that was not fitted: no noise, no offsets, starts at rest.
 
-    Parameters
-    ----------
-    signals : inputs, outputs.
+    `signals`: inputs, outputs.
     """
     a, b, c, d = (np.array(m, dtype=np.float64) for m in matrices)
     n = len(a)

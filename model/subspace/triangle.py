@@ -37,12 +37,10 @@ METHODS: tuple[Method, ...] = ("pbsid", "n4sid", "moesp", "cva")
 class Realisation:
     """A linear system in innovation form, of order n.
 
-    Attributes
-    ----------
-    a, b, c, d, k : (n, n), (n, n_u), (n_y, n), (n_y, n_u), (n, n_y).
-    drift, level : (n,), (n_y,) constants of the state and of the output.
-    innovation : (n_y, n_y) covariance of e.
-    state : (n, n) covariance of the states seen.
+    `a`, `b`, `c`, `d`, `k`: (n, n), (n, n_u), (n_y, n), (n_y, n_u), (n, n_y).
+    `drift`, `level`: (n,), (n_y,) constants of the state and of the output.
+    `innovation`: (n_y, n_y) covariance of e.
+    `state`: (n, n) covariance of the states seen.
     """
 
     a: FloatArray

@@ -78,8 +78,6 @@ def matching_channels(expression: str, document: Mapping[str, Any]) -> dict[str,
 def check_grammar(expression: str) -> None:
     """Raise UsageError where a condition is no comparison, whatever the document will hold.
 
-    Examples
-    --------
     >>> check_grammar("power.sag > 0.5 and not vibration.clips == 0")
     """
     try:

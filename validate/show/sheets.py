@@ -44,8 +44,6 @@ def _stylesheet() -> tuple[tuple[frozenset[str], dict[str, str]], ...]:
 def style_of(css: str) -> dict[str, str]:
     """What the stylesheet sets for a line or area of these classes.
 
-    Examples
-    --------
     >>> style_of("measured")["stroke-width"]
     '1.3'
     """
@@ -60,8 +58,6 @@ def style_of(css: str) -> dict[str, str]:
 def stroke_of(css: str, points: float = POINTS_OF_PIXEL) -> dict[str, Any]:
     """How matplotlib draws a line of these classes; `points` are what a pixel of the page becomes.
 
-    Examples
-    --------
     >>> stroke_of("arx")["color"]
     '#c2570c'
     """

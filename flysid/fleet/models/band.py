@@ -19,10 +19,8 @@ ComplexArray = npt.NDArray[np.complex128]
 class Band:
     """Frequencies in rad/s, and the coherence at each of the spectra's frequencies.
 
-    Attributes
-    ----------
-    low, high : its ends.
-    omega, coherence : (F,) of the spectra.
+    `low`, `high`: its ends.
+    `omega`, `coherence`: (F,) of the spectra.
     """
 
     low: float

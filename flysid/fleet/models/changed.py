@@ -28,16 +28,14 @@ FORMAT_VERSION = 1
 class FleetComparison:
     """A fleet, compared.
 
-    Attributes
-    ----------
-    recipe : by which.
-    rate : of false discoveries.
-    before_ns : flights that began before (UTC, ns) are early; None: the first half of each vehicle's.
-    channels : that were compared.
-    findings : what was flagged, the surest first.
-    smallest : by channel, what would have been flagged.
-    skipped : channels that were not compared, and why.
-    flights : of the fleet.
+    `recipe`: by which.
+    `rate`: of false discoveries.
+    `before_ns`: flights that began before (UTC, ns) are early; None: the first half of each vehicle's.
+    `channels`: that were compared.
+    `findings`: what was flagged, the surest first.
+    `smallest`: by channel, what would have been flagged.
+    `skipped`: channels that were not compared, and why.
+    `flights`: of the fleet.
     """
 
     recipe: Recipe

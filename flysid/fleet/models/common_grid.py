@@ -23,13 +23,11 @@ RATE_OVER_BAND = 10.0
 class Sampling(msgspec.Struct, frozen=True):
     """How a channel's triangles are made.
 
-    Attributes
-    ----------
-    dt_s : sample time.
-    lags : L, of inputs and outputs.
-    window : of the spectra, samples.
-    inputs, outputs : names of the signals.
-    units : of inputs, then outputs.
+    `dt_s`: sample time.
+    `lags`: L, of inputs and outputs.
+    `window`: of the spectra, samples.
+    `inputs`, `outputs`: names of the signals.
+    `units`: of inputs, then outputs.
     """
 
     dt_s: float

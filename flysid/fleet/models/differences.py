@@ -44,14 +44,12 @@ class FlightPart:
 class Test:
     """A vehicle's answer to one question.
 
-    Attributes
-    ----------
-    difference : (2 k,) of log gain and phase (rad).
-    covariance : (2 k, 2 k) of it.
-    statistic, p : Hotelling's T², and the chance of a larger one where nothing differs.
-    freedom : behind the covariance.
-    flights : before and after, or of the vehicle and of the others.
-    flagged : the rate of false discoveries allows to say so.
+    `difference`: (2 k,) of log gain and phase (rad).
+    `covariance`: (2 k, 2 k) of it.
+    `statistic`, `p`: Hotelling's T², and the chance of a larger one where nothing differs.
+    `freedom`: behind the covariance.
+    `flights`: before and after, or of the vehicle and of the others.
+    `flagged`: the rate of false discoveries allows to say so.
     """
 
     channel: str
@@ -75,12 +73,10 @@ class Test:
 class JudgedChannel:
     """A channel and its tests.
 
-    Attributes
-    ----------
-    flown : the vehicles' flights, in the order of time.
-    present : responses of their late flights.
-    too_few : vehicles that cannot be compared with themselves, and why.
-    common : (2 k,) what all vehicles have in common from early to late; None where they are too few to tell.
+    `flown`: the vehicles' flights, in the order of time.
+    `present`: responses of their late flights.
+    `too_few`: vehicles that cannot be compared with themselves, and why.
+    `common`: (2 k,) what all vehicles have in common from early to late; None where they are too few to tell.
     """
 
     channel: str

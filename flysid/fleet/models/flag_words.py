@@ -26,10 +26,8 @@ SEEN = 0.9
 class Size:
     """A change at one frequency, with its interval, which holds for all frequencies at once.
 
-    Attributes
-    ----------
-    value, low, high : percent of gain, or milliseconds of delay.
-    hz : the frequency at which it stands out most.
+    `value`, `low`, `high`: percent of gain, or milliseconds of delay.
+    `hz`: the frequency at which it stands out most.
     """
 
     value: float

@@ -35,12 +35,10 @@ BATCH = 32
 class Gathered:
     """What is kept of a fleet.
 
-    Attributes
-    ----------
-    samplings, parts : by channel.
-    skipped : channels that the fleet cannot serve, and why.
-    read : flights that were read for it now.
-    lost : flights whose reading ended its process, and why.
+    `samplings`, `parts`: by channel.
+    `skipped`: channels that the fleet cannot serve, and why.
+    `read`: flights that were read for it now.
+    `lost`: flights whose reading ended its process, and why.
     """
 
     samplings: Mapping[str, Sampling]

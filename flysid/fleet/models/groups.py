@@ -97,12 +97,10 @@ def _influence(phi: FloatArray, y: FloatArray, theta: FloatArray, root: FloatArr
 class Response:
     """A group's frequency response from its one input to its one output, as log H: log gain and phase.
 
-    Attributes
-    ----------
-    value : (2 k,) log gain at k frequencies, then phase in rad.
-    white : (2 k, 2 k) its covariance if residuals were white.
-    influences : (flights, 2 k) how far each flight moves it.
-    flights : how many.
+    `value`: (2 k,) log gain at k frequencies, then phase in rad.
+    `white`: (2 k, 2 k) its covariance if residuals were white.
+    `influences`: (flights, 2 k) how far each flight moves it.
+    `flights`: how many.
     """
 
     value: FloatArray
