@@ -40,10 +40,7 @@ from flysid.model.subspace.order_search import (
     search,
 )
 from flysid.model.subspace.refinement import SystemFit, mirror
-from flysid.model.subspace.triangle import (
-    Method,
-    window,
-)
+from flysid.model.subspace.triangle import Method, window
 from flysid.model.threads import on_one_thread
 
 Auto: TypeAlias = Literal["auto"]

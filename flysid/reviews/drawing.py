@@ -12,17 +12,7 @@ from markupsafe import Markup
 from flysid.dataset import FloatArray
 from flysid.reviews.fact import HeatMap, MotorPlan, Picture, PictureLine, TopView
 from flysid.validate.show.page.decimate import extremes
-from flysid.validate.show.page.svg import (
-    Axes,
-    box,
-    frame,
-    legend,
-    line,
-    picture,
-    segment,
-    span,
-    text,
-)
+from flysid.validate.show.page.svg import Axes, box, frame, legend, line, picture, segment, span, text
 
 WIDTH = 470.0
 HEIGHT = 210.0

@@ -18,12 +18,7 @@ from flysid.extras import Extra, Missing, extra
 from flysid.facts.clock import log_clock
 from flysid.manifest import FLIGHTS, read_manifest
 from flysid.model.base import Fitted
-from flysid.model.capabilities import (
-    DeviationEquation,
-    HasExplanation,
-    HasRuleOutputs,
-    HasRuleRecursion,
-)
+from flysid.model.capabilities import DeviationEquation, HasExplanation, HasRuleOutputs, HasRuleRecursion
 from flysid.model.start import as_modelled, drifting_of, run_from_window, start_window
 from flysid.model.structures import leaders
 from flysid.studio.flights import RUN, SIGNAL

@@ -12,13 +12,7 @@ import numpy as np
 from flysid.dataset import Dataset
 from flysid.ingest.align.recipe import ChannelSpec
 from flysid.ingest.excitation.enough import too_short_alone
-from flysid.ingest.excitation.excitation import (
-    GOOD_COHERENCE,
-    Excitation,
-    excitation,
-    is_narrow,
-    spectrum,
-)
+from flysid.ingest.excitation.excitation import GOOD_COHERENCE, Excitation, excitation, is_narrow, spectrum
 from flysid.ingest.excitation.share import Share, share_explained
 
 REMARKS = ("holes", "band")

@@ -18,13 +18,7 @@ from flysid.ingest.align.signals import Log, serves
 from flysid.ingest.excitation.dead_time import LONGEST_S
 from flysid.ingest.excitation.delay import Delay, estimate_delay
 from flysid.ingest.excitation.enough import MIN_DURATION_S, too_short_alone
-from flysid.ingest.excitation.excitation import (
-    GOOD_COHERENCE,
-    Excitation,
-    excitation,
-    is_narrow,
-    spectrum,
-)
+from flysid.ingest.excitation.excitation import GOOD_COHERENCE, Excitation, excitation, is_narrow, spectrum
 from flysid.ingest.excitation.share import Share, share_explained
 from flysid.progress import part, tell
 from flysid.sharing import sharing

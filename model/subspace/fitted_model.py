@@ -24,12 +24,7 @@ from flysid.model.arguments import as_columns, check_start
 from flysid.model.base import write_document
 from flysid.model.capabilities import FrequencyResponse
 from flysid.model.control_form import ControlForm, control_of_states, with_registers
-from flysid.model.documents import (
-    array_of,
-    head_of,
-    monic,
-    signals_of,
-)
+from flysid.model.documents import array_of, head_of, monic, signals_of
 from flysid.model.freerun import far, saturate
 from flysid.model.linear.laws import LinearLaws
 from flysid.model.linear.text import gains_text

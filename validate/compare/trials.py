@@ -15,14 +15,7 @@ import numpy as np
 from flysid.dataset import Dataset, FloatArray, Segment
 from flysid.errors import DataError, UsageError
 from flysid.model.base import Fitted
-from flysid.model.start import (
-    drifting_of,
-    own_part,
-    plain_run,
-    run_from_window,
-    start_window,
-    without,
-)
+from flysid.model.start import drifting_of, own_part, plain_run, run_from_window, start_window, without
 
 FREE_RUN = "free_run"
 MIN_SCORED = 10

@@ -26,14 +26,7 @@ from flysid.validate.diagnose.document import plain, to_json
 from flysid.validate.runs.fitone import nothing_done
 from flysid.validate.runs.judgedparts import chosen_lake, restrict
 from flysid.validate.runs.provenance import FIT_TIME, fit_command, provenance_of
-from flysid.validate.runs.run import (
-    Beside,
-    HeldOut,
-    Run,
-    held_out,
-    requested_model,
-    with_models,
-)
+from flysid.validate.runs.run import Beside, HeldOut, Run, held_out, requested_model, with_models
 
 
 @dataclass(frozen=True)
