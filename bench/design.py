@@ -25,7 +25,7 @@ from flysid.design.firmware import SCHEMES, Firmware
 from flysid.design.trialflight import Doubtful, Trial, held_wind_m_s
 from flysid.errors import FlysidError
 from flysid.ingest.lake.lake import open as open_lake
-from flysid.ingest.synth.rigid_body import Vehicle
+from flysid.ingest.synth.rigid_body import SimulatedVehicle
 from flysid.validate.runs.fitting import fit_run
 from flysid.validate.runs.run import FitSettings, Run, open_run
 
@@ -53,7 +53,7 @@ def main(arguments: list[str]) -> int:
     folder = Path(arguments[0])
     vehicles = int(arguments[1]) if len(arguments) > 1 else 100
     seeds = [int(a) for a in arguments[2:]] or [41, 42, 43]
-    limit = math.degrees(Vehicle().loop.tilt_max_rad)
+    limit = math.degrees(SimulatedVehicle().loop.tilt_max_rad)
     scheme = SCHEMES["tum-ardrone"][0]
     published = Firmware("tum-ardrone", scheme, limit=limit).gains(scheme.published)
     old = {"position": published.position, "velocity": published.velocity}

@@ -34,7 +34,7 @@ from flysid.fleet.cluster import Cluster, connect
 from flysid.fleet.compaction import compact, files_of
 from flysid.fleet.ingest_many import Threads, find, ingest
 from flysid.fleet.lakes import create_lake
-from flysid.fleet.reading import Log, LogOutcome, Settings
+from flysid.fleet.reading import LogAddress, LogOutcome, Settings
 from flysid.ingest.lake.batch import work_on
 from flysid.ingest.lake.flighttable import merge
 from flysid.place import Place
@@ -102,7 +102,7 @@ def overhead(count: int) -> None:
         print(f"again: {again.known} logs known, {time.process_time() - began:.2f} s of CPU, no log fetched")
 
 
-def nothing(logs: Sequence[Log], settings: Settings) -> list[LogOutcome]:
+def nothing(logs: Sequence[LogAddress], settings: Settings) -> list[LogOutcome]:
     """A batch that does nothing."""
     assert settings
     return [LogOutcome(log, "unchanged") for log in logs[:0]]
@@ -110,7 +110,7 @@ def nothing(logs: Sequence[Log], settings: Settings) -> list[LogOutcome]:
 
 def tasks(count: int) -> None:
     """What Dask takes for a batch that does nothing: CPU and memory of client and scheduler, wall time."""
-    part = tuple(Log(f"s3://inbox/v000/flight{n:05d}.csv", 100_000, "etag") for n in range(32))
+    part = tuple(LogAddress(f"s3://inbox/v000/flight{n:05d}.csv", 100_000, "etag") for n in range(32))
     batches = [tuple(msgspec.structs.replace(log, etag=str(n)) for log in part) for n in range(count)]
     with connect(workers=2) as cluster:
         engine = Cluster(cluster.client, do=nothing)
@@ -130,7 +130,7 @@ def tasks(count: int) -> None:
 WAIT_S = 0.2
 
 
-def waits(logs: Sequence[Log], settings: Settings) -> list[LogOutcome]:
+def waits(logs: Sequence[LogAddress], settings: Settings) -> list[LogOutcome]:
     """A batch that waits, as for a store that is far away."""
     assert settings
     time.sleep(WAIT_S)

@@ -28,7 +28,7 @@ from bench.fleet import fill, resident_bytes, server, synthesised
 from flysid.catalogue import FlightFacts
 from flysid.fleet.ingest_many import Threads, find, ingest
 from flysid.fleet.lakes import create_lake
-from flysid.fleet.reading import Log, LogOutcome, Settings
+from flysid.fleet.reading import LogAddress, LogOutcome, Settings
 from flysid.fleet.upkeep import check
 from flysid.place import Place
 
@@ -209,15 +209,15 @@ class MadeUp:
     workers: int = 2
 
     def run(
-        self, batches: Sequence[tuple[Log, ...]], settings: Settings
-    ) -> Iterator[tuple[tuple[Log, ...], list[LogOutcome]]]:
+        self, batches: Sequence[tuple[LogAddress, ...]], settings: Settings
+    ) -> Iterator[tuple[tuple[LogAddress, ...], list[LogOutcome]]]:
         """See `flysid.fleet.ingest_many.Engine`."""
         assert settings
         for part in batches:
             yield part, [LogOutcome(log, "ingested", made_up_flight(log)) for log in part]
 
 
-def made_up_flight(log: Log) -> FlightFacts:
+def made_up_flight(log: LogAddress) -> FlightFacts:
     """What the catalogue holds of a log of the lists."""
     facts = synthesised(int(log.name.partition(".")[0]))
     info = dict(facts.info) | {"source_url": log.url, "source_etag": log.etag}

@@ -21,7 +21,7 @@ from flysid.flight import BOOT, TIME, Flight, Source
 from flysid.ingest.align.signals import FlightLog
 from flysid.ingest.kinematics.compatibility import Parameter, compatibility
 from flysid.ingest.synth.manoeuvres import pilot
-from flysid.ingest.synth.rigid_body import Vehicle, fly_vehicle
+from flysid.ingest.synth.rigid_body import SimulatedVehicle, fly_vehicle
 
 COMMAND_S = 0.02
 TRUTH_S = 0.001
@@ -78,7 +78,7 @@ def flown(seed: int, faults: Faults, seconds: float = 60.0) -> Flight:
     rng = np.random.default_rng(seed)
     time_s = np.arange(round(seconds / COMMAND_S)) * COMMAND_S
     commands = np.column_stack([pilot(time_s, peak, rng) for peak in PEAKS])
-    states = fly_vehicle(Vehicle(), commands, period_s=COMMAND_S, record_s=TRUTH_S).states
+    states = fly_vehicle(SimulatedVehicle(), commands, period_s=COMMAND_S, record_s=TRUTH_S).states
     psi, phi, theta = states[:, 8], states[:, 6], states[:, 7]
     turned = Rotation.from_euler("ZXY", np.column_stack([psi, phi, theta]))
     speed = states[:, 3:6] * FLIP

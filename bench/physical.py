@@ -28,7 +28,7 @@ from flysid.ingest.lake.finding import find_logs
 from flysid.ingest.lake.lake import open as open_lake
 from flysid.ingest.synth.manoeuvres import amplitude_steps
 from flysid.ingest.synth.quadrotor import STATES, airframe
-from flysid.ingest.synth.rigid_body import ALL, STEP_S, Effects, Vehicle, fly_vehicle
+from flysid.ingest.synth.rigid_body import ALL, STEP_S, Effects, SimulatedVehicle, fly_vehicle
 from flysid.model.arx import ARX
 from flysid.model.base import Estimator, Fitted
 from flysid.model.multirotor import FittedMultirotor, Multirotor
@@ -61,13 +61,13 @@ REAL = (
 
 def flown(
     seed: int, effects: Effects = PLAIN, seconds: float = 60.0, measured: bool = False
-) -> tuple[Dataset, Vehicle]:
+) -> tuple[Dataset, SimulatedVehicle]:
     """Motor commands and body rates of one flight: what its inner loop told the motors, held from row to row.
     With a measured voltage the battery is a small one, empty when the flight ends.
 
     The inner loop of the simulator has no rows; what it told every 4 ms is therefore flown again, held, late.
     """
-    vehicle = Vehicle(effects=effects)
+    vehicle = SimulatedVehicle(effects=effects)
     rng = np.random.default_rng(seed)
     time_s = np.arange(round(seconds / COMMAND_S)) * COMMAND_S
     sizes = ((0.4, 8.0), (0.4, 8.0), (0.6, 0.5), (0.5, 60.0))
@@ -117,7 +117,7 @@ def replayed(told, hold, late, sag, physics, out):  # type: ignore[no-untyped-de
         rotors = after
 
 
-def truth(vehicle: Vehicle, data: Dataset) -> list[dict[str, float]]:
+def truth(vehicle: SimulatedVehicle, data: Dataset) -> list[dict[str, float]]:
     """What `figures` should say of every rate."""
     frame = vehicle.airframe
     force = frame.thrust_factor * frame.arm_m

@@ -33,13 +33,13 @@ from flysid.design.rule_plants import rule_plant
 from flysid.design.self_tuning import Tuner
 from flysid.design.trialflight import PERIOD_S, Doubtful, Trial, fly_trial, true_plants
 from flysid.errors import FlysidError
-from flysid.ingest.synth.rigid_body import Vehicle
+from flysid.ingest.synth.rigid_body import SimulatedVehicle
 from flysid.model.rules.consequents import refit_consequents
 from flysid.model.rules.rule_model import RuleModel
 from flysid.validate.runs.run import held_out
 
 CHANNELS = ("longitudinal", "lateral")
-LIMIT = math.degrees(Vehicle().loop.tilt_max_rad)
+LIMIT = math.degrees(SimulatedVehicle().loop.tilt_max_rad)
 SOUGHT_FROM = 800_000
 SOUGHT_ON = 6
 PLACEHOLDER = Gains(1.0, 1.0)

@@ -26,7 +26,7 @@ from bench.vehicle import PERIOD_S
 from flysid.dataset import Dataset, FloatArray, Segment, Signal
 from flysid.ingest.synth.plans import BOLD, GENTLE, MULTISINE, PILOT, STEPS
 from flysid.ingest.synth.plants import LOOPS
-from flysid.ingest.synth.rigid_body import ALL, Vehicle, fly_vehicle
+from flysid.ingest.synth.rigid_body import ALL, SimulatedVehicle, fly_vehicle
 from flysid.ingest.synth.vehicles import disperse
 from flysid.model.base import OperatingPoint
 from flysid.model.rules.phrases import answer_alike, meanings
@@ -207,12 +207,12 @@ def of_two_inputs(estimator: Callable[[], Any]) -> Flown:
     return Flown(record, estimator, 1e-4)
 
 
-def specimen(seed: int) -> Vehicle:
+def specimen(seed: int) -> SimulatedVehicle:
     """Another vehicle of the type for every seed."""
-    return disperse(Vehicle(), np.random.default_rng([seed, 1, 2]))
+    return disperse(SimulatedVehicle(), np.random.default_rng([seed, 1, 2]))
 
 
-def vehicle_flights(vehicle: Vehicle, loop: str, seed: int, flights: Iterable[int]) -> Dataset:
+def vehicle_flights(vehicle: SimulatedVehicle, loop: str, seed: int, flights: Iterable[int]) -> Dataset:
     """Some of the flights of a seed, one axis commanded, its speed measured with noise."""
     column = list(LOOPS).index(loop)
     output = LOOPS[loop].output
@@ -228,7 +228,7 @@ def vehicle_flights(vehicle: Vehicle, loop: str, seed: int, flights: Iterable[in
     return Dataset(PERIOD_S, (Signal("u"),), (Signal(output, "m/s"),), tuple(segments))
 
 
-def vehicle_truth(vehicle: Vehicle, column: int, level: float) -> FloatArray:
+def vehicle_truth(vehicle: SimulatedVehicle, column: int, level: float) -> FloatArray:
     """(2,) gain and seconds to 63 % of small steps where the vehicle flies at a constant speed."""
     fresh = replace(vehicle, effects=replace(ALL, battery_sag=False))
     output = list(LOOPS.values())[column].output

@@ -22,7 +22,7 @@ import numpy as np
 from flysid.dataset import Dataset, FloatArray, Signal
 from flysid.ingest.synth.dryden import Wind, wind_field
 from flysid.ingest.synth.plants import LOOPS
-from flysid.ingest.synth.rigid_body import ALL, Effects, Vehicle, fly_vehicle
+from flysid.ingest.synth.rigid_body import ALL, Effects, SimulatedVehicle, fly_vehicle
 from flysid.ingest.synth.tuning import linearise
 from flysid.model.polynomials import ComplexArray
 from flysid.model.structured.fitted_structured import FittedStructured
@@ -55,7 +55,7 @@ PLANTED = ("M_u", "L_p")
 
 def flown(seed: int, effects: Effects = PLAIN) -> Dataset:
     """Three flights, a multisine on one axis each, one period in its steady state."""
-    vehicle = Vehicle(effects=effects)
+    vehicle = SimulatedVehicle(effects=effects)
     rng = np.random.default_rng(seed)
     rows = round(SECONDS / DT_S)
     each = round(DT_S / STEP_S)
@@ -105,7 +105,7 @@ def _period(lines: ComplexArray, harmonics: IntArray, rate_hz: float) -> FloatAr
     return np.asarray(np.fft.irfft(spectrum))
 
 
-def jumps(vehicle: Vehicle, commands: FloatArray) -> FloatArray:
+def jumps(vehicle: SimulatedVehicle, commands: FloatArray) -> FloatArray:
     """(N, 3) by how much the efforts jump where a command does, at the rows of the record.
 
     Between two commands the loop lets go of what the first lag has done, so that the rotors are told a
@@ -123,7 +123,7 @@ def jumps(vehicle: Vehicle, commands: FloatArray) -> FloatArray:
 
 def truth(effects: Effects = PLAIN) -> dict[str, float]:
     """Every derivative, from the linearised vehicle; world y is to the left, the paper's to the right."""
-    vehicle = Vehicle(effects=effects)
+    vehicle = SimulatedVehicle(effects=effects)
     a = linearise(vehicle).a
     speed = vehicle.airframe.hover_rad_s
     degree = np.pi / 180.0

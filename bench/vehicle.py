@@ -20,7 +20,7 @@ from flysid.dataset import Dataset, FloatArray
 from flysid.ingest.synth.plans import MULTISINE, PILOT, STEPS
 from flysid.ingest.synth.plants import LOOPS
 from flysid.ingest.synth.quadrotor import INPUTS
-from flysid.ingest.synth.rigid_body import ALL, Vehicle, closed_loop_rates, fly_vehicle
+from flysid.ingest.synth.rigid_body import ALL, SimulatedVehicle, closed_loop_rates, fly_vehicle
 from flysid.ingest.synth.tuning import BANDWIDTH_RAD_S, compare_loop
 
 PERIOD_S = 0.02
@@ -35,13 +35,13 @@ def bode() -> None:
     """Largest deviations, and the deviation at single frequencies."""
     print("| loop | up to, rad/s | gain, dB | phase, deg |\n|---|---|---|---|")
     for loop in LOOPS:
-        got = compare_loop(Vehicle(), loop)
+        got = compare_loop(SimulatedVehicle(), loop)
         worst = (np.abs(v).max() for v in (got.gain_db, got.phase_deg))
         print(f"| {loop} | {BANDWIDTH_RAD_S[loop]:g} | " + " | ".join(f"{v:.2f}" for v in worst) + " |")
     at = np.array([0.1, 0.3, 1.0, 3.0, 6.0, 10.0])
     print("\n| loop | " + " | ".join(f"{w:g} rad/s" for w in at) + " |\n|---" + "|---" * len(at) + "|")
     for loop in LOOPS:
-        got = compare_loop(Vehicle(), loop, at)
+        got = compare_loop(SimulatedVehicle(), loop, at)
         cells = (f"{g:+.2f} dB, {p:+.1f}°" for g, p in zip(got.gain_db, got.phase_deg, strict=True))
         print(f"| {loop} | " + " | ".join(cells) + " |")
 
@@ -50,7 +50,7 @@ def accuracy() -> None:
     """Deviation after ten seconds, CPU seconds of ten minutes, and the ratio to solve_ivp."""
     from scipy.integrate import solve_ivp
 
-    vehicle = Vehicle(effects=replace(ALL, delay=False))
+    vehicle = SimulatedVehicle(effects=replace(ALL, delay=False))
     t = 0.5 * np.arange(21)
     commands = np.column_stack(
         [6 * np.sin(1.1 * t), 5 * np.sin(0.7 * t + 1), 0.5 * np.sin(1.9 * t), 20 * np.sin(0.5 * t)]
@@ -92,7 +92,7 @@ def flight(share: float, command: int, seed: int, axis: int | None = None) -> Fl
     u = manoeuvre.command(time_s, (peaks[0], peaks[1], peaks[2]), np.random.default_rng(seed))
     if axis is not None:
         u = np.where(np.arange(u.shape[1]) == axis, u, 0.0)
-    return u, dict(fly_vehicle(Vehicle(), u).series())
+    return u, dict(fly_vehicle(SimulatedVehicle(), u).series())
 
 
 def free_run_error(model: Any, data: Dataset) -> float:

@@ -21,7 +21,7 @@ import flysid
 from flysid.dataset import Dataset, FloatArray, Segment, Signal
 from flysid.ingest.synth.dryden import Wind, wind_field
 from flysid.ingest.synth.plans import GENTLE, MULTISINE, PILOT, STEPS
-from flysid.ingest.synth.rigid_body import Vehicle, fly_vehicle
+from flysid.ingest.synth.rigid_body import SimulatedVehicle, fly_vehicle
 from flysid.live.watching import ChannelWatch, known_inputs
 from flysid.model.base import Fitted
 from flysid.validate.diagnose.detect import DETECTORS, calibrate
@@ -36,7 +36,7 @@ ASKED_1_H = 0.1
 CAMPAIGN = 1_000_000
 NOISE = {"thrust": 0.005, "v_z": 0.02, "q": 0.3, "r": 0.3}
 PLANS = (MULTISINE, PILOT, STEPS)
-DRONE = Vehicle()
+DRONE = SimulatedVehicle()
 SIGNALS = {
     "thrust": Signal("thrust"),
     "v_z": Signal("v_z", "m/s"),
@@ -56,7 +56,7 @@ TORQUES = ("pitch", "yaw")
 SAID = ("alarm", "outside")
 
 
-def faulty(load: float = 1.0, rotor_1: float = 1.0) -> Vehicle:
+def faulty(load: float = 1.0, rotor_1: float = 1.0) -> SimulatedVehicle:
     """The drone with another load or a weaker front rotor."""
     return replace(DRONE, airframe=replace(DRONE.airframe, load=load, rotor_1=rotor_1))
 
@@ -82,7 +82,7 @@ class Flown:
         return Segment(self.values[u][:, None], self.values[y][:, None], flight=self.name)
 
 
-def fly(seed: int, seconds: float, fault: tuple[float, Vehicle] | None = None) -> Flown:
+def fly(seed: int, seconds: float, fault: tuple[float, SimulatedVehicle] | None = None) -> Flown:
     """One flight; the seed draws its plan, its wind and its noise."""
     rng = np.random.default_rng([seed, 25])
     settling = round(SETTLING_S / PERIOD_S)

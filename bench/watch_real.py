@@ -14,7 +14,7 @@ import numpy as np
 
 from bench.flight_luck import CHANNELS, real_flights
 from flysid.dataset import Dataset, Segment
-from flysid.live.watching import ChannelWatch, Event, known_inputs
+from flysid.live.watching import ChannelWatch, Notice, known_inputs
 from flysid.model.arx import ARX
 from flysid.validate.diagnose.detect import DETECTORS, calibrate, one_step
 
@@ -39,7 +39,7 @@ def _groups(names: list[str]) -> list[list[str]]:
     return [names[:TRAINING], names[TRAINING:CALIBRATION], names[CALIBRATION:]]
 
 
-def around(watch: ChannelWatch, segment: Segment, event: Event) -> str:
+def around(watch: ChannelWatch, segment: Segment, event: Notice) -> str:
     """How hard the vehicle was flown when an alarm came, and how large the errors were."""
     at = round((event.time_s - segment.t0_ns * 1e-9) / watch.model.dt_s)
     before = slice(max(0, at - round(2.0 / watch.model.dt_s)), at + 1)

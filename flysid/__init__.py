@@ -45,27 +45,13 @@ if TYPE_CHECKING:
     from flysid.dataset import Dataset as Dataset
     from flysid.dataset import Segment as Segment
     from flysid.dataset import Signal as Signal
-    from flysid.errors import (
-        DataError as DataError,
-    )
-    from flysid.errors import (
-        FitError as FitError,
-    )
-    from flysid.errors import (
-        FlysidError as FlysidError,
-    )
-    from flysid.errors import (
-        FormatError as FormatError,
-    )
-    from flysid.errors import (
-        RecipeError as RecipeError,
-    )
-    from flysid.errors import (
-        StoreError as StoreError,
-    )
-    from flysid.errors import (
-        UsageError as UsageError,
-    )
+    from flysid.errors import DataError as DataError
+    from flysid.errors import FitError as FitError
+    from flysid.errors import FlysidError as FlysidError
+    from flysid.errors import FormatError as FormatError
+    from flysid.errors import RecipeError as RecipeError
+    from flysid.errors import StoreError as StoreError
+    from flysid.errors import UsageError as UsageError
     from flysid.flight import Damage as Damage
     from flysid.flight import Flight as Flight
     from flysid.ingest.align.quick import dataset_from as dataset_from

@@ -28,21 +28,19 @@ CATALOGUE_VERSION = 2
 class FlightFacts(msgspec.Struct, frozen=True, array_like=True):
     """A flight in the catalogue.
 
-    Attributes
-    ----------
-    id : the flight's.
-    log, format, size_bytes, sha256 : of the log that it came from.
-    flysid : the version that wrote it.
-    duration_s : vehicle time, summed over boots.
-    rows : of all streams.
-    lossy : the log held something that could not be kept.
-    start_utc_ns : when its first boot that is anchored to UTC began; None where none is.
-    info : facts about the vehicle.
-    streams : key -> rows.
-    layout : digest of the filled streams' keys and columns, and of which of several of one message has most
+    `id`: the flight's.
+    `log`, `format`, `size_bytes`, `sha256`: of the log that it came from.
+    `flysid`: the version that wrote it.
+    `duration_s`: vehicle time, summed over boots.
+    `rows`: of all streams.
+    `lossy`: the log held something that could not be kept.
+    `start_utc_ns`: when its first boot that is anchored to UTC began; None where none is.
+    `info`: facts about the vehicle.
+    `streams`: key -> rows.
+    `layout`: digest of the filled streams' keys and columns, and of which of several of one message has most
         rows: recipes find the same sources in all flights of one layout.
-    stamp : of the manifest that this was read from.
-    losses : what the log lacks, in words, also what was lost before it was written; "" where nothing is.
+    `stamp`: of the manifest that this was read from.
+    `losses`: what the log lacks, in words, also what was lost before it was written; "" where nothing is.
     """
 
     id: str
@@ -81,11 +79,7 @@ def catalogue(data: str | Path) -> tuple[FlightFacts, ...]:
     """All flights of an ingested folder, by id.
 
     Manifests are read only where the catalogue does not know them; it is then written anew, where that is
-    allowed.
-
-    Raises
-    ------
-    UsageError, StoreError : as `check_data_folder` and `read_manifest`.
+    allowed. Raises UsageError, StoreError: as `check_data_folder` and `read_manifest`.
     """
     data = check_data_folder(data)
     known = {facts.id: facts for facts in _read(data / CATALOGUE_FILE)}

@@ -31,15 +31,10 @@ HOW = "write one in Python: flysid.open(DATA).write(RECIPE, CHANNEL, PATH)"
 def write_dataset(path: str | Path, head: tabular.Head, segments: Iterable[Segment] | None = None) -> int:
     """Write a dataset; returns the number of samples. The file appears whole or not at all.
 
-    Parameters
-    ----------
-    path : the file; must not exist.
-    head : a Dataset, or anything with its sample time and signals.
-    segments : the segments, one at a time; those of `head` when None.
-
-    Raises
-    ------
-    UsageError : the file exists. WriteError : it cannot be written.
+    `path`: the file; must not exist.
+    `head`: a Dataset, or anything with its sample time and signals.
+    `segments`: the segments, one at a time; those of `head` when None.
+    Raises UsageError: the file exists. Raises WriteError: it cannot be written.
     """
     path = Path(path)
     if path.exists():
@@ -89,10 +84,8 @@ class DatasetFile:
 
     Memory is bounded by one row group (half a million rows, where segments are short) and one segment.
 
-    Attributes
-    ----------
-    rows : samples.
-    only : numbers of the segments that belong to it; None: all of the file's.
+    `rows`: samples.
+    `only`: numbers of the segments that belong to it; None: all of the file's.
     """
 
     path: Path
@@ -115,9 +108,7 @@ class DatasetFile:
     def entries(self) -> tuple[Entry, ...]:
         """The segments, without their samples; one pass over four narrow columns.
 
-        Raises
-        ------
-        StoreError : the file is damaged.
+        Raises StoreError: the file is damaged.
         """
         found: list[Entry] = []
         start = 0
@@ -136,9 +127,7 @@ class DatasetFile:
     def segment(self, number: int) -> Segment:
         """One segment by its number; only the row groups that hold it are read.
 
-        Raises
-        ------
-        UsageError : there is no such segment. StoreError : the file is damaged.
+        Raises UsageError: there is no such segment. Raises StoreError: the file is damaged.
         """
         entry = next((e for e in self.entries if e.number == number), None)
         if entry is None:
@@ -173,9 +162,7 @@ class DatasetFile:
     def blocks(self) -> Iterator[tuple[int, FloatArray, FloatArray]]:
         """(segment number, (n, n_u), (n, n_y)): all samples in order, however long a segment is.
 
-        Raises
-        ------
-        StoreError : the file is damaged. DataError : a sample is not finite.
+        Raises StoreError: the file is damaged. Raises DataError: a sample is not finite.
         """
         n_u = len(self.inputs)
         columns = ["segment", *tabular.column_names(self)]
@@ -257,9 +244,7 @@ def is_dataset(path: Path) -> bool:
 def open_dataset(path: str | Path) -> DatasetFile:
     """Open a dataset file; only its head is read.
 
-    Raises
-    ------
-    StoreError : missing, not a dataset, damaged, or of a newer version.
+    Raises StoreError: missing, not a dataset, damaged, or of a newer version.
     """
     path = Path(path)
     try:

@@ -31,8 +31,6 @@ def one_line(text: str) -> str:
 def inert_cell(text: str) -> str:
     """A text as a spreadsheet shows it and does not compute it; a number stays a number.
 
-    Examples
-    --------
     >>> inert_cell("=1+1"), inert_cell("-5"), inert_cell("roll")
     ("'=1+1", '-5', 'roll')
     """

@@ -128,16 +128,9 @@ def extra(which: Extra, make: Callable[[], T], instead: D, of: str = "") -> T | 
     No warning of NumPy or SciPy about its numbers reaches the screen. Memory that is short and a disk that
     refuses are no fault of the extra, and raise.
 
-    Parameters
-    ----------
-    of : what it is of, for the sentence: "ts on roll".
+    `of`: what it is of, for the sentence: "ts on roll".
+    Raises MemoryError, WriteError: as above.
 
-    Raises
-    ------
-    MemoryError, WriteError : as above.
-
-    Examples
-    --------
     >>> extra(Extra.PLOT, lambda: "drawn", "")
     'drawn'
     """
@@ -160,8 +153,6 @@ def attempt(which: Extra, make: Callable[[], T]) -> T:  # noqa: ARG001 - tests b
 def sentence(which: Extra, error: Exception, of: str = "") -> str:
     """ "The plot of roll could not be given: CAUSE."
 
-    Examples
-    --------
     >>> sentence(Extra.PLOT, FlysidError("no band", hint="fly longer"), "roll")
     'The plot of roll could not be given: no band; try: fly longer.'
     """

@@ -54,12 +54,10 @@ SMALLEST = 1e-6
 class Feedback:
     """Whether the inputs answer one output.
 
-    Attributes
-    ----------
-    p_value : of the F test; 1 where there are too few samples.
-    share : what later inputs explain of the output's variance that nothing before did.
-    look_s : how far ahead the later inputs were.
-    matters : the share above which a loop is called closed.
+    `p_value`: of the F test; 1 where there are too few samples.
+    `share`: what later inputs explain of the output's variance that nothing before did.
+    `look_s`: how far ahead the later inputs were.
+    `matters`: the share above which a loop is called closed.
     """
 
     output: str
@@ -94,19 +92,12 @@ class Feedback:
 def feedback(data: Dataset, *, matters: float = 0.02, passed: float = 0.5) -> tuple[Feedback, ...]:
     """One answer per output. Segments too short for the test are left out.
 
-    Parameters
-    ----------
-    matters : share of the output's variance, 0 to 1, from which an answer of the inputs counts as a loop.
-    passed : what the loader's low-pass leaves of such an answer; behind it `matters` is that much less. An
+    `matters`: share of the output's variance, 0 to 1, from which an answer of the inputs counts as a loop.
+    `passed`: what the loader's low-pass leaves of such an answer; behind it `matters` is that much less. An
         AR.Drone under a position controller shows 1.7 and 1.9 %, and 3.0 and 5.4 % if the low-pass is not
         accounted for; of 56 merged tables without a loop two are above 1 % beyond doubt, two above 2 %.
+    Raises UsageError: a share that is none.
 
-    Raises
-    ------
-    UsageError : a share that is none.
-
-    Examples
-    --------
     >>> feedback(train)[0].closed  # train: see `flysid.Dataset`
     False
     """
@@ -143,10 +134,8 @@ def _later_inputs(
 ) -> tuple[float, float]:
     """(p of the F test, share of the variance) of later inputs in what an output's past does not tell.
 
-    Parameters
-    ----------
-    rows : of `_rows`, segment by segment.
-    floor : of the output's spread; where less than this cannot be known from the past, nothing is tested.
+    `rows`: of `_rows`, segment by segment.
+    `floor`: of the output's spread; where less than this cannot be known from the past, nothing is tested.
     """
     from scipy.special import fdtrc
 

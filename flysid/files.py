@@ -86,9 +86,7 @@ def writing_to(path: Path) -> Iterator[None]:
 def check_place(path: Path, *, makes_folders: bool = True) -> None:
     """Raise WriteError where nothing can be written to `path`: tried, not read off permissions.
 
-    Parameters
-    ----------
-    makes_folders : whether the folders on the way to it are made; the nearest one that is there is tried.
+    `makes_folders`: whether the folders on the way to it are made; the nearest one that is there is tried.
     """
     place = path.absolute().parent
     while makes_folders and not place.exists() and place != place.parent:
@@ -128,15 +126,10 @@ def locked(lock: Path, target: Path, *, keep: bool = True) -> Iterator[None]:
 
     The system releases the lock when the process ends, however it ends.
 
-    Parameters
-    ----------
-    lock : the lock's file; made where it is not there.
-    target : what is written to; errors name it.
-    keep : leave the lock's file; without it, the file goes with the lock.
-
-    Raises
-    ------
-    WriteError : another process holds it, or its file cannot be made.
+    `lock`: the lock's file; made where it is not there.
+    `target`: what is written to; errors name it.
+    `keep`: leave the lock's file; without it, the file goes with the lock.
+    Raises WriteError: another process holds it, or its file cannot be made.
     """
     import filelock
 
@@ -182,9 +175,7 @@ _LEFT = re.compile(r"\..*[.-](?P<pid>\d+)(-[a-z0-9_]{8})?")
 def remove_left_behind(folder: Path, beginning: str) -> int:
     """Remove files and folders that a writer on this machine left when it was killed; returns how many.
 
-    Parameters
-    ----------
-    beginning : of their names, with the dot. What a process that still runs is at work on stays.
+    `beginning`: of their names, with the dot. What a process that still runs is at work on stays.
     """
     removed = 0
     with suppress(OSError):

@@ -20,9 +20,7 @@ ONE = np.ones(1)
 def apply_filter(b: FloatArray, a: FloatArray, x: FloatArray, state: FloatArray = NOTHING) -> FloatArray:
     """(N,) x, or each of (N, columns), through B / A.
 
-    Parameters
-    ----------
-    state : (L,) of the transposed direct form before the first sample, as `lfilter` takes it, the same for
+    `state`: (L,) of the transposed direct form before the first sample, as `lfilter` takes it, the same for
         every column; zero when empty.
     """
     if x.ndim > 1:
@@ -61,12 +59,8 @@ def decimate(x: FloatArray, factor: int, *, half_width: int = 10) -> FloatArray:
 
     As `scipy.signal.decimate` with an FIR filter has it: a sinc under a Hamming window, zero beyond the ends.
 
-    Parameters
-    ----------
-    half_width : of the filter, in rows that are kept.
+    `half_width`: of the filter, in rows that are kept.
 
-    Examples
-    --------
     >>> x = np.sin(0.01 * np.arange(4000.0))
     >>> bool(np.abs(decimate(x, 5) - x[::5])[20:-20].max() < 2e-3)
     True

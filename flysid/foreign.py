@@ -80,15 +80,10 @@ def _why_not_inside(path: Path, folder: Path) -> str:
 def read_object(path: Path, what: str, hint: str) -> dict[str, Any]:
     """The JSON object in a file.
 
-    Parameters
-    ----------
-    what : it is, for the words of an error: "a flysid model".
-    hint : what to try where it is none.
-
-    Raises
-    ------
-    StoreError : it cannot be read, is no file or too large, is not JSON (which has neither NaN nor infinity),
-        or no object.
+    `what`: it is, for the words of an error: "a flysid model".
+    `hint`: what to try where it is none.
+    Raises StoreError: it cannot be read, is no file or too large, is not JSON (which has neither NaN nor
+    infinity), or no object.
     """
     try:
         mode = path.stat()
@@ -109,12 +104,8 @@ def read_object(path: Path, what: str, hint: str) -> dict[str, Any]:
 def shaped(body: object, shape: type[T]) -> T:
     """What was read as JSON as the type that it is meant for, lists as tuples, every entry checked.
 
-    Raises
-    ------
-    ValueError : an entry is missing or of another type; says which.
+    Raises ValueError: an entry is missing or of another type; says which.
 
-    Examples
-    --------
     >>> shaped([1, 2.5], tuple[float, ...])
     (1.0, 2.5)
     """

@@ -140,9 +140,7 @@ def to_json(manifest: Manifest) -> bytes:
 def read_manifest(folder: str | Path) -> Manifest:
     """Read the manifest of one flight's folder.
 
-    Raises
-    ------
-    StoreError : missing, damaged, or written by a newer flysid.
+    Raises StoreError: missing, damaged, or written by a newer flysid.
     """
     path = mirror.fetch(inner_path(Path(folder), MANIFEST_FILE, folder))
     return parse_manifest(_read(path), path)
@@ -181,10 +179,8 @@ def _columns(text: bytes) -> tuple[Column, ...]:
 def check_data_folder(data: str | Path) -> Path:
     """`data` as a Path, once it is known to be an ingested folder of a version that is understood.
 
-    Raises
-    ------
-    UsageError : there is no such folder, or `flysid ingest` did not make it.
-    StoreError : damaged, or of a newer version.
+    Raises UsageError: there is no such folder, or `flysid ingest` did not make it. Raises StoreError:
+    damaged, or of a newer version.
     """
     data = Path(data)
     if data.is_file():
@@ -223,11 +219,8 @@ def check_lake(document: bytes, address: str) -> None:
 def list_flights(data: str | Path) -> list[Manifest]:
     """Manifests of all flights of an ingested folder, by id. Unfinished flights do not show.
 
-    Each is read; `flysid.catalogue` has most of it without.
-
-    Raises
-    ------
-    UsageError, StoreError : as `check_data_folder` and `read_manifest`.
+    Each is read; `flysid.catalogue` has most of it without. Raises UsageError, StoreError: as
+    `check_data_folder` and `read_manifest`.
     """
     data = check_data_folder(data)
     return [read_manifest(data / FLIGHTS / name) for name in sorted(stamps(data))]
@@ -263,9 +256,7 @@ def content_stamp(text: bytes) -> Stamp:
 def find_flight(data: str | Path, flight: str) -> Manifest:
     """The flight whose id is, or unambiguously begins with, `flight`.
 
-    Raises
-    ------
-    UsageError : no such flight, or several.
+    Raises UsageError: no such flight, or several.
     """
     data = check_data_folder(data)
     if flight and Path(flight).name == flight:
@@ -281,9 +272,7 @@ def find_flight(data: str | Path, flight: str) -> Manifest:
 def find_named(flight: str, ids: Collection[str], path: str | Path) -> str:
     """The one of `ids` that is, or unambiguously begins with, `flight`.
 
-    Raises
-    ------
-    UsageError : no such flight, or several; `path` is where they are.
+    Raises UsageError: no such flight, or several; `path` is where they are.
     """
     if not flight:
         raise UsageError("the name of the flight is empty", path=path, hint="see 'flysid ls'")

@@ -188,12 +188,7 @@ class Place:
             return None
 
     def list(self, below: str = "", after: str = "") -> Iterator[StoredObject]:
-        """Objects below a folder, by key; a thousand a request.
-
-        Parameters
-        ----------
-        after : only keys that come later.
-        """
+        """Objects below a folder, by key; a thousand a request. `after`: only keys that come later."""
         import obstore
 
         with self._asking(below):
@@ -263,11 +258,7 @@ class Place:
 
         Creates the object if it is not there, from several threads at once: at most one may succeed, and
         another attempt must be refused. A store that takes the condition and writes all the same would let
-        two writers commit one flight twice.
-
-        Raises
-        ------
-        UsageError : it does not.
+        two writers commit one flight twice. Raises UsageError: it does not.
         """
         is_new = self.head(key) is None
         won = sum(_at_once(lambda _: self.create(key, content), range(racers if is_new else 1)))

@@ -23,14 +23,12 @@ from typing import Any
 class Step:
     """One step of long work.
 
-    Attributes
-    ----------
-    stage : what is being done, or was just done, in a few words.
-    channel, model, log : what it is about; "" where that is all of them.
-    share : of all the work that is done, 0 to 1; None where the step does not know.
-    validation : free-run RMSE of the model on data that it was not fitted to, in standard deviations of the
+    `stage`: what is being done, or was just done, in a few words.
+    `channel`, `model`, `log`: what it is about; "" where that is all of them.
+    `share`: of all the work that is done, 0 to 1; None where the step does not know.
+    `validation`: free-run RMSE of the model on data that it was not fitted to, in standard deviations of the
         output; None where the step found none.
-    result : what could be used if the work ended here; not shown to anybody.
+    `result`: what could be used if the work ended here; not shown to anybody.
     """
 
     stage: str

@@ -129,19 +129,14 @@ def plan_split(
 ) -> Split:
     """Choose the held-out part.
 
-    Parameters
-    ----------
-    data : the dataset.
-    holdout : share of the samples to hold out, in (0, 1).
-    by : "flight" holds out whole flights, "time" blocks of each flight, about a tenth of it long, with a
+    `data`: the dataset.
+    `holdout`: share of the samples to hold out, in (0, 1).
+    `by`: "flight" holds out whole flights, "time" blocks of each flight, about a tenth of it long, with a
         guard on both sides that serves neither part; "auto": by flight from three flights on.
-    seed : the same seed gives the same split.
-    guard_s : length of the guard; default one second, or 20 samples where that is longer.
-
-    Raises
-    ------
-    UsageError : `holdout` or `by` makes no sense.
-    DataError : too few flights or samples; one flight is a copy of another, on the other side.
+    `seed`: the same seed gives the same split.
+    `guard_s`: length of the guard; default one second, or 20 samples where that is longer.
+    Raises UsageError: `holdout` or `by` makes no sense. Raises DataError: too few flights or samples; one
+    flight is a copy of another, on the other side.
     """
     if not 0 < holdout < 1:
         raise UsageError(f"holdout must lie between 0 and 1, not {holdout}")
@@ -176,15 +171,10 @@ def plan_held(
 ) -> Split:
     """Hold out what is named, instead of a share by chance.
 
-    Parameters
-    ----------
-    data : the dataset.
-    held : flight -> spans of vehicle time [start, stop) in ns.
-    guard_s : samples this near to a held-out span serve neither part; default as `plan_split`.
-
-    Raises
-    ------
-    DataError : nothing lies in the spans, or nothing beside them; a copy is held out.
+    `data`: the dataset.
+    `held`: flight -> spans of vehicle time [start, stop) in ns.
+    `guard_s`: samples this near to a held-out span serve neither part; default as `plan_split`.
+    Raises DataError: nothing lies in the spans, or nothing beside them; a copy is held out.
     """
     guard = default_guard(data.dt_s) if guard_s is None else guard_s
     rows = [(s.flight, s.t0_ns, len(s.y)) for s in data.segments]
@@ -203,9 +193,7 @@ def held_pieces(
 ) -> tuple[list[Piece], list[Piece]]:
     """(train, test) of segments, each a flight, the time of its first sample in ns, and its samples.
 
-    Raises
-    ------
-    DataError : nothing lies in the spans, or nothing beside them.
+    Raises DataError: nothing lies in the spans, or nothing beside them.
     """
     train: list[Piece] = []
     test: list[Piece] = []
@@ -231,9 +219,7 @@ def way_of(rows: Sequence[tuple[str, int, int]], train: Sequence[Piece], test: S
 def plan_folds(data: Splittable, folds: int, *, seed: int = 0) -> tuple[Split, ...]:
     """Splits that hold out every flight once: at most `folds`, of about equal numbers of flights.
 
-    Raises
-    ------
-    DataError : there is one flight only; one flight is a copy of another.
+    Raises DataError: there is one flight only; one flight is a copy of another.
     """
     flights = list(dict.fromkeys(s.flight for s in data.segments))
     if len(flights) < 2:
@@ -292,13 +278,8 @@ def _sides(segments: Sequence[Stretch], held: Collection[str]) -> tuple[list[Pie
 def flights_to_hold(size: Mapping[str, int], goal: float, rng: np.random.Generator) -> set[str]:
     """Flights of together about `goal` samples, but never all.
 
-    Parameters
-    ----------
-    size : samples of every flight.
-
-    Raises
-    ------
-    DataError : there is one flight only.
+    `size`: samples of every flight.
+    Raises DataError: there is one flight only.
     """
     flights = list(size)
     if len(flights) < 2:
@@ -367,9 +348,7 @@ def _runs(segment: int, mask: npt.NDArray[np.bool_]) -> list[Piece]:
 def refuse_copies(data: Splittable, train: Sequence[Piece], test: Sequence[Piece]) -> None:
     """Refuse a split that holds out what it trains on: whole copies, or logs that overlap; see `copies`.
 
-    Raises
-    ------
-    DataError : names the two flights.
+    Raises DataError: names the two flights.
     """
     found = find_copy(cut(data, train).segments, cut(data, test).segments, data.dt_s)
     if found is not None:

@@ -112,11 +112,8 @@ def flight_id(source: Source, digits: int = 8) -> str:
 def create_data_folder(data: str | Path) -> Path:
     """Make `data` an ingested folder unless it is one.
 
-    Raises
-    ------
-    UsageError : it exists, is not empty and is not an ingested folder.
-    StoreError : its flights are a link that leads elsewhere.
-    WriteError : it cannot be made.
+    Raises UsageError: it exists, is not empty and is not an ingested folder. Raises StoreError: its flights
+    are a link that leads elsewhere. Raises WriteError: it cannot be made.
     """
     data = Path(data)
     if (data / DATA_FILE).is_file():
@@ -203,17 +200,13 @@ def write_flight(
 ) -> Manifest:
     """Write one flight into an ingested folder, in bounded memory.
 
-    Parameters
-    ----------
-    data : the ingested folder (`create_data_folder`).
-    source : the log the parts come from.
-    parts : a reader's generator: yields parts of streams, returns a summary.
-    replace : overwrite a flight of the same id; without it the present one is returned unread.
-    info : facts beside those that the reader finds.
-
-    Raises
-    ------
-    WriteError : disk full, read-only. FormatError : from the reader. Nothing stays visible either way.
+    `data`: the ingested folder (`create_data_folder`).
+    `source`: the log the parts come from.
+    `parts`: a reader's generator: yields parts of streams, returns a summary.
+    `replace`: overwrite a flight of the same id; without it the present one is returned unread.
+    `info`: facts beside those that the reader finds.
+    Raises WriteError: disk full, read-only. Raises FormatError: from the reader. Nothing stays visible either
+    way.
     """
     data = Path(data)
     name = _free_id(data, source)
@@ -290,17 +283,11 @@ def _write_streams(
 def read_stream(data: str | Path, flight: str, stream: str, columns: Sequence[str] | None = None) -> pa.Table:
     """One stream of an ingested flight, sorted by (boot, time_ns).
 
-    Parameters
-    ----------
-    data : the ingested folder.
-    flight : the flight's id, or its unambiguous beginning.
-    stream : the stream's key, or its message name where that is unambiguous.
-    columns : which columns, in this order; all when None.
-
-    Raises
-    ------
-    UsageError : no such flight, stream or column.
-    StoreError : damaged.
+    `data`: the ingested folder.
+    `flight`: the flight's id, or its unambiguous beginning.
+    `stream`: the stream's key, or its message name where that is unambiguous.
+    `columns`: which columns, in this order; all when None.
+    Raises UsageError: no such flight, stream or column. Raises StoreError: damaged.
     """
     manifest = find_flight(data, flight)
     return read_entry(Path(data) / FLIGHTS / manifest.id, manifest.stream(stream), columns)

@@ -51,9 +51,7 @@ def refuse_numba_settings(folder: Path) -> None:
 def ignore_matplotlib_style(folder: Path) -> None:
     """Pictures are drawn in the user's own style, or the usual one, not in that of this folder.
 
-    Raises
-    ------
-    UsageError : Matplotlib does not understand the file, and so cannot be imported.
+    Raises UsageError: Matplotlib does not understand the file, and so cannot be imported.
     """
     path = folder / STYLE_FILE
     if not path.exists() or importlib.util.find_spec("matplotlib") is None:

@@ -145,12 +145,7 @@ class _Learner:
         return cls(problem, start, E, z, Y)
 
     def on(self, data: Dataset) -> _Learner:
-        """The same model on other data.
-
-        Raises
-        ------
-        DataError : no segment is long enough.
-        """
+        """The same model on other data. Raises DataError: no segment is long enough."""
         layout = self.problem.layout
         runs = runs_of(layout, data.segments, layout.depth + 2)
         if not runs:
@@ -182,9 +177,7 @@ class _Learner:
     def with_consequents(self, body: Body, *, ridge: float = 1e-9) -> Body:
         """Global least squares, the paper's eq. (4), for the body's memberships.
 
-        Parameters
-        ----------
-        ridge : on consequents, relative: neighbouring rules are nearly collinear.
+        `ridge`: on consequents, relative: neighbouring rules are nearly collinear.
         """
         phi = self.firing(body)
         design = (phi[:, :, None] * self.E[:, None, :]).reshape(len(phi), -1)

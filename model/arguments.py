@@ -12,12 +12,7 @@ from flysid.showing import counted
 
 
 def as_columns(values: FloatArray, count: int, name: str) -> FloatArray:
-    """(N, count) float array.
-
-    Raises
-    ------
-    UsageError : no numbers, another number of columns, or not finite.
-    """
+    """(N, count) float array. Raises UsageError: no numbers, another number of columns, or not finite."""
     try:
         array = np.asarray(values, dtype=np.float64)
     except (TypeError, ValueError) as error:
@@ -45,9 +40,7 @@ def as_record(
 ) -> tuple[FloatArray, FloatArray]:
     """u (N, n_u) and y (N, n_y) that a model predicts k steps ahead on.
 
-    Raises
-    ------
-    UsageError : shapes do not fit, not finite, or k < 1.
+    Raises UsageError: shapes do not fit, not finite, or k < 1.
     """
     if not k >= 1:
         raise UsageError(f"a prediction looks at least one step ahead, not {k}")

@@ -242,13 +242,8 @@ class _LeastSquaresFit:
 def _grid(data: Source, choices: Sequence[OrderChoice], offset: bool, scaling: Scaling | None = None) -> Grid:
     """The triangle over all lags that the choices need, in one pass.
 
-    Parameters
-    ----------
-    scaling : to apply on the way; None when the data are scaled already.
-
-    Raises
-    ------
-    DataError : the segments are shorter than the lags.
+    `scaling`: to apply on the way; None when the data are scaled already.
+    Raises DataError: the segments are shorter than the lags.
     """
     n_y = len(data.outputs)
     n_u = len(data.inputs)
@@ -259,12 +254,7 @@ def _grid(data: Source, choices: Sequence[OrderChoice], offset: bool, scaling: S
 
 
 def _from_disk(settings: ARX, data: OnDisk, validation: Dataset | None) -> FittedLinear:
-    """Orders from the head, coefficients from all blocks.
-
-    Raises
-    ------
-    UsageError : a refinement was asked for.
-    """
+    """Orders from the head, coefficients from all blocks. Raises UsageError: a refinement was asked for."""
     if settings.refine is True:
         raise UsageError(
             "a refinement needs its data in memory", hint="fit data.read(), or data.head(rows) for a part"

@@ -37,7 +37,6 @@ from flysid.version import check_version
 
 MODEL_FORMAT = "flysid-model"
 MODEL_VERSION = 1
-MAX_FILE_BYTES = 256 << 20
 MAX_INIT = 1_000_000
 MAX_SIGNALS = 1000
 

@@ -21,14 +21,9 @@ Signals = tuple[tuple[Signal, ...], tuple[Signal, ...]]
 def control_of_difference(system: Difference, signals: Signals, dt_s: float, form: ControlForm) -> Any:
     """A difference equation as control.TransferFunction ("tf") or control.StateSpace ("ss").
 
-    Parameters
-    ----------
-    signals : inputs, outputs.
-    form : "auto" is "tf" for one input and output, else "ss".
-
-    Raises
-    ------
-    UsageError : a transfer matrix was asked for of coupled outputs.
+    `signals`: inputs, outputs.
+    `form`: "auto" is "tf" for one input and output, else "ss".
+    Raises UsageError: a transfer matrix was asked for of coupled outputs.
     """
     import control
 

@@ -36,9 +36,7 @@ def signals_of(document: Mapping[str, Any], key: str) -> tuple[Signal, ...]:
 def array_of(document: Mapping[str, Any], key: str, *shape: int) -> FloatArray:
     """A finite array of the given shape; -1 for a length that the rest of the file does not tell.
 
-    Raises
-    ------
-    KeyError : there is none. ValueError : another shape, or not finite.
+    Raises KeyError: there is none. Raises ValueError: another shape, or not finite.
     """
     values = np.asarray(document[key], dtype=np.float64)
     if values.size == 0 and values.ndim != len(shape):  # lists in lists do not tell what is empty of what
@@ -55,13 +53,8 @@ def array_of(document: Mapping[str, Any], key: str, *shape: int) -> FloatArray:
 def monic(values: FloatArray, key: str) -> FloatArray:
     """Coefficients that begin with 1, or with the identity: what a recursion divides by.
 
-    Parameters
-    ----------
-    values : (p + 1, n_y) polynomials in the delay per output, or (p + 1, n_y, n_y) between outputs.
-
-    Raises
-    ------
-    ValueError : there are none, or they begin otherwise.
+    `values`: (p + 1, n_y) polynomials in the delay per output, or (p + 1, n_y, n_y) between outputs.
+    Raises ValueError: there are none, or they begin otherwise.
     """
     one = np.eye(values.shape[-1]) if values.ndim == 3 else np.ones(values.shape[-1])
     if not len(values) or np.abs(values[0] - one).max(initial=0.0) > 1e-9:

@@ -101,9 +101,7 @@ def without_block(data: Dataset, block: int, blocks: int, *, least_rows: int = 3
 
     `least_rows`: of a piece of a segment that is left when a block is taken out.
 
-    Raises
-    ------
-    DataError : nothing is left.
+    Raises DataError: nothing is left.
     """
     total = len(data)
     begin = total * block // blocks

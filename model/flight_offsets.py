@@ -61,10 +61,8 @@ M = TypeVar("M")
 class Beside:
     """A transfer of one output, in scaled deviations, beside which flights have constants.
 
-    Attributes
-    ----------
-    gain : of a constant at its input: on the output, or on its change from sample to sample.
-    drifts : the output integrates.
+    `gain`: of a constant at its input: on the output, or on its change from sample to sample.
+    `drifts`: the output integrates.
     """
 
     transfer: Transfer
@@ -76,12 +74,10 @@ class Beside:
 class Offsets:
     """What every flight's outputs have beside what the inputs do to them.
 
-    Attributes
-    ----------
-    values : by flight, (n_y,) in the outputs' units, or per second; 0 where flights do not differ.
-    common : (n_y,) mean of the flights, which is none of theirs: the model has it.
-    beside : per output, None where flights do not differ.
-    parts : the scaling of the training data.
+    `values`: by flight, (n_y,) in the outputs' units, or per second; 0 where flights do not differ.
+    `common`: (n_y,) mean of the flights, which is none of theirs: the model has it.
+    `beside`: per output, None where flights do not differ.
+    `parts`: the scaling of the training data.
     """
 
     values: Mapping[str, FloatArray]
@@ -169,9 +165,7 @@ def with_own_constants(fit: Callable[P, M]) -> Callable[P, M]:
 def find_offsets(train: Dataset, *, always: bool = False) -> Offsets | None:
     """The constants of the flights; None where these do not differ beyond chance, or there is one flight.
 
-    Parameters
-    ----------
-    always : without asking whether they differ.
+    `always`: without asking whether they differ.
     """
     if len({name for name, _ in named_segments(train)}) < 2:
         return None

@@ -28,13 +28,11 @@ Pieces = Callable[[], Iterable[tuple[FloatArray, FloatArray]]]
 class Triangle:
     """The triangle of [Phi Y 1].
 
-    Attributes
-    ----------
-    r : (n + m + 1, n + m + 1) upper triangular.
-    n : columns of Phi.
-    m : columns of Y.
-    rows : samples behind it.
-    method : "gram" or "tsqr".
+    `r`: (n + m + 1, n + m + 1) upper triangular.
+    `n`: columns of Phi.
+    `m`: columns of Y.
+    `rows`: samples behind it.
+    `method`: "gram" or "tsqr".
     """
 
     r: FloatArray
@@ -53,14 +51,12 @@ class Triangle:
 class LeastSquares:
     """A regression on some columns of a Triangle.
 
-    Attributes
-    ----------
-    theta : (p,) coefficients in the order of the columns asked for.
-    rss : residual sum of squares.
-    rows : samples behind it.
-    rank : numerical rank; below p the columns are collinear and theta is the shortest solution.
-    condition : of the column-scaled regressors.
-    unscaled_covariance : (p, p) (PhiᵀPhi)⁻¹; times the residual variance it is theta's covariance.
+    `theta`: (p,) coefficients in the order of the columns asked for.
+    `rss`: residual sum of squares.
+    `rows`: samples behind it.
+    `rank`: numerical rank; below p the columns are collinear and theta is the shortest solution.
+    `condition`: of the column-scaled regressors.
+    `unscaled_covariance`: (p, p) (PhiᵀPhi)⁻¹; times the residual variance it is theta's covariance.
     """
 
     theta: FloatArray
@@ -80,10 +76,8 @@ class LeastSquares:
 def reduce_data(pieces: Pieces, gram: FloatArray | None = None) -> Triangle:
     """The triangle of all pieces (Phi, Y), by the Gram where its condition allows, else by TSQR.
 
-    Parameters
-    ----------
-    pieces : called for every pass over the data.
-    gram : of [Phi Y 1], where it is known already (see `lagged_gram`).
+    `pieces`: called for every pass over the data.
+    `gram`: of [Phi Y 1], where it is known already (see `lagged_gram`).
     """
     first = next(iter(pieces()))
     rows = 0
@@ -121,14 +115,9 @@ def lagged_triangle(
 
     By the Gram where its condition allows, else by TSQR.
 
-    Parameters
-    ----------
-    pick : columns of `lagged_gram` but the constant, in the order wanted; all of them when None.
-    targets : how many of them, the last, are the Triangle's Y.
-
-    Raises
-    ------
-    DataError : no segment is longer than `depth`.
+    `pick`: columns of `lagged_gram` but the constant, in the order wanted; all of them when None.
+    `targets`: how many of them, the last, are the Triangle's Y.
+    Raises DataError: no segment is longer than `depth`.
     """
     gram = lagged_gram(windows(blocks(), depth), depth)
     if len(gram) == 1:

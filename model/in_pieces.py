@@ -49,8 +49,6 @@ def in_pieces(model: Fitted, *, remembered_s: float = 10.0) -> InPieces:
 
     `remembered_s`: of a structure whose row names no function for it.
 
-    Examples
-    --------
     >>> ahead = in_pieces(model)  # doctest: +SKIP
     >>> ahead.feed(u[:10], y[:10]); ahead.feed(u[10:], y[10:])  # doctest: +SKIP
     """
@@ -129,11 +127,9 @@ class _Averaged:
 class _OutputError:
     """A free run, and what the noise model foresees of its error.
 
-    Parameters
-    ----------
-    measured : samples that the free run is started from; until more have come, `predict` answers.
-    noise, ma : (p + 1, n_y) and (q + 1, n_y) monic, or None.
-    begun : the free run from the first samples on: its outputs along them, and what carries it on.
+    `measured`: samples that the free run is started from; until more have come, `predict` answers.
+    `noise`, `ma`: (p + 1, n_y) and (q + 1, n_y) monic, or None.
+    `begun`: the free run from the first samples on: its outputs along them, and what carries it on.
     """
 
     def __init__(

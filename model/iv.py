@@ -111,11 +111,7 @@ def _first_to_follow(
     """The first stable model whose free run follows the data at least as the first value held does.
 
     Of an integrating plant every estimate may lie outside the unit circle by a hair: where no stable one
-    follows, the first that does.
-
-    Raises
-    ------
-    FitError : none does.
+    follows, the first that does. Raises FitError: none does.
     """
     loose: list[FittedLinear] = []
     why: list[FitError] = []
@@ -173,11 +169,9 @@ def _ranked(settings: IV, parts: Parts, columns: SignalRoles) -> list[Chosen]:
 class _Trial:
     """Estimates of several orders with the same delays.
 
-    Attributes
-    ----------
-    tried : orders by their order and block errors on the checking part; those whose estimate is stable.
-    unstable : the others with an estimate.
-    least : orders of the lowest order, where there is no estimate at all.
+    `tried`: orders by their order and block errors on the checking part; those whose estimate is stable.
+    `unstable`: the others with an estimate.
+    `least`: orders of the lowest order, where there is no estimate at all.
     """
 
     tried: list[Tried]

@@ -54,13 +54,9 @@ def shortfall(
 ) -> str:
     """Why the free run over the training data does not stand beside others; "" where it does.
 
-    Parameters
-    ----------
-    beside : name for people -> a model that knows the same data. The first value held is one of them.
-    margin : relative difference of errors that is granted.
+    `beside`: name for people -> a model that knows the same data. The first value held is one of them.
+    `margin`: relative difference of errors that is granted.
 
-    Examples
-    --------
     >>> from flysid.model.last_gates import shortfall
     >>> model = flysid.ARX(na=1, nb=1, nk=1).fit(train)  # train: see `flysid.Dataset`
     >>> shortfall(model, {"a line": flysid.Line().fit(train)}, train)

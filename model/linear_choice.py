@@ -27,12 +27,10 @@ FIRST = "arx"
 class BaselineChoice:
     """The baseline, and why.
 
-    Attributes
-    ----------
-    label : of the linear model chosen.
-    rmse : validation free-run RMSE in standard deviations of the output, by label; empty where the training
+    `label`: of the linear model chosen.
+    `rmse`: validation free-run RMSE in standard deviations of the output, by label; empty where the training
         part is too short to hold anything out.
-    words : one sentence.
+    `words`: one sentence.
     """
 
     label: str
@@ -45,13 +43,8 @@ def best_linear(
 ) -> tuple[BaselineChoice, Fitted]:
     """The candidate that `flysid fit` takes as the baseline, fitted to all training data.
 
-    Parameters
-    ----------
-    validation : judges the candidates; where it is None, a part of the training data does.
-
-    Raises
-    ------
-    FitError : no candidate could be fitted.
+    `validation`: judges the candidates; where it is None, a part of the training data does.
+    Raises FitError: no candidate could be fitted.
     """
     if validation is not None:
         fitted = _fit(candidates, train, validation)
@@ -79,9 +72,7 @@ def _ask(train: Dataset, candidates: Mapping[str, Estimator]) -> Hashable | None
 def choose_baseline(train: Dataset, candidates: Mapping[str, Estimator]) -> BaselineChoice:
     """Fit every candidate to a part of `train`, judge it by its free run over the rest.
 
-    Raises
-    ------
-    FitError : no candidate could be fitted.
+    Raises FitError: no candidate could be fitted.
     """
     try:
         fit, check = parts_to_choose_on(train)
@@ -94,9 +85,7 @@ def choose_baseline(train: Dataset, candidates: Mapping[str, Estimator]) -> Base
 def best_fitted(models: Mapping[str, Fitted], data: Dataset) -> BaselineChoice:
     """Of fitted models the one whose free run follows `data` best; ARX unless another is clearly better.
 
-    Raises
-    ------
-    DataError : no segment is long enough.
+    Raises DataError: no segment is long enough.
     """
     over = f"free-run RMSE over {len(data):,} training samples"
     return _chosen(_of_the_bounded(models, data), over)
@@ -120,9 +109,7 @@ def confirm(choice: BaselineChoice, models: Mapping[str, Fitted], train: Dataset
 
     Validation is one flight or a few: what wins there and then fits the whole worse has won by luck.
 
-    Parameters
-    ----------
-    models : the linear models fitted to all training data, by label.
+    `models`: the linear models fitted to all training data, by label.
     """
     first = _first(models)
     if choice.label == first or choice.label not in models:

@@ -23,9 +23,7 @@ _CLOSE = float(np.sqrt(np.finfo(float).eps))  # until a slack is known this clos
 def slackless(blocks: Sequence[Block], x: FloatArray) -> FloatArray | None:
     """(k,) unknowns once the slack, the last of them, is below zero; None where it stays above.
 
-    Parameters
-    ----------
-    x : strictly inside all blocks.
+    `x`: strictly inside all blocks.
     """
     cost = np.eye(len(x))[-1]
 
@@ -39,9 +37,7 @@ def slackless(blocks: Sequence[Block], x: FloatArray) -> FloatArray | None:
 def cheapest(blocks: Sequence[Block], cost: FloatArray, x: FloatArray, share: float) -> FloatArray:
     """(k,) unknowns whose cost is within a share of the least; strictly inside all blocks.
 
-    Parameters
-    ----------
-    x : strictly inside all blocks.
+    `x`: strictly inside all blocks.
     """
 
     def known(gap: float, x: FloatArray) -> bool:

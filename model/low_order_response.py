@@ -39,10 +39,8 @@ NEGLIGIBLE = 1e-3
 class _Data:
     """What the samples say of all taps.
 
-    Attributes
-    ----------
     inner (n, n), cross (n,), power : products of the taps' regressors, with the output, of the output.
-    rows : how many samples. shape : taps, inputs.
+    `rows`: how many samples. `shape`: taps, inputs.
     """
 
     inner: FloatArray
@@ -65,9 +63,7 @@ class _Prior:
 def averaged_posterior(gram: FloatArray, rows: float, shape: tuple[int, int]) -> Posterior:
     """Of all priors, by their marginal likelihood; `gram` is about the means, the output behind the taps.
 
-    Raises
-    ------
-    FitError : values too extreme for any of them.
+    Raises FitError: values too extreme for any of them.
     """
     n = shape[0] * shape[1]
     data = _Data(gram[:n, :n], gram[:n, n], float(gram[n, n]), rows, shape)

@@ -88,10 +88,8 @@ def noise_models(errors: Sequence[FloatArray]) -> FloatArray:
 def output_error_ahead(free: FloatArray, y: FloatArray, noise: FloatArray, k: int) -> FloatArray:
     """(N, n_y) k-step prediction: the free run, and what the noise model foresees of its error.
 
-    Parameters
-    ----------
-    free, y : (N, n_y) free run and measured outputs.
-    noise : (p + 1, n_y) monic autoregression of y - free per output.
+    `free`, `y`: (N, n_y) free run and measured outputs.
+    `noise`: (p + 1, n_y) monic autoregression of y - free per output.
     """
     coloured = np.stack([np.diag(row) for row in noise])
     return free + k_step_ahead(coloured, y - free, np.zeros_like(y), k)
@@ -109,9 +107,7 @@ def k_step_ahead(
 
     Row t of `ahead[j]` holds the prediction of y(t + j) at time t; every step is one pass over all t.
 
-    Parameters
-    ----------
-    ma, e : (q + 1, n_y) C and (N, n_y) innovations; C = 1 where they are None.
+    `ma`, `e`: (q + 1, n_y) C and (N, n_y) innovations; C = 1 where they are None.
     """
     blank = np.zeros((1, y.shape[1]))  # so that row k - 1 exists
     y = np.concatenate([blank, y])

@@ -34,11 +34,9 @@ LEVEL = 0.005
 class Nonlinearity:
     """What part of one output does not follow the inputs linearly.
 
-    Attributes
-    ----------
-    p_value : of chance making the shapes explain so much; 1 where there are too few samples.
-    share : of the output's standard deviation, at least; 0 where nothing is explained.
-    smallest : the share that would have been found.
+    `p_value`: of chance making the shapes explain so much; 1 where there are too few samples.
+    `share`: of the output's standard deviation, at least; 0 where nothing is explained.
+    `smallest`: the share that would have been found.
     """
 
     output: str
@@ -72,13 +70,9 @@ class Nonlinearity:
 def nonlinearity(model: Fitted, data: Dataset) -> tuple[Nonlinearity, ...]:
     """For every output, what share does not follow the inputs linearly.
 
-    Parameters
-    ----------
-    model : the best linear model of `data`, fitted to it.
-    data : its training data.
+    `model`: the best linear model of `data`, fitted to it.
+    `data`: its training data.
 
-    Examples
-    --------
     >>> from flysid.model.nonlinearity import nonlinearity
     >>> line = flysid.ARX(na=1, nb=1, nk=1).fit(train)  # train: see `flysid.Dataset`, a linear plant
     >>> [found.found for found in nonlinearity(line, train)]
@@ -114,10 +108,8 @@ def _sums(
 ) -> FloatArray | None:
     """(blocks, m) products of the linear remainder with orthonormal combinations of the shapes, by block.
 
-    Parameters
-    ----------
-    grams : (blocks, c, c) products of linear columns, shapes and the model's error.
-    least_share : of the largest: variances of combinations of shapes below it are rounding.
+    `grams`: (blocks, c, c) products of linear columns, shapes and the model's error.
+    `least_share`: of the largest: variances of combinations of shapes below it are rounding.
     """
     if len(grams) < fewest:
         return None

@@ -74,12 +74,10 @@ def linear_rivals(
 ) -> dict[str, Estimator]:
     """All that competes for the baseline, by label: linear structures, then one rule over lags, over states.
 
-    Parameters
-    ----------
-    nk_hint : delays per input that they try besides their own.
-    nk_least : below which one rule does not go.
-    search : how long one rule is looked for; without hidden states there is none over states.
-    flight_offsets : as `flysid.ARX` takes it.
+    `nk_hint`: delays per input that they try besides their own.
+    `nk_least`: below which one rule does not go.
+    `search`: how long one rule is looked for; without hidden states there is none over states.
+    `flight_offsets`: as `flysid.ARX` takes it.
     """
     given = {
         "flight_offsets": flight_offsets,
@@ -96,9 +94,7 @@ def same_orders(model: Fitted, search: SearchSettings) -> Estimator | None:
 
     None for several outputs, whose orders differ.
 
-    Parameters
-    ----------
-    search : how long one rule is refined.
+    `search`: how long one rule is refined.
     """
     if len(model.outputs) > 1:
         return None

@@ -18,10 +18,8 @@ FlightOffsets: TypeAlias = bool | Literal["auto"]
 class OwnConstants:
     """By flight, what its outputs had beside the inputs' effect in training.
 
-    Attributes
-    ----------
-    values : by flight, one number per output: a constant in its unit, or a drift in its unit per second.
-    drifting : per output, whether the numbers are drifts. An output that integrates has these: what is
+    `values`: by flight, one number per output: a constant in its unit, or a drift in its unit per second.
+    `drifting`: per output, whether the numbers are drifts. An output that integrates has these: what is
         constant at its input makes it drift.
     """
 
@@ -49,12 +47,7 @@ def as_document(constants: OwnConstants | None) -> dict[str, Any]:
 
 
 def from_document(document: Mapping[str, Any], n_y: int) -> OwnConstants | None:
-    """What `as_document` wrote.
-
-    Raises
-    ------
-    ValueError : not one finite number per output.
-    """
+    """What `as_document` wrote. Raises ValueError: not one finite number per output."""
     found = document.get("flight_offsets")
     if found is None:
         return None

@@ -23,15 +23,7 @@ from flysid.model.linear.difference_equation import FittedLinear
 from flysid.model.linear.settings import Auto
 from flysid.model.narx.fitted_polynomial import FittedPolyNARX, Units
 from flysid.model.narx.polynomial_terms import depth_of
-from flysid.model.narx.term_search import (
-    RefinedTerms,
-    TermSearch,
-    finish,
-    grown,
-    linear_terms,
-    proven,
-    prune,
-)
+from flysid.model.narx.term_search import RefinedTerms, TermSearch, finish, grown, linear_terms, proven, prune
 from flysid.model.own_constants import FlightOffsets
 from flysid.model.selection import clearly_better
 from flysid.model.settings import Settings

@@ -54,10 +54,8 @@ def poles(a: FloatArray) -> ComplexArray:
 def nearly_cancelled(pole: complex, numerators: Iterable[FloatArray], *, near_share: float = 0.1) -> bool:
     """Every input that does anything has a zero beside the pole, so that answers hardly show it.
 
-    Parameters
-    ----------
-    numerators : (nk + nb,) taps of every input, zeros up to its delay.
-    near_share : of a pole's distance from one, which is that of its gain.
+    `numerators`: (nk + nb,) taps of every input, zeros up to its delay.
+    `near_share`: of a pole's distance from one, which is that of its gain.
     """
     taps = [b for b in map(np.trim_zeros, numerators) if len(b)]
     near = [(np.abs(np.roots(b) - pole) < near_share * abs(1.0 - pole)).any() for b in taps]
@@ -100,12 +98,10 @@ DB = 20.0 / np.log(10.0)
 class Mode:
     """A pole or a conjugate pair in continuous-time words.
 
-    Attributes
-    ----------
-    pole : in z.
-    frequency_rad_s : natural frequency |ln z| / dt; inf for a pole at zero.
-    damping : -cos of the angle of ln z; below 0 unstable.
-    time_constant_s : -dt / ln |z|; inf on or outside the unit circle.
+    `pole`: in z.
+    `frequency_rad_s`: natural frequency |ln z| / dt; inf for a pole at zero.
+    `damping`: -cos of the angle of ln z; below 0 unstable.
+    `time_constant_s`: -dt / ln |z|; inf on or outside the unit circle.
     """
 
     pole: complex
@@ -144,10 +140,8 @@ def modes_of(roots: ComplexArray, dt_s: float) -> tuple[Mode, ...]:
 def polynomial_text(coefficients: FloatArray, errors: FloatArray | None = None, *, most: int = 12) -> str:
     """ "1 - 1.5 (+- 0.04) q^-1 + 0.7 (+- 0.02) q^-2"; zero terms are left out, long ones cut short.
 
-    Parameters
-    ----------
-    errors : standard errors; half the width of a 95 % interval is shown, and no digits far below it.
-    most : of a polynomial that is shown.
+    `errors`: standard errors; half the width of a 95 % interval is shown, and no digits far below it.
+    `most`: of a polynomial that is shown.
     """
     half = Z95 * (np.zeros(len(coefficients)) if errors is None else np.nan_to_num(errors))
     powers = [power for power, value in enumerate(coefficients) if value != 0.0]

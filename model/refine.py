@@ -35,11 +35,9 @@ Reason = Literal["converged", "stalled", "max_iterations"]
 class Refinement:
     """Where the search ended.
 
-    Attributes
-    ----------
-    theta : (n,) the parameters of lowest cost.
-    cost : sum of squared residuals at `theta`.
-    reason : "converged" (step or improvement below the tolerance, or the gradient vanished), "stalled" (no
+    `theta`: (n,) the parameters of lowest cost.
+    `cost`: sum of squared residuals at `theta`.
+    `reason`: "converged" (step or improvement below the tolerance, or the gradient vanished), "stalled" (no
         step lowers the cost), "max_iterations".
     """
 
@@ -73,16 +71,11 @@ def levenberg_marquardt(
 ) -> Refinement:
     """Minimise the sum of squared residuals from a start.
 
-    Parameters
-    ----------
-    evaluate : theta -> (r, J) or (cost, JᵀJ, Jᵀr). May return non-finite values for divergent models.
-    theta0 : (n,) start; its cost must be finite.
-    cost : theta -> rᵀr without derivatives, when that is cheaper: trial points are then tried with it first.
-    tolerance : relative decrease of the cost, and relative length of the step, that count as converged.
-
-    Raises
-    ------
-    FitError : the cost of the start is not finite.
+    `evaluate`: theta -> (r, J) or (cost, JᵀJ, Jᵀr). May return non-finite values for divergent models.
+    `theta0`: (n,) start; its cost must be finite.
+    `cost`: theta -> rᵀr without derivatives, when that is cheaper: trial points are then tried with it first.
+    `tolerance`: relative decrease of the cost, and relative length of the step, that count as converged.
+    Raises FitError: the cost of the start is not finite.
     """
     point = _start(evaluate, theta0)
     scale = _floor(point.diagonal)

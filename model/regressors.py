@@ -22,10 +22,8 @@ from flysid.model.arguments import none_longer
 class LagTerms:
     """Which past samples enter a regression.
 
-    Attributes
-    ----------
-    y : for every output the lags used, in samples, each at least 1.
-    u : for every input the lags used, each at least 0 (0 is direct feed-through).
+    `y`: for every output the lags used, in samples, each at least 1.
+    `u`: for every input the lags used, each at least 0 (0 is direct feed-through).
     """
 
     y: tuple[tuple[int, ...], ...]
@@ -73,11 +71,9 @@ def regressors(
 ) -> FloatArray:
     """(stop - start, lags.count) rows k = start..stop-1 of Phi.
 
-    Parameters
-    ----------
-    u, y : (N, n_u) and (N, n_y) samples without a gap.
-    start : first row, at least `lags.depth` (its default).
-    stop : one past the last row (default N; up to N + 1, where every lag is at least 1).
+    `u`, `y`: (N, n_u) and (N, n_y) samples without a gap.
+    `start`: first row, at least `lags.depth` (its default).
+    `stop`: one past the last row (default N; up to N + 1, where every lag is at least 1).
     """
     first = lags.depth if start is None else start
     last = len(y) if stop is None else stop
@@ -90,21 +86,6 @@ def regressors(
                 phi[:, column] = signals[first - lag : first - lag + rows, j]
                 column += 1
     return phi
-
-
-def stack(data: Dataset, lags: LagTerms, start: int | None = None) -> tuple[FloatArray, FloatArray]:
-    """Phi and Y of all segments: (M, lags.count) and (M, n_y).
-
-    Raises
-    ------
-    DataError : no segment is longer than the deepest lag.
-    """
-    first = lags.depth if start is None else start
-    usable = usable_segments(data, first)
-    return (
-        np.concatenate([regressors(s.u, s.y, lags, first) for s in usable]),
-        np.concatenate([s.y[first:] for s in usable]),
-    )
 
 
 class RegressorTransform(Protocol):
@@ -131,9 +112,7 @@ def chunks(
 ) -> Iterator[tuple[FloatArray, FloatArray]]:
     """Phi and Y in pieces of at most `rows` rows: a fit needs memory for one piece only.
 
-    Raises
-    ------
-    DataError : no segment is longer than the deepest lag.
+    Raises DataError: no segment is longer than the deepest lag.
     """
     first = lags.depth if start is None else start
     for segment in usable_segments(data, first):
@@ -148,12 +127,7 @@ def chunks(
 
 
 def usable_segments(data: Dataset, depth: int) -> tuple[Segment, ...]:
-    """The segments longer than `depth` samples.
-
-    Raises
-    ------
-    DataError : there is none.
-    """
+    """The segments longer than `depth` samples. Raises DataError: there is none."""
     usable = tuple(s for s in data.segments if len(s) > depth)
     if not usable:
         raise none_longer(depth, max((len(s) for s in data.segments), default=0))

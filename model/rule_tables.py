@@ -14,10 +14,8 @@ LOST = "lost in print"
 class Row:
     """One rule for one output.
 
-    Attributes
-    ----------
-    gains, offset : the consequent; one gain per input.
-    centre : of the rule's set, one number per input; None where it is not known.
+    `gains`, `offset`: the consequent; one gain per input.
+    `centre`: of the rule's set, one number per input; None where it is not known.
     """
 
     gains: tuple[float, ...]

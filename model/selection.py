@@ -43,8 +43,6 @@ def in_flight_order(data: Dataset) -> Dataset:
 
     Parts are held out by their place in the list, and what is found must not hang on how flights are listed.
 
-    Examples
-    --------
     >>> from flysid.model.selection import in_flight_order
     >>> (segment,) = train.segments  # train: see `flysid.Dataset`
     >>> late = segment.slice(100, 600, train.dt_s)
@@ -64,13 +62,8 @@ def parts_to_choose_on(
     block of a flight begins with the guard before it, which serves neither part: runs start there, and few
     rows of the block are lost to their start.
 
-    Parameters
-    ----------
-    seed, guard_s : as `flysid.Dataset.split` takes them.
-
-    Raises
-    ------
-    DataError : there is too little.
+    `seed`, `guard_s`: as `flysid.Dataset.split` takes them.
+    Raises DataError: there is too little.
     """
     split = train.plan_split(holdout=HELD_OUT, seed=seed, guard_s=guard_s)
     lead = round(split.guard_s / train.dt_s)
@@ -83,11 +76,9 @@ def block_errors(model: Fitted, data: Dataset, skip: int, scale: FloatArray) -> 
 
     The first `skip` rows of every segment start the models and are left out; (0,) where nothing is left.
 
-    Parameters
-    ----------
-    model : one that fits its start to the first n_init = `skip` samples, as candidates do: its run is that of
-        `start.run_from_window`, without a search for it. An unstable one starts from its first lags.
-    scale : (n_y,) unit of every output's error.
+    `model`: one that fits its start to the first n_init = `skip` samples, as candidates do: its run is that
+        of `start.run_from_window`, without a search for it. An unstable one starts from its first lags.
+    `scale`: (n_y,) unit of every output's error.
     """
     errors = []
     for segment in data.segments:
@@ -101,11 +92,8 @@ def free_run_errors(models: Mapping[str, FreeRunning], check: Dataset) -> dict[s
     """Mean squared free-run errors of blocks of a part of the data, in variances of the outputs.
 
     All models start alike: each estimates its first lags from the same window of measured samples, which is
-    left out. Where one leaves out the constants of flights, so do all.
-
-    Raises
-    ------
-    DataError : no segment is long enough.
+    left out. Where one leaves out the constants of flights, so do all. Raises DataError: no segment is long
+    enough.
     """
     return {name: errors for name, (errors, _) in judge_free_runs(models, check).items()}
 

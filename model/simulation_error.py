@@ -187,10 +187,8 @@ class OutputError:
     def thinned(self, rows: int, *, pieces: int = 4, least: float = 4.0) -> OutputError:
         """The same problem on about so many rows from all over the records.
 
-        Parameters
-        ----------
-        pieces : about so many in all, shared out by length, and at least one of every record.
-        least : the problem stays as it is where it has no more than so many times the rows.
+        `pieces`: about so many in all, shared out by length, and at least one of every record.
+        `least`: the problem stays as it is where it has no more than so many times the rows.
         """
         known = list(self.usable())
         total = sum(len(r.y) for r in known)
@@ -375,11 +373,8 @@ class Start:
 def find_start(problem: OutputError, *, tries: int = 2, polish: int = 3) -> Start:
     """The start of lowest simulation error: refined instrumental variables from several bandwidths.
 
-    Every bandwidth gets `tries` iterations, the best of them `polish` more.
-
-    Raises
-    ------
-    FitError : every attempt diverges.
+    Every bandwidth gets `tries` iterations, the best of them `polish` more. Raises FitError: every attempt
+    diverges.
     """
     attempts = []
     for bandwidth in BANDWIDTHS:

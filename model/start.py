@@ -76,9 +76,7 @@ def settled_start_rows(spread: Callable[[int], float], rows: int, most: int) -> 
 
     All structures ask alike. A few rows more may not help where many do, so that all doublings are looked at.
 
-    Parameters
-    ----------
-    spread : by number of samples, how far a free run errs for want of the right start, in standard
+    `spread`: by number of samples, how far a free run errs for want of the right start, in standard
         deviations of what is measured on top of it.
     """
     enough = max(_DROWNED, spread(most) / _HELPS) if rows < most else 0.0
@@ -190,14 +188,9 @@ class FreeRuns:
     def plot_step(self: Fitted, output: int = 0, ax: Any = None) -> Any:
         """Unit steps of every input from rest, as matplotlib axes.
 
-        Parameters
-        ----------
-        output : column of the outputs.
-        ax : axes to draw into; new ones where None.
-
-        Raises
-        ------
-        UsageError : matplotlib is not installed.
+        `output`: column of the outputs.
+        `ax`: axes to draw into; new ones where None.
+        Raises UsageError: matplotlib is not installed.
         """
         from flysid.model.plots import plot_step
 
@@ -216,8 +209,6 @@ class FreeRuns:
         a tenth of the segment, as `start_window` counts them. No score should count that window. Started from
         the first `n_init` measured samples alone, as `simulate` does, noise becomes a transient.
 
-        Example
-        -------
         >>> run = model.free_run(test.segments[0])  # doctest: +SKIP
         """
         window = start_window(self.n_init, len(segment), self.dt_s)
@@ -237,9 +228,7 @@ def run_from_window(
 ) -> FloatArray:
     """(N, n_y) simulation of a segment whose first `window` samples only give the starting state.
 
-    Parameters
-    ----------
-    drifting : the segment has a constant or a drift of its own beside the model, see `own_part`; None: where
+    `drifting`: the segment has a constant or a drift of its own beside the model, see `own_part`; None: where
         the model says that flights have one.
     """
     drifting = drifting or drifting_of([model])

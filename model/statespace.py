@@ -40,10 +40,7 @@ from flysid.model.subspace.order_search import (
     search,
 )
 from flysid.model.subspace.refinement import SystemFit, mirror
-from flysid.model.subspace.triangle import (
-    Method,
-    window,
-)
+from flysid.model.subspace.triangle import Method, window
 from flysid.model.threads import on_one_thread
 
 Auto: TypeAlias = Literal["auto"]
@@ -182,9 +179,7 @@ def _chosen(settings: StateSpace, parts: Parts) -> tuple[Choice, str, float]:
 def _from_disk(settings: StateSpace, train: OnDisk, validation: Dataset | None) -> FittedStateSpace:
     """Choices on the head, matrices from all blocks.
 
-    Raises
-    ------
-    UsageError : a refinement or a trend was asked for.
+    Raises UsageError: a refinement or a trend was asked for.
     """
     if settings.refine is True or settings.trend != "none":
         raise UsageError(

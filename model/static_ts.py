@@ -293,11 +293,9 @@ class FittedStaticTS(FreeRuns):
 class _Survey:
     """What one pass over the data tells; columns are inputs, then outputs.
 
-    Attributes
-    ----------
-    rows : samples.
-    low, high : (n_u + n_y,) ranges.
-    thinned : (at most MOST_SAMPLES, n_u + n_y) evenly spaced samples, the ones that `cluster` would take.
+    `rows`: samples.
+    `low`, `high`: (n_u + n_y,) ranges.
+    `thinned`: (at most MOST_SAMPLES, n_u + n_y) evenly spaced samples, the ones that `cluster` would take.
     """
 
     rows: int

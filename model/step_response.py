@@ -39,11 +39,9 @@ EDGE = 10
 class _Record:
     """One segment about its mean, in units of standard deviations.
 
-    Attributes
-    ----------
-    u : (N, n_u) inputs, weighted by the line from a tap to its neighbours.
-    first : (N, n_u) the same for the tap at 0, which has a neighbour on one side only.
-    y : (N,) the output.
+    `u`: (N, n_u) inputs, weighted by the line from a tap to its neighbours.
+    `first`: (N, n_u) the same for the tap at 0, which has a neighbour on one side only.
+    `y`: (N,) the output.
     """
 
     u: FloatArray
@@ -55,13 +53,11 @@ class _Record:
 class StepResponse:
     """What a step of height 1 does to the output.
 
-    Attributes
-    ----------
-    time_s, step : (N,) of the mean of the posterior, output unit per input unit.
-    covariance : (N, N) of the step.
-    seconds : how much flying it rests on.
-    words : of which part of the record it speaks; "" for all.
-    confirmed : it has settled, and one of another length agrees with it.
+    `time_s`, `step`: (N,) of the mean of the posterior, output unit per input unit.
+    `covariance`: (N, N) of the step.
+    `seconds`: how much flying it rests on.
+    `words`: of which part of the record it speaks; "" for all.
+    `confirmed`: it has settled, and one of another length agrees with it.
     """
 
     time_s: FloatArray
@@ -141,19 +137,13 @@ def step_response(
 ) -> StepResponse:
     """The step response of one input and one output; other inputs are fitted along.
 
-    Parameters
-    ----------
-    horizon_s : its length, seconds; None doubles it from `first_s` until the response has settled and one of
+    `horizon_s`: its length, seconds; None doubles it from `first_s` until the response has settled and one of
         twice the length agrees, or the record holds no longer one.
-    above, below : count only samples within a horizon of which the input's size went above, or stayed below,
-        this (as PID analysers tell a fast stick from a slow one), in the input's unit.
-    anyway : also where the input answers the output; `words` then says so, beside every figure.
-
-    Raises
-    ------
-    UsageError : a horizon that is no length.
-    DataError : the input answers the output (a loop), too short, a signal that never moves, or no sample of
-        the class that was asked for.
+    `above`, `below`: count only samples within a horizon of which the input's size went above, or stayed
+        below, this (as PID analysers tell a fast stick from a slow one), in the input's unit.
+    `anyway`: also where the input answers the output; `words` then says so, beside every figure.
+    Raises UsageError: a horizon that is no length. Raises DataError: the input answers the output (a loop),
+    too short, a signal that never moves, or no sample of the class that was asked for.
     """
     if horizon_s is not None and not horizon_s > 0.0:
         raise UsageError(f"horizon_s must be positive, not {horizon_s}")

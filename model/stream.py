@@ -42,9 +42,7 @@ Source: TypeAlias = Dataset | OnDisk
 def blocks_of(data: Source, origin: FloatArray | None = None) -> Blocks:
     """All samples of a dataset, in pieces that fit a cache.
 
-    Parameters
-    ----------
-    origin : (n_y + n_u,) what the samples are deviations from; zero when None.
+    `origin`: (n_y + n_u,) what the samples are deviations from; zero when None.
     """
 
     def read() -> Iterator[Block]:
@@ -116,9 +114,7 @@ def entering(u: FloatArray, late: Sequence[int]) -> FloatArray:
 def delayed_inputs(data: Dataset, late: Sequence[int]) -> Dataset:
     """The dataset with its inputs as they enter, the rows before the first of them left out.
 
-    Raises
-    ------
-    DataError : no segment is longer than the delay.
+    Raises DataError: no segment is longer than the delay.
     """
     most = max(late)
     if most == 0:

@@ -24,37 +24,34 @@ answer; `search`, a `flysid.SearchSettings`; `seed` of random starts.
 class Structure:
     """A model structure.
 
-    Parameters
-    ----------
-    name : what `flysid fit --models`, a run's folder and the reports call it: small letters, digits, _ and -.
-    rebuild : "module:function" that makes a fitted model of its `to_dict()`; "" where the models that it fits
-        are stored as those of other rows.
-    stored : what model files call it (`Fitted.structure`), where that is not `name`.
-    estimator : "module:Class" of its settings, public as `flysid.Class`.
-    build : "module:function" that makes the settings for a run, where `estimator` cannot. It may return None
+    `name`: what `flysid fit --models`, a run's folder and the reports call it: small letters, digits, _ and
+        -.
+    `rebuild`: "module:function" that makes a fitted model of its `to_dict()`; "" where the models that it
+        fits are stored as those of other rows.
+    `stored`: what model files call it (`Fitted.structure`), where that is not `name`.
+    `estimator`: "module:Class" of its settings, public as `flysid.Class`.
+    `build`: "module:function" that makes the settings for a run, where `estimator` cannot. It may return None
         where the run's other settings leave this structure out.
-    takes : names of `SETTINGS` that either of them is given, by keyword.
-    kind : "reference", a line to stay below; "linear", what rules have to beat; "rules"; "physics", equations
-        of the vehicle; "other".
-    gate : what its free run over the training data is held to before it is delivered: "held value", the first
-        outputs for ever; "linear models", those and the linear models beside it; "nothing".
-    fitted : whether a run fits it "always", "usually" (where `--models` is not given) or "on request".
-    competes : stands among the candidates for the baseline.
-    leads : the headline speaks of it where it was fitted; the first such row wins.
-    streams : its settings' `fit` reads a `flysid.validate.runs.diskparts.FilePart`, block by block.
-    has_memory : its output depends on the past.
-    cost : of a fit, in fits of an ARX model. It only times the progress bar.
-    words : what sentences call it: "fuzzy model"; its name where "".
-    least : what a sentence calls it where a model with memory is no better than it: "a static line".
-    title : heads a program made of it: "ARX model".
-    program : "module:function" that makes one step of a fitted model (`flysid.export.program.Program`); ""
+    `takes`: names of `SETTINGS` that either of them is given, by keyword.
+    `kind`: "reference", a line to stay below; "linear", what rules have to beat; "rules"; "physics",
+        equations of the vehicle; "other".
+    `gate`: what its free run over the training data is held to before it is delivered: "held value", the
+        first outputs for ever; "linear models", those and the linear models beside it; "nothing".
+    `fitted`: whether a run fits it "always", "usually" (where `--models` is not given) or "on request".
+    `competes`: stands among the candidates for the baseline.
+    `leads`: the headline speaks of it where it was fitted; the first such row wins.
+    `streams`: its settings' `fit` reads a `flysid.validate.runs.diskparts.FilePart`, block by block.
+    `has_memory`: its output depends on the past.
+    `cost`: of a fit, in fits of an ARX model. It only times the progress bar.
+    `words`: what sentences call it: "fuzzy model"; its name where "".
+    `least`: what a sentence calls it where a model with memory is no better than it: "a static line".
+    `title`: heads a program made of it: "ARX model".
+    `program`: "module:function" that makes one step of a fitted model (`flysid.export.program.Program`); ""
         where it cannot be exported.
-    pieces : "module:function" that makes of a fitted model what predicts a record in pieces
+    `pieces`: "module:function" that makes of a fitted model what predicts a record in pieces
         (`flysid.model.in_pieces.InPieces`), or None; where "", the latest seconds are predicted again.
-    package : that it comes from; "" for flysid's own.
+    `package`: that it comes from; "" for flysid's own.
 
-    Examples
-    --------
     >>> from flysid.model.structures import Structure
     >>> row = Structure("mine", "mine.model:from_dict", estimator="mine.model:Mine", takes=("seed",))
     >>> row.file_name, row.kind, row.gate

@@ -113,8 +113,6 @@ def of_lags(**asked: Any) -> TS:
 def best(settings: RuleSettings, train: Dataset, validation: Dataset | None = None) -> Fitted:
     """Rules over lags or over hidden states, or the linear model where no rules pay; raises as `TS.fit`.
 
-    Examples
-    --------
     >>> from flysid.model.ts import TS, best
     >>> best(TS(), train).structure  # train: see `flysid.Dataset`; its plant is linear
     'arx'
@@ -159,10 +157,7 @@ def gated(settings: S, search: Search[S], train: Dataset, validation: Dataset | 
     """What a search finds; one rule, split if asked for, where more miss what ARX follows in training.
 
     Rules of clusters and least squares (`refine=False`) are what the literature has, and pass as they are.
-
-    Raises
-    ------
-    FitError : what was found errs clearly more there than ARX, or than the first value held.
+    Raises FitError: what was found errs clearly more there than ARX, or than the first value held.
     """
     with sharing():
         model = search(settings, train, validation)

@@ -29,8 +29,6 @@ Linear = FittedLinear | FittedStateSpace | FittedTS
 def contest(settings: RuleSettings, train: Dataset, validation: Dataset | None = None) -> Contest:
     """Both kinds, the second where the first hints at it; the linear model where neither pays.
 
-    Examples
-    --------
     >>> from flysid.model.ts_choice import contest
     >>> contest(flysid.TS(), train).winner.structure  # train: see `flysid.Dataset`; its plant is linear
     'arx'

@@ -30,9 +30,7 @@ SOURCE = SourcePath()
 def here(address: str) -> Path:
     """The mirror of the lake at an address, or a copy of the log that is there.
 
-    Raises
-    ------
-    UsageError : neither is there.
+    Raises UsageError: neither is there.
     """
     from flysid.ingest.formats.rosbag2.side_files import READ
     from flysid.manifest import DATA_FILE, check_lake

@@ -40,9 +40,7 @@ LEAST_MEMORY = 256 * 10**6
 def quantity(text: str, units: dict[str, float]) -> float | None:
     """ "2GB", "10 min", ... in the smallest unit; None for "none" (no bound).
 
-    Raises
-    ------
-    click.BadParameter : not a positive number with one of `units`.
+    Raises click.BadParameter: not a positive number with one of `units`.
     """
     if text.strip().lower() == "none":
         return None

@@ -43,11 +43,9 @@ class Reading:
 class Request:
     """A verb's request about flights, checked as far as possible before they are read.
 
-    Attributes
-    ----------
-    channels : of the recipe; empty: all.
-    held : parts of flights that are held out.
-    chooses : whether the verb finds a recipe by itself where neither one nor fields are given.
+    `channels`: of the recipe; empty: all.
+    `held`: parts of flights that are held out.
+    `chooses`: whether the verb finds a recipe by itself where neither one nor fields are given.
     """
 
     reading: Reading
@@ -65,11 +63,9 @@ class Request:
 def check_source(data: Path, request: Request) -> FoundLogs | None:
     """The logs that are to be read; None of an ingested folder.
 
-    Raises
-    ------
-    UsageError : what the command line names cannot be; neither a recipe nor fields, or both; no such file
-        or folder, or no log in it; a unit of time for an ingested folder.
-    RecipeError : no such recipe, or it has no such channel.
+    Raises UsageError: what the command line names cannot be; neither a recipe nor fields, or both; no such
+    file or folder, or no log in it; a unit of time for an ingested folder. Raises RecipeError: no such
+    recipe, or it has no such channel.
     """
     check_reading(request.reading, request.channels)
     if request.is_open and request.channels:
@@ -120,10 +116,8 @@ def check_reading(reading: Reading, channels: Sequence[str]) -> None:
 def check_flights(logs: FoundLogs, place: Path, selection: Selection, held: Sequence[str] = ()) -> None:
     """Raise UsageError where flights are named that none of the logs can become: ids begin with logs' names.
 
-    Parameters
-    ----------
-    place : where the user finds the logs.
-    held : parts of flights to hold out, as `parse_part` reads them.
+    `place`: where the user finds the logs.
+    `held`: parts of flights to hold out, as `parse_part` reads them.
     """
     from flysid.files import slug
     from flysid.ingest.formats.common.packed_names import own_name

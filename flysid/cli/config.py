@@ -44,10 +44,8 @@ LARGEST_BYTES = 1 << 20
 def take_settings(ctx: click.Context) -> None:
     """What files and the environment say of the verb that is about to run becomes its defaults.
 
-    Raises
-    ------
-    UsageError : a file is no TOML; a table names no verb, or a key none of its options; the project's file
-        sets what it may not.
+    Raises UsageError: a file is no TOML; a table names no verb, or a key none of its options; the project's
+    file sets what it may not.
     """
     group = ctx.command
     verb = ctx.invoked_subcommand
@@ -107,9 +105,7 @@ def settings_of(asked: _Asked, project: Path, own: Path, environment: Mapping[st
 def environment_of(asked: _Asked, environment: Mapping[str, str]) -> dict[str, Any]:
     """What variables FLYSID_VERB_OPTION say of a verb's options, by their names inside click.
 
-    Raises
-    ------
-    UsageError : a variable names none of its options.
+    Raises UsageError: a variable names none of its options.
     """
     prefix = f"FLYSID_{'_'.join(asked.words).upper()}_"
     known = _options(asked.command)

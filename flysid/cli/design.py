@@ -247,9 +247,7 @@ def _write(design: Design | RuleDesign, out: Path | None, quiet: bool) -> None:
 def old_parameters(old: str | None, firmware: str) -> dict[str, float]:
     """The present gains: of a file, published ones, or none.
 
-    Raises
-    ------
-    UsageError : none are published for this firmware, or the file cannot be read.
+    Raises UsageError: none are published for this firmware, or the file cannot be read.
     """
     from flysid.design.firmware import SCHEMES, read_parameters
 

@@ -78,12 +78,10 @@ progress_options = gather(
 class State:
     """Progress so far.
 
-    Attributes
-    ----------
-    last : step of every channel; of all the work under "".
-    validation : error by channel and model.
-    share : of all the work that is done.
-    whole : seconds that all of it takes, by the share and the time when the share last rose.
+    `last`: step of every channel; of all the work under "".
+    `validation`: error by channel and model.
+    `share`: of all the work that is done.
+    `whole`: seconds that all of it takes, by the share and the time when the share last rose.
     """
 
     started: float = field(default_factory=time.monotonic)

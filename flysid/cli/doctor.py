@@ -160,9 +160,7 @@ def lines(
 ) -> Iterator[str]:
     """A row for every log, and below them what there is to say of some: each thing once.
 
-    Parameters
-    ----------
-    telemetered : what is wrong with the telemetry of a log's motors and instruments, in words.
+    `telemetered`: what is wrong with the telemetry of a log's motors and instruments, in words.
     """
     from flysid.ingest.formats.opening import short_name
 

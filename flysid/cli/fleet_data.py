@@ -31,14 +31,12 @@ if TYPE_CHECKING:
 class FleetData:
     """The request.
 
-    Attributes
-    ----------
-    folder : of the lake, or its address.
-    recipe : a name, or the path of a .toml file.
-    channels : of the recipe; all when there are none.
-    rate_hz : of the grid; chosen from the flights when None.
-    jobs : processes.
-    cluster, workers : a Dask cluster to be found or made; neither: this machine's processes.
+    `folder`: of the lake, or its address.
+    `recipe`: a name, or the path of a .toml file.
+    `channels`: of the recipe; all when there are none.
+    `rate_hz`: of the grid; chosen from the flights when None.
+    `jobs`: processes.
+    `cluster`, `workers`: a Dask cluster to be found or made; neither: this machine's processes.
     """
 
     folder: Path
@@ -53,9 +51,7 @@ class FleetData:
     def engine(self, lake: Lake, quiet: bool) -> Iterator[Cluster | None]:
         """The requested cluster; None: this machine.
 
-        Raises
-        ------
-        UsageError : a cluster cannot reach a folder of this machine.
+        Raises UsageError: a cluster cannot reach a folder of this machine.
         """
         if not self.cluster and not self.workers:
             yield None

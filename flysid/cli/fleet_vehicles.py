@@ -41,9 +41,7 @@ def fit_fleet_vehicles(
 ) -> int:
     """Fit every vehicle that flights name, as `flysid vehicle LAKE --vehicle NAME` does; the exit code.
 
-    Parameters
-    ----------
-    output : a folder a vehicle is made in it (`folder_of`); None: nothing is written.
+    `output`: a folder a vehicle is made in it (`folder_of`); None: nothing is written.
     """
     from flysid.cli.source import require_fit
     from flysid.fleet.models.vehicle_runs import folder_of

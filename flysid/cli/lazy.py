@@ -18,12 +18,10 @@ from flysid.offers import import_name, rows
 class LazyVerbs(click.Group):
     """Imports a verb's module when the verb is run; `--help` imports none of them.
 
-    Parameters
-    ----------
-    verbs : rows of flysid's own, by name.
-    modules : where the command of one of these is, e.g. "flysid.cli.{}:command".
-    group : of the entry points by which other packages add verbs; "" where they cannot.
-    of_a_file : the verb that is meant where a file or folder stands in place of a verb; "" for none.
+    `verbs`: rows of flysid's own, by name.
+    `modules`: where the command of one of these is, e.g. "flysid.cli.{}:command".
+    `group`: of the entry points by which other packages add verbs; "" where they cannot.
+    `of_a_file`: the verb that is meant where a file or folder stands in place of a verb; "" for none.
     """
 
     def __init__(
@@ -45,9 +43,7 @@ class LazyVerbs(click.Group):
     def verbs(self) -> Mapping[str, Verb]:
         """Every row by name: flysid's own, then those of installed packages.
 
-        Raises
-        ------
-        UsageError : an installed package offers what is no verb, or a name that is taken.
+        Raises UsageError: an installed package offers what is no verb, or a name that is taken.
         """
         every = dict(self._own)
         for offer, row in rows(self._group, Verb) if self._group else ():

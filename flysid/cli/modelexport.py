@@ -41,12 +41,7 @@ class ChosenModel:
     channel: ChannelRun | None = None
 
     def training_part(self, data: Path | None) -> Dataset:
-        """What the model was fitted to.
-
-        Raises
-        ------
-        UsageError : a model file has no run, or its data are gone.
-        """
+        """What the model was fitted to. Raises UsageError: a model file has no run, or its data are gone."""
         from flysid.validate.runs.run import held_out
 
         if self.run is None or self.channel is None:
@@ -65,10 +60,8 @@ ENDINGS = {"casadi": (".py",), "jax": (".py",), "onnx": (".onnx",), "lpv": (".js
 def find_model(wanted: Wanted) -> ChosenModel:
     """The model of a run, or of a file.
 
-    Raises
-    ------
-    UsageError : no such file, channel or model; several channels and no --channel.
-    StoreError : not a run or a model file, or damaged.
+    Raises UsageError: no such file, channel or model; several channels and no --channel. Raises StoreError:
+    not a run or a model file, or damaged.
     """
     from flysid.export.csource import identifier
     from flysid.model.base import load
@@ -100,10 +93,8 @@ def find_model(wanted: Wanted) -> ChosenModel:
 def write_model(wanted: Wanted, target: str, place: Path, *, force: bool) -> None:
     """Write a model for a target: a folder of C or MATLAB, or a file; beside an ONNX graph its names.
 
-    Raises
-    ------
-    UsageError : another ending than the target's; the package onnx is missing; float32 costs too much; as
-        `find_model`.
+    Raises UsageError: another ending than the target's; the package onnx is missing; float32 costs too much;
+    as `find_model`.
     """
     from flysid.files import replacing_folder, write_atomically, writing_to
 

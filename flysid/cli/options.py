@@ -20,11 +20,9 @@ Decorator = Callable[[Any], Any]
 def gather(name: str, make: Callable[..., Any], *options: Decorator) -> Callable[[F], F]:
     """A decorator that adds options to a verb, which takes them as one value.
 
-    Parameters
-    ----------
-    name : of the verb's parameter.
-    make : makes the value of what was given, by the options' names: a dataclass, or a function.
-    options : `click.option` or `click.argument`, in the order of the help.
+    `name`: of the verb's parameter.
+    `make`: makes the value of what was given, by the options' names: a dataclass, or a function.
+    `options`: `click.option` or `click.argument`, in the order of the help.
     """
 
     def decorate(function: F) -> F:
@@ -82,11 +80,9 @@ channels_option = click.option(
 def target_options(*flags: str, replaced: str, **settings: Any) -> Callable[[F], F]:
     """The option of a file or folder to write, and --force; the verb takes the path once it may be written.
 
-    Parameters
-    ----------
-    flags : of the option, as `click.option` takes them.
-    replaced : see `force_option`.
-    settings : of the option besides.
+    `flags`: of the option, as `click.option` takes them.
+    `replaced`: see `force_option`.
+    `settings`: of the option besides.
     """
     option = click.option(*flags, **{"type": click.Path(path_type=Path), **settings})
     name = max(flags, key=len).lstrip("-")

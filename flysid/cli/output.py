@@ -122,13 +122,8 @@ def cores() -> int:
 def check_target(path: Path, force: bool, *, makes_folders: bool = True) -> None:
     """What can be known wrong of a target before the work that it is for.
 
-    Parameters
-    ----------
-    makes_folders : whether the folders on the way to it are made.
-
-    Raises
-    ------
-    UsageError : it exists and may not be replaced. WriteError : nothing can be written there.
+    `makes_folders`: whether the folders on the way to it are made.
+    Raises UsageError: it exists and may not be replaced. Raises WriteError: nothing can be written there.
     """
     from flysid.files import check_place
 

@@ -40,10 +40,8 @@ class Beginning:
 class Signals:
     """What the command line says of the signals to fly.
 
-    Attributes
-    ----------
-    band : Hz; of a run's models where there is none.
-    place : where a sweep of ArduPilot enters; None: no parameters for ArduPilot.
+    `band`: Hz; of a run's models where there is none.
+    `place`: where a sweep of ArduPilot enters; None: no parameters for ArduPilot.
     """
 
     band: tuple[float, float] | None

@@ -112,9 +112,7 @@ def is_page(target: Path) -> bool:
 def choose_curves(log: StoredLog, fields: Sequence[str], pair: str | None, recipe: str) -> list[list[Curve]]:
     """What to draw of a log: the fields named, the channels of a recipe that it can serve, or its only table.
 
-    Raises
-    ------
-    UsageError : a field is not there; no shipped recipe serves the log.
+    Raises UsageError: a field is not there; no shipped recipe serves the log.
     """
     from flysid.errors import UsageError
     from flysid.flight import BOOT, RECEIVED, TIME

@@ -39,9 +39,7 @@ def design_rates(
 ) -> int:
     """Print a proposal, and write its files; exit code 3 where no axis has one.
 
-    Raises
-    ------
-    UsageError : no such log, several vehicles, or a folder that is there.
+    Raises UsageError: no such log, several vehicles, or a folder that is there.
     """
     from flysid.design.firmware import SAFETY
     from flysid.loops.proposal import propose

@@ -66,9 +66,7 @@ def command(
 def apart(work: Callable[[Path], Scrubbed], log: Path) -> Scrubbed:
     """What `work` makes of a log in a process of its own: a log that is cut meanwhile ends the reader.
 
-    Raises
-    ------
-    FormatError : the process ended, or the log cannot be read. Besides, what `work` raises.
+    Raises FormatError: the process ended, or the log cannot be read. Besides, what `work` raises.
     """
     from flysid.ingest.lake.workers import Bounds, Lost, read_bounded
 

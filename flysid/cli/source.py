@@ -192,13 +192,10 @@ def given(selection: Selection) -> Selection | None:
 def open_source(data: Path, request: Request, place: Path | None, quiet: bool) -> Iterator[tuple[Lake, str]]:
     """The flights that are meant, and the name of a recipe; both hold until the block ends.
 
-    Logs are ingested first, into the folder `place`, which goes again where the block fails; for as long
-    as the block lasts where `place` is None. Logs of an earlier run that are there are removed.
-
-    Raises
-    ------
-    UsageError : as `check_source`; flights of several vehicles that are not to be pooled.
-    RecipeError : as `check_source`; a field is not there.
+    Logs are ingested first, into the folder `place`, which goes again where the block fails; for as long as
+    the block lasts where `place` is None. Logs of an earlier run that are there are removed.
+    Raises UsageError: as `check_source`; flights of several vehicles that are not to be pooled.
+    Raises RecipeError: as `check_source`; a field is not there.
     """
     logs = check_source(data, request)
     from flysid.cli.losses import say_lost
@@ -288,16 +285,10 @@ def opened_flights(
 ) -> Iterator[Lake]:
     """The flights of an ingested folder, or of logs, which are read for this block only.
 
-    Parameters
-    ----------
-    share : of all the work that reading logs is.
-    selection : flights that it names are there: which is looked at before logs are read.
-
-    Raises
-    ------
-    UsageError : there is no such file or folder, or no log in it; a unit of time for an ingested folder; a
-        flight that is not there.
-    FormatError : nothing of a log can be read.
+    `share`: of all the work that reading logs is.
+    `selection`: flights that it names are there: which is looked at before logs are read.
+    Raises UsageError: there is no such file or folder, or no log in it; a unit of time for an ingested
+    folder; a flight that is not there. Raises FormatError: nothing of a log can be read.
     """
     from flysid.cli.losses import say_lost
     from flysid.ingest.lake.chosen_flights import select
@@ -325,9 +316,8 @@ def opened_flights(
 def flights_of_one_vehicle(source: Path, reading: Reading, selection: Selection) -> Iterator[Lake]:
     """The flights that are chosen of a source, read for this block only, as the first part of a look.
 
-    Raises
-    ------
-    UsageError : several vehicles that are not to be pooled; as `opened_flights`. FormatError : as there.
+    Raises UsageError: several vehicles that are not to be pooled; as `opened_flights`. Raises FormatError: as
+    there.
     """
     from flysid.ingest.lake.chosen_flights import require_one_vehicle, select
     from flysid.progress import part
@@ -343,9 +333,7 @@ def flights_of_one_vehicle(source: Path, reading: Reading, selection: Selection)
 def reviewed_logs(source: Path, reading: Reading, selection: Selection) -> Iterator[list[LoggedFlight]]:
     """The chosen flights as a review reads them, for this block only.
 
-    Raises
-    ------
-    UsageError, FormatError : as `opened_flights`.
+    Raises UsageError, FormatError: as `opened_flights`.
     """
     from flysid.ingest.lake.chosen_flights import select
     from flysid.progress import part
@@ -408,9 +396,7 @@ def _taken_in(
 ) -> Path:
     """Ingest the logs that `source` names, as a `share` of the work.
 
-    Raises
-    ------
-    FormatError : nothing of them can be read.
+    Raises FormatError: nothing of them can be read.
     """
     from flysid.cli.losses import report
     from flysid.ingest.lake.batch import ingest_logs

@@ -16,12 +16,7 @@ from flysid.cli.checks import Reading, Request, check_source
 from flysid.cli.display import Display
 from flysid.cli.options import channels_option, picture_options
 from flysid.cli.output import print_json, say_drawn, say_left_out
-from flysid.cli.source import (
-    open_source,
-    say_mixed_gains,
-    selection_options,
-    source_options,
-)
+from flysid.cli.source import open_source, say_mixed_gains, selection_options, source_options
 from flysid.cli.trust import Own
 from flysid.escaping import one_line
 

@@ -39,11 +39,9 @@ def print_suggestions(
 
     Several flights are summarised together, a row for every channel.
 
-    Parameters
-    ----------
-    flights : all that were looked at; one without a usable channel gets a line with the reason.
-    every : show every flight, and what cannot be used, too.
-    vehicles : flight -> what `--vehicle` takes, where there are several.
+    `flights`: all that were looked at; one without a usable channel gets a line with the reason.
+    `every`: show every flight, and what cannot be used, too.
+    `vehicles`: flight -> what `--vehicle` takes, where there are several.
     """
     names = short_names([*flights, *(s.flight for s in found)])
     shown = [s for s in found if every or s.verdict in USABLE]

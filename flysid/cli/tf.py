@@ -16,12 +16,7 @@ from flysid.cli.checks import Reading, Request, check_source
 from flysid.cli.display import Display, progress_options
 from flysid.cli.options import channels_option, condition_option, gather, picture_options
 from flysid.cli.output import ExitCode, align_columns, explain, print_json, say, say_drawn, say_left_out
-from flysid.cli.source import (
-    open_source,
-    say_mixed_gains,
-    selection_options,
-    source_options,
-)
+from flysid.cli.source import open_source, say_mixed_gains, selection_options, source_options
 from flysid.cli.trust import Setting
 from flysid.extras import Missing
 from flysid.showing import fold

@@ -134,9 +134,7 @@ class Fitted:
     def write(self, output: Path, typed: str) -> str | None:
         """Write the folder of the vehicle; the name of its page, None where that broke.
 
-        Parameters
-        ----------
-        typed : the command that makes it again, for the page.
+        `typed`: the command that makes it again, for the page.
         """
         from flysid.extras import Extra, extra
         from flysid.files import replacing_folder
@@ -155,9 +153,7 @@ def fit_flights(
 ) -> Fitted:
     """A vehicle of flights, judged on some of them where `judge`; raises what `Vehicle.fit` does.
 
-    Parameters
-    ----------
-    places : of its motors, see `FittedVehicle.placed`.
+    `places`: of its motors, see `FittedVehicle.placed`.
     """
     from flysid.ingest.align.vehicle_channel import vehicle_data
     from flysid.sixdof.judging import judge_vehicle

@@ -48,14 +48,9 @@ def write_vehicle(
 ) -> Path:
     """Write a vehicle for a target; returns the file.
 
-    Parameters
-    ----------
-    fmi : version of an FMU.
-
-    Raises
-    ------
-    UsageError : the file exists; mass or arm is not above zero; the target has no such vehicle.
-    StoreError : no vehicle is in the file.
+    `fmi`: version of an FMU.
+    Raises UsageError: the file exists; mass or arm is not above zero; the target has no such vehicle.
+    Raises StoreError: no vehicle is in the file.
     """
     from flysid.export.vehicles.body import ARM_M, MASS_KG
     from flysid.files import write_atomically, writing_to

@@ -17,16 +17,12 @@ OTHERS = "More"
 class Verb(NamedTuple):
     """A verb.
 
-    Attributes
-    ----------
-    name : what a user types.
-    summary : what it does, in one line.
-    examples : command lines, for the end of its help.
-    step : heading that the help lists it under.
-    command : "module:name" of its click command; "" for flysid's own, in `flysid.cli.NAME`.
+    `name`: what a user types.
+    `summary`: what it does, in one line.
+    `examples`: command lines, for the end of its help.
+    `step`: heading that the help lists it under.
+    `command`: "module:name" of its click command; "" for flysid's own, in `flysid.cli.NAME`.
 
-    Examples
-    --------
     >>> from flysid.cli.verbs import Verb
     >>> Verb("weigh", "Weigh a vehicle.", command="mypackage.weigh:command").step
     'More'

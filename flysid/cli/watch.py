@@ -31,7 +31,7 @@ from flysid.surroundings import environment_of_the_user
 
 if TYPE_CHECKING:
     from flysid.ingest.align.recipe import Recipe
-    from flysid.live.watching import ChannelWatch, Event
+    from flysid.live.watching import ChannelWatch, Notice
     from flysid.validate.runs.run import Run
 
 KINDS = ("udp:", "udpout:", "tcp:", "serial:")
@@ -142,9 +142,9 @@ def command(
     for one in watches:
         for text in one.visibility:
             say(text, quiet)
-    alarms: list[Event] = []
+    alarms: list[Notice] = []
 
-    def tell(event: Event) -> None:
+    def tell(event: Notice) -> None:
         if event.kind == "alarm":
             alarms.append(event)
         click.echo(json.dumps(event.to_dict()) if as_json else line(event))
@@ -167,9 +167,7 @@ def is_link(source: str) -> bool:
 def check_watch(run: Run, source: str, watched: Watched, hook: str | None) -> None:
     """What can be known wrong before flights are read.
 
-    Raises
-    ------
-    UsageError : the run has no such channel or model; no such log; no such command.
+    Raises UsageError: the run has no such channel or model; no such log; no such command.
     """
     if is_link(source):
         from flysid.live.links import parse_link
@@ -219,7 +217,7 @@ def recipe_of(run: Run, source: str) -> Recipe:
 
 
 def look_back(
-    run: Run, watches: list[ChannelWatch], log: Path, tell: Callable[[Event], None], quiet: bool
+    run: Run, watches: list[ChannelWatch], log: Path, tell: Callable[[Notice], None], quiet: bool
 ) -> None:
     """All events of a log, in the order of time."""
     import flysid
@@ -245,7 +243,7 @@ def follow(
     watches: list[ChannelWatch],
     link: str,
     reception: Reception,
-    tell: Callable[[Event], None],
+    tell: Callable[[Notice], None],
 ) -> None:
     """Watch a link until interrupted, or the time is over."""
     from flysid.cli.record import run as record
@@ -289,14 +287,14 @@ def receive(run: Callable[[threading.Event], None], seconds: float | None) -> No
     thread.join()
 
 
-def line(event: Event) -> str:
+def line(event: Notice) -> str:
     """An event for people: when, in which flight, and what."""
     where = f"{event.flight} " if event.flight else ""
     mark = "ALARM " if event.kind == "alarm" else ""
     return one_line(f"{where}{event.time_s:.2f} s  {mark}{event.text}")
 
 
-def call(hook: str, event: Event) -> None:
+def call(hook: str, event: Notice) -> None:
     """Start the user's command with the event on its stdin; it runs beside us."""
     try:
         process = subprocess.Popen(
@@ -312,9 +310,8 @@ def call(hook: str, event: Event) -> None:
 def watch_vehicle(folder: Path, log: Path, recipe: str, *, fail: bool, as_json: bool) -> int:
     """Print what has changed; the verb's exit code.
 
-    Raises
-    ------
-    UsageError : no such log; another number of motors. StoreError : no vehicle. DataError : nothing flies.
+    Raises UsageError: no such log; another number of motors. Raises StoreError: no vehicle. Raises DataError:
+    nothing flies.
     """
     from flysid.ingest.align.recipe import load_recipe
     from flysid.ingest.align.signals import FlightLog

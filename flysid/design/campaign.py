@@ -26,7 +26,7 @@ from flysid.design.trialflight import (
     true_plants,
 )
 from flysid.errors import UsageError
-from flysid.ingest.synth.rigid_body import Vehicle
+from flysid.ingest.synth.rigid_body import SimulatedVehicle
 from flysid.progress import tell
 
 BETTER = 0.8
@@ -36,17 +36,15 @@ BETTER = 0.8
 class Row:
     """One law on one axis over all trials.
 
-    Attributes
-    ----------
-    ise : median and 90th percentile, m^2 s.
-    better, worse : shares of trials with at least 20 % less ISE than the present gains; with more. NaN where
-        the present gains were not flown.
-    ms : median and largest, on the true vehicles about hover.
-    stable : on all of them.
-    overshoot, settled_s : medians; NaN where most did not settle.
-    moved : median of the input's total variation, deg/s.
-    saturated : mean share of samples at the input's limit.
-    lost, blown : trials that crashed; that the wind carried off, see `Flown`.
+    `ise`: median and 90th percentile, m^2 s.
+    `better`, `worse`: shares of trials with at least 20 % less ISE than the present gains; with more. NaN
+        where the present gains were not flown.
+    `ms`: median and largest, on the true vehicles about hover.
+    `stable`: on all of them.
+    `overshoot`, `settled_s`: medians; NaN where most did not settle.
+    `moved`: median of the input's total variation, deg/s.
+    `saturated`: mean share of samples at the input's limit.
+    `lost`, `blown`: trials that crashed; that the wind carried off, see `Flown`.
     """
 
     law: str
@@ -67,13 +65,11 @@ class Row:
 class Campaign:
     """All trials.
 
-    Attributes
-    ----------
-    flown : law -> trial -> axis.
-    rows : axis -> law by law.
-    drawn : what differs from vehicle to vehicle, by name: ends of a range, or a number.
-    held_wind_m_s : that full tilt holds, by axis; of simulated vehicles.
-    notes : sentences.
+    `flown`: law -> trial -> axis.
+    `rows`: axis -> law by law.
+    `drawn`: what differs from vehicle to vehicle, by name: ends of a range, or a number.
+    `held_wind_m_s`: that full tilt holds, by axis; of simulated vehicles.
+    `notes`: sentences.
     """
 
     vehicles: int
@@ -137,9 +133,7 @@ def check_number(vehicles: int) -> None:
 def fly_design(axes: Sequence[Axis], vehicles: int, seed: int, doubtful: Doubtful) -> Campaign:
     """Fly every law of a design on the same simulated vehicles in the same wind.
 
-    Raises
-    ------
-    UsageError : no channel of the design drives the simulated vehicle, at its sample time.
+    Raises UsageError: no channel of the design drives the simulated vehicle, at its sample time.
     """
     check_number(vehicles)
     laws, notes = _laws(axes)
@@ -160,7 +154,9 @@ def fly_design(axes: Sequence[Axis], vehicles: int, seed: int, doubtful: Doubtfu
         ]
         for axis in AXES
     }
-    return Campaign(vehicles, seed, asdict(doubtful), laws, flown, rows, held_wind_m_s(Vehicle()), notes)
+    return Campaign(
+        vehicles, seed, asdict(doubtful), laws, flown, rows, held_wind_m_s(SimulatedVehicle()), notes
+    )
 
 
 def _laws(axes: Sequence[Axis]) -> tuple[dict[str, dict[str, Gains]], tuple[str, ...]]:
@@ -201,7 +197,7 @@ def _laws(axes: Sequence[Axis]) -> tuple[dict[str, dict[str, Gains]], tuple[str,
 def _published_gains() -> Gains:
     """The default of the AR.Drone's best known autopilot, on the simulated vehicle's limit of tilt."""
     scheme = SCHEMES["tum-ardrone"][0]
-    limit = math.degrees(Vehicle().loop.tilt_max_rad)
+    limit = math.degrees(SimulatedVehicle().loop.tilt_max_rad)
     return Firmware("tum-ardrone", scheme, limit=limit).gains(scheme.published)
 
 
@@ -215,10 +211,8 @@ def row_of_law(
 ) -> Row:
     """What a law did on an axis over all trials.
 
-    Parameters
-    ----------
-    flown : law -> trial -> axis.
-    true : (P, F) responses of the vehicles, at the frequencies of `parts`.
+    `flown`: law -> trial -> axis.
+    `true`: (P, F) responses of the vehicles, at the frequencies of `parts`.
     """
     own = [f[axis] for f in flown[law]]
     ise = np.array([f.ise for f in own])

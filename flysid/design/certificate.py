@@ -23,11 +23,9 @@ Matrix = list[list[Fraction]]
 def proves(a: Any, b: Any, gains: Any, metric: Any, decay: float) -> bool:
     """Whether the numbers prove what stands above.
 
-    Parameters
-    ----------
-    a, b, gains : (R, n, n), (R, n), (R, n) as exported.
-    metric : (n, n) P; its lower triangle counts.
-    decay : g, at most 1.
+    `a`, `b`, `gains`: (R, n, n), (R, n), (R, n) as exported.
+    `metric`: (n, n) P; its lower triangle counts.
+    `decay`: g, at most 1.
     """
     if not 0.0 < decay <= 1.0:
         return False

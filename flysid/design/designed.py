@@ -40,12 +40,10 @@ WAY_BACK = "The old gains are in old.param, beside new.param."
 class DesignMeaning:
     """What a law means over all plants: the smallest and the largest of each figure.
 
-    Attributes
-    ----------
-    stable : on every plant.
-    crossover_hz, ms, peak, noise : see `flysid.design.loopfigures.Figures`.
-    gain_db, phase_deg : margins; inf where the loop never turns or never crosses.
-    tracking : m^2 s, after a step of 1 m.
+    `stable`: on every plant.
+    `crossover_hz`, `ms`, `peak`, `noise`: see `flysid.design.loopfigures.Figures`.
+    `gain_db`, `phase_deg`: margins; inf where the loop never turns or never crosses.
+    `tracking`: m^2 s, after a step of 1 m.
     """
 
     stable: bool
@@ -104,16 +102,14 @@ def _range(ends: tuple[float, float], form: str) -> str:
 class Axis:
     """One channel of a design.
 
-    Attributes
-    ----------
-    units : of input and output.
-    sign : -1 where the output falls as the input rises: the controller's output is turned round.
-    laws : by the names of `SAID`, those that there are.
-    meanings : of each law.
-    bounds : that "next" and "goal" keep on every plant.
-    plants : labels of all.
-    band_hz : that the flights tell.
-    notes : sentences.
+    `units`: of input and output.
+    `sign`: -1 where the output falls as the input rises: the controller's output is turned round.
+    `laws`: by the names of `SAID`, those that there are.
+    `meanings`: of each law.
+    `bounds`: that "next" and "goal" keep on every plant.
+    `plants`: labels of all.
+    `band_hz`: that the flights tell.
+    `notes`: sentences.
     """
 
     channel: str
@@ -153,12 +149,10 @@ class Axis:
 class Design:
     """What `flysid design` found.
 
-    Attributes
-    ----------
-    firmware : name, and in words the versions whose parameters these are.
-    axes : designed channels.
-    refused : channel -> (why, what to fly next).
-    old, new : parameters of the vehicle; empty without present gains.
+    `firmware`: name, and in words the versions whose parameters these are.
+    `axes`: designed channels.
+    `refused`: channel -> (why, what to fly next).
+    `old`, `new`: parameters of the vehicle; empty without present gains.
     """
 
     run: str
@@ -222,9 +216,7 @@ def _plain(value: Any) -> Any:
 def open_design(path: Path) -> tuple[Axis, ...]:
     """The channels of a design's JSON, or of the folder that holds it.
 
-    Raises
-    ------
-    UsageError : no such file, or a design of rate loops. StoreError : no design, or damaged.
+    Raises UsageError: no such file, or a design of rate loops. Raises StoreError: no design, or damaged.
     """
     file = inner_path(path, FILE, path) if path.is_dir() else path
     if not file.is_file():

@@ -24,18 +24,16 @@ from flysid.validate.runs.run import HeldOut, Run, held_out
 class Wish:
     """The request for a design.
 
-    Attributes
-    ----------
-    channels : names; all that fit when empty.
-    firmware : "pid", "px4", "ardupilot" or "tum-ardrone".
-    old : present parameters; none when empty.
-    ms, peak : bounds, see `Bounds`.
-    noise : input per unit of the output's noise; None: the measured noise moves the input by at most 5 % of
+    `channels`: names; all that fit when empty.
+    `firmware`: "pid", "px4", "ardupilot" or "tum-ardrone".
+    `old`: present parameters; none when empty.
+    `ms`, `peak`: bounds, see `Bounds`.
+    `noise`: input per unit of the output's noise; None: the measured noise moves the input by at most 5 % of
         what was flown.
-    limit : of the input.
-    spread : what the vehicle may be besides.
-    feedforward : find the input per speed of the reference, too.
-    seed : of the search.
+    `limit`: of the input.
+    `spread`: what the vehicle may be besides.
+    `feedforward`: find the input per speed of the reference, too.
+    `seed`: of the search.
     """
 
     channels: tuple[str, ...] = ()
@@ -64,10 +62,8 @@ class Ready:
 def design_run(run: Run, wish: Wish, data: str | Path | None = None) -> Design:
     """Gains for every channel of a run that identifies a plant; the others with the reason.
 
-    Raises
-    ------
-    UsageError : no such channel. DataError : no channel can be designed for, or no gains keep the bounds.
-    StoreError : the run or its data cannot be read.
+    Raises UsageError: no such channel. Raises DataError: no channel can be designed for, or no gains keep the
+    bounds. Raises StoreError: the run or its data cannot be read.
     """
     ready: list[Ready] = []
     refused: dict[str, tuple[str, str]] = {}

@@ -28,10 +28,8 @@ SPEEDS = (0.05, 0.25, 0.5, 0.75, 0.95)
 class Spread:
     """What the vehicle may be besides what the flights showed: ends of a range each.
 
-    Attributes
-    ----------
-    gain : of the plant, as a factor.
-    delay_s : beside the models' own.
+    `gain`: of the plant, as a factor.
+    `delay_s`: beside the models' own.
     """
 
     gain: tuple[float, float] = (1.0, 1.0)
@@ -84,14 +82,9 @@ def grid(dt_s: float, *, points: int = 160, lowest_rad_s: float = 0.02) -> Float
 def plants_of(models: Mapping[str, Fitted], train: Dataset, band: tuple[float, float]) -> PlantSet:
     """All plants that the models of a channel with one input and one output stand for.
 
-    Parameters
-    ----------
-    train : their training data: where the vehicle was.
-    band : rad/s, that the data tell.
-
-    Raises
-    ------
-    UsageError : several inputs or outputs, or no model has a linear picture.
+    `train`: their training data: where the vehicle was.
+    `band`: rad/s, that the data tell.
+    Raises UsageError: several inputs or outputs, or no model has a linear picture.
     """
     if len(train.inputs) != 1 or len(train.outputs) != 1:
         raise UsageError(

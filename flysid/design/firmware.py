@@ -38,15 +38,13 @@ Parameters = Mapping[str, float]
 class Scheme:
     """One firmware's way to state these gains.
 
-    Attributes
-    ----------
-    words : firmware and versions, for people.
-    names : gain -> parameter.
-    optional : gain -> parameter and the value where a vehicle does not state it.
-    in_acceleration : velocity, integral and derivative are m/s^2, not the channel's input.
-    shared : one set of gains for both horizontal axes.
-    on_error : see `Gains`.
-    published : gains that are published with the firmware.
+    `words`: firmware and versions, for people.
+    `names`: gain -> parameter.
+    `optional`: gain -> parameter and the value where a vehicle does not state it.
+    `in_acceleration`: velocity, integral and derivative are m/s^2, not the channel's input.
+    `shared`: one set of gains for both horizontal axes.
+    `on_error`: see `Gains`.
+    `published`: gains that are published with the firmware.
     """
 
     words: str
@@ -115,10 +113,8 @@ SCHEMES: Mapping[str, tuple[Scheme, ...]] = {
 class Firmware:
     """A scheme on one channel: per what the channel's input is counted in.
 
-    Attributes
-    ----------
-    tilt_per_g : of the channel's input for an acceleration of one g, small tilts.
-    limit : of the channel's input.
+    `tilt_per_g`: of the channel's input for an acceleration of one g, small tilts.
+    `limit`: of the channel's input.
     """
 
     name: str
@@ -134,12 +130,7 @@ class Firmware:
         return self.tilt_per_g / g if self.scheme.in_acceleration else 1.0
 
     def gains(self, stated: Parameters) -> Gains:
-        """From parameters.
-
-        Raises
-        ------
-        DataError : parameters are missing, or state no such loop.
-        """
+        """From parameters. Raises DataError: parameters are missing, or state no such loop."""
         missing = [name for name in self.scheme.names.values() if name not in stated]
         if missing:
             raise DataError(
@@ -208,16 +199,11 @@ class Firmware:
 def firmware_for(name: str, stated: Parameters, input_unit: str, limit: float | None) -> Firmware:
     """The scheme of a firmware that a vehicle's parameters belong to.
 
-    Parameters
-    ----------
-    stated : the present parameters; the first scheme where there are none.
-    input_unit : of the channel.
-    limit : of the channel's input, where the firmware counts in shares of it.
-
-    Raises
-    ------
-    DataError : the parameters are of a version that is not known here.
-    UsageError : the channel's input is no tilt, or a limit is needed and not given.
+    `stated`: the present parameters; the first scheme where there are none.
+    `input_unit`: of the channel.
+    `limit`: of the channel's input, where the firmware counts in shares of it.
+    Raises DataError: the parameters are of a version that is not known here. Raises UsageError: the channel's
+    input is no tilt, or a limit is needed and not given.
     """
     schemes = SCHEMES[name]
     fitting = [s for s in schemes if not stated or set(s.names.values()) <= set(stated)]
@@ -240,9 +226,8 @@ def firmware_for(name: str, stated: Parameters, input_unit: str, limit: float | 
 def read_parameters(path: Path) -> dict[str, float]:
     """Names and values of a parameter file: Mission Planner, QGroundControl, or NAME VALUE lines.
 
-    Raises
-    ------
-    UsageError : no such file. DataError : a line is not a parameter, or a name stands twice with two values.
+    Raises UsageError: no such file. Raises DataError: a line is not a parameter, or a name stands twice with
+    two values.
     """
     return {name: float(value) for name, value in read_settings(path, numbers=True).items()}
 

@@ -25,13 +25,11 @@ OUT_OF_BOUNDS = 1e6
 class Bounds:
     """What every plant must keep.
 
-    Attributes
-    ----------
-    ms : largest amplification of disturbances.
-    peak : largest gain from reference to position.
-    noise : input per m/s of noise in the velocity.
-    crossover_rad_s : of the loop at the plant's input.
-    push : step at the plant's input whose error counts like that of a step of 1 m in the reference.
+    `ms`: largest amplification of disturbances.
+    `peak`: largest gain from reference to position.
+    `noise`: input per m/s of noise in the velocity.
+    `crossover_rad_s`: of the loop at the plant's input.
+    `push`: step at the plant's input whose error counts like that of a step of 1 m in the reference.
     """
 
     ms: float = 1.6
@@ -68,9 +66,7 @@ class Bounds:
 class Box:
     """Smallest and largest of every gain that is searched for; a gain whose two are equal stands still.
 
-    Attributes
-    ----------
-    beyond : of (S, 5) gains, (S,) how far they are outside in another way; 0 inside.
+    `beyond`: of (S, 5) gains, (S,) how far they are outside in another way; 0 inside.
     """
 
     low: Gains
@@ -81,9 +77,7 @@ class Box:
     def around(cls, present: Gains, factor: float, beyond: Callable[[FloatArray], FloatArray]) -> Box:
         """About the present gains: parameters move by at most a factor, and a gain that is 0 stays 0.
 
-        Parameters
-        ----------
-        beyond : how far parameters, which may be products of gains, move by more than that.
+        `beyond`: how far parameters, which may be products of gains, move by more than that.
         """
         names = {name: getattr(present, name) for name in TUNED if name != "cut_hz"}
         wide = factor * factor
@@ -97,10 +91,8 @@ class Box:
     def free(cls, plants: PlantSet, bounds: Bounds, like: Gains, *, with_filter: bool) -> Box:
         """All that could make sense: nothing faster than the crossover allows, nothing noisier than allowed.
 
-        Parameters
-        ----------
-        like : gains of the same kind of controller.
-        with_filter : the derivative's filter is free, too.
+        `like`: gains of the same kind of controller.
+        `with_filter`: the derivative's filter is free, too.
         """
         fast = bounds.crossover_rad_s
         slow = plants.omega[0]
@@ -117,9 +109,7 @@ class Box:
 def search(plants: PlantSet, bounds: Bounds, box: Box, seed: int = 0) -> Gains:
     """The gains in a box that cost the worst plant least.
 
-    Raises
-    ------
-    DataError : no gains in the box keep the bounds on every plant.
+    Raises DataError: no gains in the box keep the bounds on every plant.
     """
     from scipy.optimize import differential_evolution, minimize
 

@@ -30,13 +30,11 @@ GOOD_WITHIN = 1.5
 class Identified:
     """What a design may use of a channel.
 
-    Attributes
-    ----------
-    models : those whose free run is at most half as bad again as the best one's, on held-out flights, and
+    `models`: those whose free run is at most half as bad again as the best one's, on held-out flights, and
         the linear baseline, which alone states intervals on gain and delay.
-    band : rad/s, where the coherence of input and output counts.
-    noise : of the measured output from sample to sample, its unit.
-    reach : largest input that was flown.
+    `band`: rad/s, where the coherence of input and output counts.
+    `noise`: of the measured output from sample to sample, its unit.
+    `reach`: largest input that was flown.
     """
 
     name: str
@@ -50,14 +48,9 @@ class Identified:
 def identify(item: HeldOut, limit: float | None) -> Identified:
     """What may be used of a channel of a run.
 
-    Parameters
-    ----------
-    limit : of the input, where it is known.
-
-    Raises
-    ------
-    DataError : the flights do not identify the plant, or the channel is none that a position loop goes round;
-        the hint says what to fly next.
+    `limit`: of the input, where it is known.
+    Raises DataError: the flights do not identify the plant, or the channel is none that a position loop goes
+    round; the hint says what to fly next.
     """
     train = item.train
     _check_units(train)
@@ -161,10 +154,8 @@ def _check_followed(item: HeldOut, verdict: str, *, share: float = 0.8, known_to
     Few flights may show no difference of free runs, in which drift counts most, and yet the response near a
     crossover to a tenth.
 
-    Parameters
-    ----------
-    share : of the held-out part's trusted band that the model has to follow.
-    known_to : half width of the interval of ln |G| and of the phase in rad up to which a point counts.
+    `share`: of the held-out part's trusted band that the model has to follow.
+    `known_to`: half width of the interval of ln |G| and of the phase in rad up to which a point counts.
     """
     label = item.channel.baseline
     model = item.models[label]

@@ -25,19 +25,15 @@ TUNED = ("position", "velocity", "integral", "derivative", "cut_hz")
 class Gains:
     """Gains in the channel's own units.
 
-    Attributes
-    ----------
-    position : 1/s, wanted velocity per error of position.
-    velocity : input per m/s.
-    integral : input per m/s and second.
-    derivative : input per m/s^2.
-    cut_hz : of the derivative's filter.
-    error_hz : of the filter on the error of velocity; 0 for none.
-    on_error : 1 where the derivative is that of the error of velocity, 0 where it is that of the velocity.
-    feedforward : input per m/s of the reference; where it is not 0 the reference's velocity is wanted, too.
+    `position`: 1/s, wanted velocity per error of position.
+    `velocity`: input per m/s.
+    `integral`: input per m/s and second.
+    `derivative`: input per m/s^2.
+    `cut_hz`: of the derivative's filter.
+    `error_hz`: of the filter on the error of velocity; 0 for none.
+    `on_error`: 1 where the derivative is that of the error of velocity, 0 where it is that of the velocity.
+    `feedforward`: input per m/s of the reference; where it is not 0 the reference's velocity is wanted, too.
 
-    Examples
-    --------
     >>> Gains(1.4, 4.2).times(2.0).velocity
     8.4
     """
@@ -79,11 +75,9 @@ def keeping(cut_hz: npt.ArrayLike, dt_s: float) -> FloatArray:
 class LoopParts:
     """(F,) responses of what a loop is made of, at omega in rad/s, computed every dt_s.
 
-    Attributes
-    ----------
-    back : one sample earlier.
-    place : the vehicle's position over its velocity, by the trapezoidal rule.
-    total : the controller's integral.
+    `back`: one sample earlier.
+    `place`: the vehicle's position over its velocity, by the trapezoidal rule.
+    `total`: the controller's integral.
     """
 
     dt_s: float

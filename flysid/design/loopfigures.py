@@ -36,16 +36,14 @@ class Laws:
 class Figures:
     """(S, P) arrays: gains by plants.
 
-    Attributes
-    ----------
-    stable : whether the loop is.
-    ms : largest amplification of disturbances.
-    peak : largest gain from the reference to the position.
-    noise : largest gain from noise of the velocity to the input.
-    crossover : rad/s, where the loop's gain falls through one for the last time; 0 where it never is one.
-    tracking : integral of the squared error after a step of 1 m, m^2 s.
-    disturbance : the same after a step of 1 at the plant's input.
-    loop : (S, P, F) cut at the plant's input.
+    `stable`: whether the loop is.
+    `ms`: largest amplification of disturbances.
+    `peak`: largest gain from the reference to the position.
+    `noise`: largest gain from noise of the velocity to the input.
+    `crossover`: rad/s, where the loop's gain falls through one for the last time; 0 where it never is one.
+    `tracking`: integral of the squared error after a step of 1 m, m^2 s.
+    `disturbance`: the same after a step of 1 at the plant's input.
+    `loop`: (S, P, F) cut at the plant's input.
     """
 
     stable: npt.NDArray[np.bool_]
@@ -82,11 +80,9 @@ def figures_of_paths(
 ) -> Figures:
     """Of controllers (S, 1, F) by their paths to the input, on every plant (P, F).
 
-    Parameters
-    ----------
-    centre, asked, seen : from the velocity and the position that it comes to; from the reference; from the
-        measured velocity alone.
-    integral : (S, 1) more than 0 where the controller integrates; None: all do.
+    `centre`, `asked`, `seen`: from the velocity and the position that it comes to; from the reference; from
+        the measured velocity alone.
+    `integral`: (S, 1) more than 0 where the controller integrates; None: all do.
     """
     loop = centre * plants
     whole = 1.0 + loop

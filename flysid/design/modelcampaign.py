@@ -26,12 +26,10 @@ from flysid.validate.runs.run import HeldOut, Run, held_out
 class OnModels:
     """How a design is flown on models.
 
-    Attributes
-    ----------
-    vehicles : of every channel.
-    seed : of draws, delays and stretches of flight.
-    delay_s : ends of the range of the delay of the link, beside the models' own.
-    limit : largest input, in its unit; None: the largest that the models were fitted to.
+    `vehicles`: of every channel.
+    `seed`: of draws, delays and stretches of flight.
+    `delay_s`: ends of the range of the delay of the link, beside the models' own.
+    `limit`: largest input, in its unit; None: the largest that the models were fitted to.
     """
 
     vehicles: int = 100
@@ -51,14 +49,9 @@ class _Channel:
 def fly_on_run(axes: Sequence[Axis], run: Run, how: OnModels, data: str | Path | None = None) -> Campaign:
     """Fly every law of a design on the good models of a run, which may be another one than it was made of.
 
-    Parameters
-    ----------
-    data : the run's data, if they have moved.
-
-    Raises
-    ------
-    UsageError : the run has no channel of the design, or one with other signals or another sample time.
-    DataError : no channel identifies a plant, see `identify`.
+    `data`: the run's data, if they have moved.
+    Raises UsageError: the run has no channel of the design, or one with other signals or another sample time.
+    Raises DataError: no channel identifies a plant, see `identify`.
     """
     check_number(how.vehicles)
     if not all(0.0 <= late < 1.0 for late in how.delay_s) or how.delay_s[0] > how.delay_s[1]:

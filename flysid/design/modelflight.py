@@ -26,10 +26,8 @@ def fly_models(
 ) -> list[list[Flown]]:
     """What every law (outer) does on every vehicle of a channel (inner), over the first axis' course.
 
-    Parameters
-    ----------
-    sign : -1 where the output falls as the input rises.
-    limit : largest input.
+    `sign`: -1 where the output falls as the input rises.
+    `limit`: largest input.
     """
     found: list[list[Flown | None]] = [[None] * len(vehicles) for _ in laws]
     for shape in dict.fromkeys(_shape(v) for v in vehicles):

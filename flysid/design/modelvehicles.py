@@ -28,12 +28,10 @@ SPARE = 4
 class ModelVehicle:
     """A model of one input and one output that is flown.
 
-    Attributes
-    ----------
-    label : of the model; " drawn" behind it where its numbers were.
-    body : its step.
-    delay_s : of the link, beside the model's own.
-    disturbance : (N,) added to the velocity, m/s.
+    `label`: of the model; " drawn" behind it where its numbers were.
+    `body`: its step.
+    `delay_s`: of the link, beside the model's own.
+    `disturbance`: (N,) added to the velocity, m/s.
     """
 
     label: str
@@ -87,16 +85,11 @@ def draw_vehicles(
     Draws that the training flights contradict are left out: their free run errs more than `GOOD_WITHIN` times
     as much as the model's. Where numbers trade off, a normal distribution has many of them.
 
-    Parameters
-    ----------
-    test : flights that the models have not seen.
-    count : of vehicles.
-    delay_s : ends of the range of the delay beside the models'.
-    samples : length of a flight.
-
-    Raises
-    ------
-    UsageError : fewer vehicles than models. DataError : no model can be flown.
+    `test`: flights that the models have not seen.
+    `count`: of vehicles.
+    `delay_s`: ends of the range of the delay beside the models'.
+    `samples`: length of a flight.
+    Raises UsageError: fewer vehicles than models. Raises DataError: no model can be flown.
     """
     bodies, notes = _bodies(found)
     if not bodies:

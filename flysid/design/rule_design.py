@@ -106,13 +106,8 @@ class RuleDesign:
 def design_rules(run: Run, wish: Wish, data: str | Path | None = None) -> RuleDesign:
     """Certified gains for the rules of every channel that identifies a plant.
 
-    Parameters
-    ----------
-    wish : with the input's limit; present gains and feed-forward are for the PID.
-
-    Raises
-    ------
-    UsageError : no limit, or no such channel. DataError : no channel can be designed for.
+    `wish`: with the input's limit; present gains and feed-forward are for the PID.
+    Raises UsageError: no limit, or no such channel. Raises DataError: no channel can be designed for.
     """
     if wish.limit is None:
         raise UsageError("gains of rules are found inside the input's limit", hint="--limit, in its unit")

@@ -45,14 +45,9 @@ def search_rule_gains(
 ) -> RuleLaw:
     """The certified gains that keep the bounds on every plant and cost the worst least.
 
-    Parameters
-    ----------
-    plants : with a positive gain.
-    limit : of the input, kept from an error of position as large as the bounds afford (`STEPS_M`).
-
-    Raises
-    ------
-    DataError : no certified gains keep the bounds.
+    `plants`: with a positive gain.
+    `limit`: of the input, kept from an error of position as large as the bounds afford (`STEPS_M`).
+    Raises DataError: no certified gains keep the bounds.
     """
     parts = LoopParts.at(plants.omega, plants.dt_s)
     best: tuple[float, RuleLaw] | None = None
@@ -83,10 +78,8 @@ def certified_gains(
 ) -> RuleLaw | None:
     """The cheapest gains for one choice of weights, proved afterwards; None where there are none.
 
-    Parameters
-    ----------
-    effort : weight of the input's change in a sample beside an error of 1 m.
-    total : weight of the sum of the error.
+    `effort`: weight of the input's change in a sample beside an error of 1 m.
+    `total`: weight of the sum of the error.
     """
     found = _riccati(plant, effort, total)
     if found is None:
@@ -192,10 +185,8 @@ def _blocks(
 def _inside(blocks: list[Block], first: FloatArray, count: int, size: float) -> FloatArray | None:
     """Unknowns strictly inside, by way of a slack; None where there are none.
 
-    Parameters
-    ----------
-    first : (n,) M of every rule where Q is the identity: the mean rule's Riccati gains.
-    size : of the start squared, in these coordinates.
+    `first`: (n,) M of every rule where Q is the identity: the mean rule's Riccati gains.
+    `size`: of the start squared, in these coordinates.
     """
     E = symmetric_basis(len(first))
     scale = 1.5 * size

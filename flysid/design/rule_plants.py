@@ -28,12 +28,10 @@ from flysid.model.capabilities import HasRuleRecursion, LocallyLinear
 class RulePlant:
     """Rules about a position.
 
-    Attributes
-    ----------
-    a, b : (R, n, n), (R, n).
-    speeds, sent : n_v, n_s.
-    scheduling : (n_z, n) of xi to the antecedents.
-    centre, width : (R, n_z) of Gaussian memberships; low, high : (n_z,) ends of the antecedents.
+    `a`, `b`: (R, n, n), (R, n).
+    `speeds`, `sent`: n_v, n_s.
+    `scheduling`: (n_z, n) of xi to the antecedents.
+    `centre`, `width`: (R, n_z) of Gaussian memberships; `low`, `high`: (n_z,) ends of the antecedents.
     """
 
     dt_s: float
@@ -57,12 +55,10 @@ class RulePlant:
 class RuleLaw:
     """u = - sum_r w_r K_r xi: parallel distributed compensation (Wang, Tanaka and Griffin, 1996).
 
-    Attributes
-    ----------
-    gains : (R, n) K.
-    metric : (n, n) P of the certificate.
-    decay : g of the certificate, per step.
-    reach_m : an error of position up to this keeps the input inside its limit, as far as P tells.
+    `gains`: (R, n) K.
+    `metric`: (n, n) P of the certificate.
+    `decay`: g of the certificate, per step.
+    `reach_m`: an error of position up to this keeps the input inside its limit, as far as P tells.
     """
 
     plant: RulePlant
@@ -89,12 +85,7 @@ class RuleLaw:
 
 
 def rule_plant(model: Fitted) -> RulePlant:
-    """The plant of a model of rules over lags.
-
-    Raises
-    ------
-    DataError : no rules, or over hidden states.
-    """
+    """The plant of a model of rules over lags. Raises DataError: no rules, or over hidden states."""
     hidden = isinstance(model, HasRuleRecursion) and model.layout.hidden
     if not isinstance(model, LocallyLinear) or hidden:
         raise DataError(

@@ -35,10 +35,8 @@ KD_RULES = np.array(
 class Tuner:
     """The ends of both gains, and the error and speed at which the outer sets stand.
 
-    Attributes
-    ----------
-    kp : input per m. kd : input per m/s.
-    error_m, speed_m_s : beyond them the outermost sets hold.
+    `kp`: input per m. `kd`: input per m/s.
+    `error_m`, `speed_m_s`: beyond them the outermost sets hold.
     """
 
     kp: tuple[float, float]

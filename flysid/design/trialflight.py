@@ -21,7 +21,7 @@ from flysid.errors import UsageError
 from flysid.ingest.synth.dryden import Wind, wind_field
 from flysid.ingest.synth.inner_loop import Axis
 from flysid.ingest.synth.quadrotor import INPUTS, ROTORS, STATES, integrate
-from flysid.ingest.synth.rigid_body import STEP_S, Vehicle, fly_vehicle
+from flysid.ingest.synth.rigid_body import STEP_S, SimulatedVehicle, fly_vehicle
 from flysid.ingest.synth.tuning import linearise
 
 PERIOD_S = 0.02
@@ -57,7 +57,7 @@ class Doubtful:
 class Trial:
     """One vehicle in one wind; `seed` fixes turbulence and noise."""
 
-    vehicle: Vehicle
+    vehicle: SimulatedVehicle
     wind: Wind
     seed: int
 
@@ -65,7 +65,7 @@ class Trial:
     def drawn(cls, doubtful: Doubtful, seed: int, number: int) -> Trial:
         """The `number`-th of a seed, whatever else is drawn."""
         rng = np.random.default_rng([seed, number])
-        nominal = Vehicle()
+        nominal = SimulatedVehicle()
         a = nominal.airframe
         drag = rng.uniform(*doubtful.drag)
         linear = a.linear_drag_1_s
@@ -84,7 +84,7 @@ class Trial:
             attitude_rad_s=nominal.loop.attitude_rad_s * rng.uniform(*doubtful.inner),
             attitude_damping=nominal.loop.attitude_damping * rng.uniform(*doubtful.damping),
         )
-        vehicle = Vehicle(airframe, loop, nominal.effects, rng.uniform(*doubtful.delay_s))
+        vehicle = SimulatedVehicle(airframe, loop, nominal.effects, rng.uniform(*doubtful.delay_s))
         wind = Wind(rng.uniform(*doubtful.wind_m_s), rng.uniform(0.0, 360.0))
         return cls(vehicle, wind, int(rng.integers(2**31)))
 
@@ -98,15 +98,13 @@ def _perturb(axis: Axis, rng: np.random.Generator, spread: tuple[float, float]) 
 class Flown:
     """What one law did on one axis of one trial.
 
-    Attributes
-    ----------
-    ise : integral of the squared error of position, m^2 s.
-    overshoot : beyond the first step, as a share of it.
-    settled_s : until the first step's error stays within 5 %; NaN where it does not before the next step.
-    input_rms, moved : of the input, deg, and its total variation over time, deg/s.
-    saturated : share of samples with the input at its limit.
-    lost : the vehicle hit the ground or turned over.
-    blown : it was more than 25 m away: more wind than the tilt's limit holds.
+    `ise`: integral of the squared error of position, m^2 s.
+    `overshoot`: beyond the first step, as a share of it.
+    `settled_s`: until the first step's error stays within 5 %; NaN where it does not before the next step.
+    `input_rms`, `moved`: of the input, deg, and its total variation over time, deg/s.
+    `saturated`: share of samples with the input at its limit.
+    `lost`: the vehicle hit the ground or turned over.
+    `blown`: it was more than 25 m away: more wind than the tilt's limit holds.
     """
 
     ise: float
@@ -146,10 +144,8 @@ def fly_trial(
 ) -> dict[str, Flown]:
     """Fly the course under the laws of x and y; the same noise and wind whatever the laws.
 
-    Parameters
-    ----------
-    rules : of an axis that gains of rules fly instead of its law.
-    tuners : of an axis, what sets its law's gains of position and velocity in flight.
+    `rules`: of an axis that gains of rules fly instead of its law.
+    `tuners`: of an axis, what sets its law's gains of position and velocity in flight.
     """
     rng = np.random.default_rng(trial.seed)
     place, speed = course()
@@ -195,10 +191,8 @@ def judge_flight(
 ) -> Flown:
     """What a flight over the course comes to.
 
-    Parameters
-    ----------
-    away, u : (N,) the commanded place less the vehicle's, m, and the input.
-    step_s : when the first step of 2 m begins and ends.
+    `away`, `u`: (N,) the commanded place less the vehicle's, m, and the input.
+    `step_s`: when the first step of 2 m begins and ends.
     """
     first, last = (round(t / dt_s) for t in step_s)
     step = away[first:last] / 2.0
@@ -300,7 +294,9 @@ def _fly(x, place, speed, noise, air, laws, keep, limit, late, f, tuners, counts
     return states, inputs
 
 
-def true_plants(vehicle: Vehicle, omega: FloatArray, *, settling_s: float = 10.0) -> dict[str, ComplexArray]:
+def true_plants(
+    vehicle: SimulatedVehicle, omega: FloatArray, *, settling_s: float = 10.0
+) -> dict[str, ComplexArray]:
     """(F,) what x and y of this very vehicle answer about hover, in still air, with delay and hold."""
     still = np.zeros((round(settling_s / PERIOD_S), 3))
     rest = fly_vehicle(vehicle, still, start=vehicle.hover(ALTITUDE_M)).states[-1]
@@ -310,7 +306,7 @@ def true_plants(vehicle: Vehicle, omega: FloatArray, *, settling_s: float = 10.0
     return {name: np.asarray(response[:, k, k] * late) for k, name in enumerate(AXES)}
 
 
-def held_wind_m_s(vehicle: Vehicle) -> dict[str, float]:
+def held_wind_m_s(vehicle: SimulatedVehicle) -> dict[str, float]:
     """Steady wind along x and y that full tilt just holds, m/s: drag against gravity's share."""
     a = vehicle.airframe
     quadratic = a.quadratic_drag_1_m[0]

@@ -31,10 +31,8 @@ def identifier(text: str, *, longest: int = 20) -> str:
 def c_files(program: Program, name: str, single: float | None = None) -> dict[str, str]:
     """File name -> text.
 
-    Parameters
-    ----------
-    name : of the functions and files, as `identifier` makes it.
-    single : write float32; how far it strays from double, as a share of the free run's RMSE
+    `name`: of the functions and files, as `identifier` makes it.
+    `single`: write float32; how far it strays from double, as a share of the free run's RMSE
         (`flysid.export.single`). None writes double.
     """
     values = _values(program, name, single) | _check(program, single)

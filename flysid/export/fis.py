@@ -29,9 +29,7 @@ def why_no_fis(program: Program) -> str:
 def fis_text(program: Program, name: str) -> str:
     """The file of a static model, in physical units, digit by digit.
 
-    Parameters
-    ----------
-    program : one of which `why_no_fis` says "".
+    `program`: one of which `why_no_fis` says "".
     """
     m = program.memberships
     assert m is not None

@@ -33,15 +33,10 @@ FMIVersion = Literal[2, 3]
 def fmu_bytes(program: Program, name: str, *, version: FMIVersion = 2, binary: bool = True) -> bytes:
     """The FMU; the same bytes each time by the same compiler.
 
-    Parameters
-    ----------
-    name : model identifier, as `csource.identifier` makes it.
-    version : of FMI.
-    binary : compile it for this machine where it is a 64-bit Linux with a C compiler.
-
-    Raises
-    ------
-    FitError : the compiler refuses its sources.
+    `name`: model identifier, as `csource.identifier` makes it.
+    `version`: of FMI.
+    `binary`: compile it for this machine where it is a 64-bit Linux with a C compiler.
+    Raises FitError: the compiler refuses its sources.
     """
     texts = c_files(program, name)
     sources = {f: texts[f] for f in (f"{name}.c", f"{name}.h")}
@@ -62,15 +57,10 @@ def packed(
 ) -> bytes:
     """The archive of a model whose C has `NAME_reset`, `NAME_output` and `NAME_advance`.
 
-    Parameters
-    ----------
-    sources : file -> text of that C.
-    values : what the template of the interface names of the model.
-    paragraphs : of its documentation.
-
-    Raises
-    ------
-    FitError : the compiler refuses its sources.
+    `sources`: file -> text of that C.
+    `values`: what the template of the interface names of the model.
+    `paragraphs`: of its documentation.
+    Raises FitError: the compiler refuses its sources.
     """
     name = facts.name
     identity = str(uuid.uuid5(uuid.NAMESPACE_URL, "".join(sources.values())))

@@ -15,10 +15,8 @@ from flysid.version import __version__
 class Variable:
     """A variable; its value reference is its place.
 
-    Attributes
-    ----------
-    kind : causality, variability, initial.
-    begins : its start value, where it has one.
+    `kind`: causality, variability, initial.
+    `begins`: its start value, where it has one.
     """
 
     name: str
@@ -31,11 +29,9 @@ class Variable:
 class Facts:
     """A model as the standard wants it described.
 
-    Attributes
-    ----------
-    variables : inputs, outputs, and what a run starts from.
-    outputs : places of the outputs.
-    through : places of the inputs that the outputs depend on at once.
+    `variables`: inputs, outputs, and what a run starts from.
+    `outputs`: places of the outputs.
+    `through`: places of the inputs that the outputs depend on at once.
     """
 
     name: str

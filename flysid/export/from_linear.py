@@ -31,9 +31,7 @@ from flysid.model.subspace.kalman import filtered_states, resting_state
 class _States:
     """x(k+1) = A x(k) + B u(k) + f, y(k) = C x(k) + D u(k) + g in deviations, and x(0) at rest.
 
-    Attributes
-    ----------
-    late : samples by which every input is late before it enters.
+    `late`: samples by which every input is late before it enters.
     """
 
     a: FloatArray
@@ -85,9 +83,7 @@ def _affine_past(
 ) -> AffinePast:
     """Memory after the samples that start a simulation.
 
-    Parameters
-    ----------
-    state_after : the state after deviations (n_init, n_u), (n_init, n_y), an affine function of them.
+    `state_after`: the state after deviations (n_init, n_u), (n_init, n_y), an affine function of them.
     """
     rows = model.n_init
     n_u = len(model.inputs)

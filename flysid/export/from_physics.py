@@ -24,12 +24,7 @@ _SPEED, _BEFORE, _NOW = np.eye(3)
 
 
 def multirotor_program(model: FittedMultirotor) -> Program:
-    """Outputs, then the motors of every output.
-
-    Raises
-    ------
-    UsageError : the model feels the battery's voltage.
-    """
+    """Outputs, then the motors of every output. Raises UsageError: the model feels the battery's voltage."""
     if model.battery is not None:
         raise UsageError(
             "a physical model with the battery's voltage cannot be exported",

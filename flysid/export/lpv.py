@@ -32,14 +32,12 @@ MATRICES = ("A", "B", "f", "C", "D", "g")
 class Lpv:
     """Affine systems and when each speaks.
 
-    Attributes
-    ----------
-    states : name, lag in samples and unit of every entry of x.
-    A, B, f, C, D, g : (R, n, n), (R, n, n_u), (R, n), (R, n_y, n), (R, n_y, n_u), (R, n_y).
-    P, Q : (n_z, n), (n_z, n_u) scheduling; no rows for one system.
-    memberships : over z, in physical units; None for one system.
-    x0 : (n,) at rest: where all inputs and outputs were zero.
-    output_limits : (2, n_y).
+    `states`: name, lag in samples and unit of every entry of x.
+    `A`, `B`, `f`, `C`, `D`, `g`: (R, n, n), (R, n, n_u), (R, n), (R, n_y, n), (R, n_y, n_u), (R, n_y).
+    `P`, `Q`: (n_z, n), (n_z, n_u) scheduling; no rows for one system.
+    `memberships`: over z, in physical units; None for one system.
+    `x0`: (n,) at rest: where all inputs and outputs were zero.
+    `output_limits`: (2, n_y).
     """
 
     title: str
@@ -76,11 +74,7 @@ class Lpv:
     def to_control(self) -> Any:
         """One system as control.StateSpace with a further input "one", always 1, for the offsets.
 
-        Simulate it from `x0`.
-
-        Raises
-        ------
-        UsageError : there are several systems.
+        Simulate it from `x0`. Raises UsageError: there are several systems.
         """
         import control
 
@@ -148,16 +142,9 @@ class Lpv:
 def to_lpv(model: Fitted, rate_hz: float | None = None) -> Lpv:
     """A fitted model in linear parameter-varying form, whatever its structure.
 
-    Parameters
-    ----------
-    rate_hz : steps a second, of a transfer function in s.
+    `rate_hz`: steps a second, of a transfer function in s.
+    Raises UsageError: the model has no single step (an ensemble).
 
-    Raises
-    ------
-    UsageError : the model has no single step (an ensemble).
-
-    Examples
-    --------
     >>> arx = flysid.ARX(na=1, nb=1, nk=1, refine=False).fit(train)  # train: see `flysid.Dataset`
     >>> to_lpv(arx).A.shape
     (1, 2, 2)

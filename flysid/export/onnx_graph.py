@@ -34,14 +34,9 @@ Name = str
 def onnx_bytes(members: Sequence[Member], name: str) -> bytes:
     """The graph of one step.
 
-    Parameters
-    ----------
-    members : one, or those of an ensemble.
-    name : of the graph.
-
-    Raises
-    ------
-    UsageError : the package onnx is not installed.
+    `members`: one, or those of an ensemble.
+    `name`: of the graph.
+    Raises UsageError: the package onnx is not installed.
     """
     graph = Graph()
     ends = np.cumsum([0, *(len(m.program.memory) for m in members)])
@@ -65,9 +60,7 @@ def onnx_bytes(members: Sequence[Member], name: str) -> bytes:
 def names_json(members: Sequence[Member], loss: float | None) -> str:
     """What the graph's numbers are: names, units, shift and scale.
 
-    Parameters
-    ----------
-    loss : what float32 adds to the free run's error on the training data, as a share of its RMSE; None where
+    `loss`: what float32 adds to the free run's error on the training data, as a share of its RMSE; None where
         it was not tried.
     """
     first = members[0].program
@@ -106,9 +99,7 @@ def _entries(program: Program) -> list[dict[str, Any]]:
 class Graph:
     """Nodes and constants, each under a name of its own.
 
-    Raises
-    ------
-    UsageError : the package onnx is not installed.
+    Raises UsageError: the package onnx is not installed.
     """
 
     def __init__(self) -> None:

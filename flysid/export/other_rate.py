@@ -12,9 +12,7 @@ from flysid.model.capabilities import HasOtherRates
 def resample(model: Fitted, rate_hz: float) -> Fitted:
     """The model at `rate_hz` steps a second, its inputs constant between samples.
 
-    Raises
-    ------
-    UsageError : a model that has one rate only, one that drifts by itself, or no possible rate.
+    Raises UsageError: a model that has one rate only, one that drifts by itself, or no possible rate.
     """
     if not (np.isfinite(rate_hz) and rate_hz > 0.0):
         raise UsageError(f"a rate of {rate_hz!r} Hz", hint="steps a second, above 0")

@@ -94,10 +94,8 @@ class Worked(NamedTuple):
 class AffinePast(NamedTuple):
     """The memory as an affine function of the last samples; all normalised.
 
-    Attributes
-    ----------
-    rows : number of samples.
-    matrix : (m, rows (n_u + n_y) + 1) over inputs, row by row, the oldest first, then outputs, then 1.
+    `rows`: number of samples.
+    `matrix`: (m, rows (n_u + n_y) + 1) over inputs, row by row, the oldest first, then outputs, then 1.
     """
 
     rows: int
@@ -112,9 +110,7 @@ class LikelyPast(NamedTuple):
 
         weight * sum |y(k) - yhat(k; z)|^2 + |z|^2,     all normalised
 
-    Attributes
-    ----------
-    rows : number of samples.
+    `rows`: number of samples.
     """
 
     rows: int

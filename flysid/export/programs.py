@@ -27,13 +27,8 @@ class Member(NamedTuple):
 def program_of(model: Fitted, rate_hz: float | None = None) -> Program:
     """One step of a fitted model.
 
-    Parameters
-    ----------
-    rate_hz : steps a second, of a transfer function in s; None is the rate that it was fitted at.
-
-    Raises
-    ------
-    UsageError : a structure that cannot be exported, or not at another rate; a model without inputs.
+    `rate_hz`: steps a second, of a transfer function in s; None is the rate that it was fitted at.
+    Raises UsageError: a structure that cannot be exported, or not at another rate; a model without inputs.
     """
     if not model.inputs:
         raise UsageError("the model has no inputs", hint="fit a channel with an input")
@@ -54,9 +49,7 @@ def program_of(model: Fitted, rate_hz: float | None = None) -> Program:
 def members_of(model: Fitted, rate_hz: float | None = None) -> tuple[Member, ...]:
     """One step of a fitted model as weighed programs: those of an ensemble's members, or its own alone.
 
-    Raises
-    ------
-    UsageError : as `program_of`, of any member.
+    Raises UsageError: as `program_of`, of any member.
     """
     if not isinstance(model, HasMembers):
         return (Member(program_of(model, rate_hz), 1.0),)

@@ -25,10 +25,8 @@ Dialect = Literal["casadi", "jax"]
 def python_file(members: Sequence[Member], name: str, dialect: Dialect) -> str:
     """The text of a file.
 
-    Parameters
-    ----------
-    members : one, or those of an ensemble.
-    name : of the functions, as `identifier` makes it.
+    `members`: one, or those of an ensemble.
+    `name`: of the functions, as `identifier` makes it.
     """
     first = members[0].program
     alone = len(members) == 1

@@ -23,12 +23,9 @@ REMEDY = (
 def loss_in_float32(model: Fitted, program: Program, train: Dataset, *, largest_loss: float = 0.01) -> float:
     """What rounding to float32 adds to the free run's error, as a share of that error's RMSE.
 
-    Both programs run from rest along the inputs of training; the worst output counts.
-
-    Raises
-    ------
-    UsageError : the share is above 1 %, or the poles of a rule leave the unit circle by being rounded.
-    DataError : no segment is long enough to run on.
+    Both programs run from rest along the inputs of training; the worst output counts. Raises UsageError: the
+    share is above 1 %, or the poles of a rule leave the unit circle by being rounded. Raises DataError: no
+    segment is long enough to run on.
     """
     refuse_poles(program)
     rounding = np.zeros(len(program.outputs))

@@ -18,13 +18,9 @@ NS = 1e-9
 class LogClock:
     """When the boots of a log began, on the vehicle's clock and on the axis.
 
-    Attributes
-    ----------
-    begins_ns : boot -> vehicle time of its first row.
-    starts_s : boot -> seconds on the axis at which it begins: the lengths of the boots before it.
+    `begins_ns`: boot -> vehicle time of its first row.
+    `starts_s`: boot -> seconds on the axis at which it begins: the lengths of the boots before it.
 
-    Examples
-    --------
     >>> clock = log_clock([ClockMap(0, 5_000_000_000, 9_000_000_000), ClockMap(1, 0, 3_000_000_000)])
     >>> clock.seconds(0, 6_000_000_000), clock.seconds(1, 500_000_000)
     (1.0, 4.5)

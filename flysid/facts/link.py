@@ -30,18 +30,14 @@ RARE = 200  # frames to a pause, from which on pauses are no part of a sender's 
 class LinkLoss:
     """What came of one sender, and what did not.
 
-    Attributes
-    ----------
-    frames : that came, each counted once.
-    lost : missing by the sequence alone.
-    hidden : missing in addition, in multiples of 256, likely.
-    late : overtaken on their way.
-    repeated : frames that came again, byte for byte: a router's loop, two ways to one place.
-    silences, silent_us : gaps with losses that lasted `SILENCE_US` or more, and how long they lasted.
-    boots, clock_steps : restarts and jumps of the clock that the frames state.
+    `frames`: that came, each counted once.
+    `lost`: missing by the sequence alone.
+    `hidden`: missing in addition, in multiples of 256, likely.
+    `late`: overtaken on their way.
+    `repeated`: frames that came again, byte for byte: a router's loop, two ways to one place.
+    `silences`, `silent_us`: gaps with losses that lasted `SILENCE_US` or more, and how long they lasted.
+    `boots`, `clock_steps`: restarts and jumps of the clock that the frames state.
 
-    Examples
-    --------
     >>> LinkLoss(frames=90, lost=10).share
     0.1
     """
@@ -140,8 +136,6 @@ class _Silence:
 class SequenceCounter:
     """Counts the losses of one sender, batch by batch.
 
-    Examples
-    --------
     >>> frames = FrameRows(np.array([0, 1, 4]), None, np.array([7, 8, 9]), np.full(3, NO_CLOCK))
     >>> counter = SequenceCounter()
     >>> _ = counter.count(frames)
@@ -160,9 +154,7 @@ class SequenceCounter:
     def count(self, rows: FrameRows) -> tuple[BoolArray, BoolArray]:
         """Take in frames; returns which are no repeats, and which a vehicle sent first after a restart.
 
-        Parameters
-        ----------
-        rows : (n,) frames, in the order of their arrival.
+        `rows`: (n,) frames, in the order of their arrival.
         """
         copies, doubted, taken_back = self._copies.find(rows, self._counts["frames"], self._known_pace_us)
         self._add(frames=-taken_back, repeated=taken_back)

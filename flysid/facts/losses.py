@@ -16,8 +16,6 @@ MOST_REASONS = 3
 def lost_words(damage: Damage) -> str:
     """Losses in a few words: in the file, then before it was written; "" where there are none.
 
-    Examples
-    --------
     >>> lost_words(Damage(bad_checksums=2, sequence_gaps={"1.1": 40}, silence_gaps={"1.1": 512}))
     '2 bad checksums, 40 on the link and likely 512 more in silences'
     """
@@ -74,8 +72,6 @@ def loss_lines(damage: Damage) -> list[str]:
 def repeat_lines(damage: Damage) -> list[str]:
     """What came more than once and is kept once, one line per sender.
 
-    Examples
-    --------
     >>> repeat_lines(Damage(repeats={"1.1": 4096}))[0].partition(" (")[0]
     '4,096 messages of 1.1 came again, byte for byte'
     """
@@ -89,12 +85,8 @@ def repeat_lines(damage: Damage) -> list[str]:
 def lines_of_flights(lost: Mapping[str, str], most: int) -> list[str]:
     """What flights lack, one line each; beyond `most` of them one line that counts the rest.
 
-    Parameters
-    ----------
-    lost : flight -> what its log lacks, in words; "" where nothing is known to be lost.
+    `lost`: flight -> what its log lacks, in words; "" where nothing is known to be lost.
 
-    Examples
-    --------
     >>> lines_of_flights({"a": "end cut off", "b": "", "c": "2 bad checksums", "d": "end cut off"}, 2)
     ['a: end cut off', 'c: 2 bad checksums', '1 more flight lacks something']
     """
@@ -108,8 +100,6 @@ def lines_of_flights(lost: Mapping[str, str], most: int) -> list[str]:
 def link_words(loss: LinkLoss) -> str:
     """What a link lost of one sender, and what came again.
 
-    Examples
-    --------
     >>> link_words(LinkLoss(frames=90, lost=10, repeated=1))
     'lost by the link: 10 %; 1 came again, byte for byte'
     """

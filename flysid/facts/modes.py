@@ -33,13 +33,9 @@ _MAIN_SHIFT, _SUB_SHIFT = 16, 24  # of PX4's custom_mode
 def mode_names(stream: str, field: str, info: Mapping[str, str]) -> Mapping[int, str]:
     """Number -> name of the modes in a column of a log; empty where the column holds none, or none is known.
 
-    Parameters
-    ----------
-    stream : key of the stream, e.g. "1.1/HEARTBEAT".
-    info : facts about the vehicle: "autopilot", "vehicle", "firmware".
+    `stream`: key of the stream, e.g. "1.1/HEARTBEAT".
+    `info`: facts about the vehicle: "autopilot", "vehicle", "firmware".
 
-    Examples
-    --------
     >>> mode_names("MODE", "ModeNum", {"autopilot": "ardupilot", "vehicle": "rover"})[11]
     'RTL'
     """
@@ -59,8 +55,6 @@ def mode_names(stream: str, field: str, info: Mapping[str, str]) -> Mapping[int,
 def mode_texts(values: Iterable[float], stream: str, field: str, info: Mapping[str, str]) -> list[str]:
     """The modes that values of a column stand for, in words; "" for a value that is missing.
 
-    Examples
-    --------
     >>> mode_texts([6, 42], "MODE", "ModeNum", {"autopilot": "ardupilot", "vehicle": "copter"})
     ['RTL', 'mode 42 (copter)']
     """
@@ -88,8 +82,6 @@ def all_names() -> frozenset[str]:
 def family_of(vehicle: str) -> str:
     """ArduPilot's firmware for a kind of vehicle: "copter", "plane", "rover", "sub"...; "" for others.
 
-    Examples
-    --------
     >>> family_of("hexarotor"), family_of("vtol_tiltrotor"), family_of("surface_boat"), family_of("gcs")
     ('copter', 'plane', 'rover', '')
     """

@@ -22,12 +22,10 @@ NO_CLOCK = -1
 class FrameRows:
     """Frames of one sender in the order of their arrival, one row each.
 
-    Attributes
-    ----------
-    sequence : (n,) numbers, 0 to 255.
-    stamp_us : (n,) arrivals; None where nobody noted them.
-    checksum : (n,) of content and number.
-    clock_ms : (n,) since boot, as frames state it; `NO_CLOCK` where they do not.
+    `sequence`: (n,) numbers, 0 to 255.
+    `stamp_us`: (n,) arrivals; None where nobody noted them.
+    `checksum`: (n,) of content and number.
+    `clock_ms`: (n,) since boot, as frames state it; `NO_CLOCK` where they do not.
     """
 
     sequence: IntArray
@@ -63,10 +61,8 @@ class CopyFinder:
     def find(self, rows: FrameRows, frames: int, interval_us: float) -> tuple[BoolArray, BoolArray, int]:
         """(n,) which frames are copies, (n,) which seem to be, and how many were taken for new before.
 
-        Parameters
-        ----------
-        frames : of the sender so far, copies left out.
-        interval_us : from frame to frame; 0 where fewer than `LATELY` steps were timed, for the mean of a
+        `frames`: of the sender so far, copies left out.
+        `interval_us`: from frame to frame; 0 where fewer than `LATELY` steps were timed, for the mean of a
             few irregular ones may be far too short.
         """
         if not len(rows):

@@ -59,8 +59,6 @@ def serial_of(info: Mapping[str, str]) -> str:
 def firmware_of(info: Mapping[str, str]) -> str:
     """The family of a vehicle's firmware: "ardupilot", "px4", "betaflight"; as the log names any other.
 
-    Examples
-    --------
     >>> firmware_of({"autopilot": "ardupilotmega"}), firmware_of({})
     ('ardupilot', '')
     """

@@ -15,9 +15,8 @@ from flysid.place import is_address
 def answer(lake: str, sql: str) -> pa.Table:
     """What a question about the table `flights` is answered.
 
-    Raises
-    ------
-    UsageError : no lake and no ingested folder; the question is not understood, or is more than a question.
+    Raises UsageError: no lake and no ingested folder; the question is not understood, or is more than a
+    question.
     """
     if is_address(lake):
         return ask(open_lake(lake), sql)

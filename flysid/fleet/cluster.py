@@ -21,7 +21,7 @@ from itertools import islice
 from typing import Any, TypeVar
 
 from flysid.errors import FlysidError, PlaceError, UsageError
-from flysid.fleet.reading import Log, LogOutcome, Settings, ingest_batch
+from flysid.fleet.reading import LogAddress, LogOutcome, Settings, ingest_batch
 from flysid.version import __version__
 
 Task = TypeVar("Task")
@@ -45,7 +45,7 @@ class Cluster:
     """An engine of Dask's; see `flysid.fleet.ingest_many.Engine`."""
 
     client: Any
-    do: Callable[[Sequence[Log], Settings], list[LogOutcome]] = ingest_batch
+    do: Callable[[Sequence[LogAddress], Settings], list[LogOutcome]] = ingest_batch
 
     @property
     def workers(self) -> int:
@@ -61,15 +61,12 @@ class Cluster:
         return str(self.client.dashboard_link)
 
     def run(
-        self, batches: Sequence[tuple[Log, ...]], settings: Settings
-    ) -> Iterator[tuple[tuple[Log, ...], list[LogOutcome]]]:
+        self, batches: Sequence[tuple[LogAddress, ...]], settings: Settings
+    ) -> Iterator[tuple[tuple[LogAddress, ...], list[LogOutcome]]]:
         """Each batch with what became of its logs, as they finish.
 
-        A batch that Dask gives up is not done; its logs wait for the next time.
-
-        Raises
-        ------
-        PlaceError : the scheduler is gone.
+        A batch that Dask gives up is not done; its logs wait for the next time. Raises PlaceError: the
+        scheduler is gone.
         """
         for part, outcomes in self.each(partial(_ingest, self.do, settings), batches, _parts_of):
             if outcomes is None:
@@ -82,14 +79,9 @@ class Cluster:
     ) -> Iterator[tuple[Task, Result | None]]:
         """Each task with its result, as they finish; None where its workers were killed again and again.
 
-        Parameters
-        ----------
-        do : importable on the workers; what it raises is raised here, after the results that came with it.
-        parts_of : texts that tell a task from others, the first its kind; equal texts are one task.
-
-        Raises
-        ------
-        PlaceError : the scheduler is gone.
+        `do`: importable on the workers; what it raises is raised here, after the results that came with it.
+        `parts_of`: texts that tell a task from others, the first its kind; equal texts are one task.
+        Raises PlaceError: the scheduler is gone.
         """
         from distributed import as_completed
         from distributed.client import FutureCancelledError
@@ -158,12 +150,14 @@ def _unpack(do: Callable[[Task], Result], packed: bytes) -> Result:
 
 
 def _ingest(
-    do: Callable[[Sequence[Log], Settings], list[LogOutcome]], settings: Settings, part: Sequence[Log]
+    do: Callable[[Sequence[LogAddress], Settings], list[LogOutcome]],
+    settings: Settings,
+    part: Sequence[LogAddress],
 ) -> list[LogOutcome]:
     return do(part, settings)
 
 
-def _parts_of(part: Sequence[Log]) -> list[str]:
+def _parts_of(part: Sequence[LogAddress]) -> list[str]:
     return ["ingest", *(f"{log.url}\0{log.etag}\0{log.size}" for log in part)]
 
 
@@ -175,10 +169,8 @@ def _key(kind: str, *parts: str) -> str:
 def connect(address: str = "", workers: int = 0) -> Iterator[Cluster]:
     """A cluster: the scheduler at an address; or one of this many processes here, for as long as the block.
 
-    Raises
-    ------
-    UsageError : Dask is not installed; workers have another flysid, or may not start processes.
-    PlaceError : nobody answers there.
+    Raises UsageError: Dask is not installed; workers have another flysid, or may not start processes.
+    Raises PlaceError: nobody answers there.
     """
     try:
         import dask

@@ -70,10 +70,7 @@ def compact(place: Place, part_bytes: int = 128 << 20) -> Compacted:
     """Bring the parts of a lake up to its flights.
 
     Interrupted at any moment it leaves the parts that were there. Only one compaction runs at a time.
-
-    Raises
-    ------
-    StoreError : a flight's table is damaged or gone. PlaceError : no answer.
+    Raises StoreError: a flight's table is damaged or gone. Raises PlaceError: no answer.
     """
     commit = last_commit(place)  # first: what is committed meanwhile waits for the next compaction
     flights = facts_in(select(place))
@@ -94,9 +91,7 @@ def compact(place: Place, part_bytes: int = 128 << 20) -> Compacted:
 def files_of(place: Place, message: str, where: str = "") -> list[str]:
     """Addresses of the files with a message's rows: parts, and tables of flights that are in none.
 
-    Parameters
-    ----------
-    where : a condition in SQL on the flights; then the flights' own tables are named.
+    `where`: a condition in SQL on the flights; then the flights' own tables are named.
     """
     known = Parts() if where else _parts(place)
     parts = [part for part in known.parts if part.message == message]

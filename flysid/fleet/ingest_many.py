@@ -21,7 +21,7 @@ from typing import Protocol
 from flysid.catalogue import FlightFacts
 from flysid.errors import FormatError, UsageError
 from flysid.fleet.lakes import DUPLICATES, QUARANTINE, create_lake
-from flysid.fleet.reading import Log, LogOutcome, Settings, ingest_batch
+from flysid.fleet.reading import LogAddress, LogOutcome, Settings, ingest_batch
 from flysid.ingest.formats.base import HEAD_BYTES
 from flysid.ingest.formats.blame import blaming
 from flysid.ingest.formats.opening import is_archive, unpacked_head
@@ -39,16 +39,14 @@ from flysid.version import __version__
 class Sorted:
     """The logs of an ingest.
 
-    Attributes
-    ----------
-    waiting : to be read, the largest first.
-    known : how many the lake has, or has as a duplicate.
-    quarantined : how many this version could not read before.
-    passed_over : what is no log, by name or by its first bytes.
-    unread : what may be a log and cannot be read, and why.
+    `waiting`: to be read, the largest first.
+    `known`: how many the lake has, or has as a duplicate.
+    `quarantined`: how many this version could not read before.
+    `passed_over`: what is no log, by name or by its first bytes.
+    `unread`: what may be a log and cannot be read, and why.
     """
 
-    waiting: tuple[Log, ...]
+    waiting: tuple[LogAddress, ...]
     known: int = 0
     quarantined: int = 0
     passed_over: tuple[str, ...] = ()
@@ -62,8 +60,8 @@ class Engine(Protocol):
     def workers(self) -> int: ...
 
     def run(
-        self, batches: Sequence[tuple[Log, ...]], settings: Settings
-    ) -> Iterator[tuple[tuple[Log, ...], list[LogOutcome]]]:
+        self, batches: Sequence[tuple[LogAddress, ...]], settings: Settings
+    ) -> Iterator[tuple[tuple[LogAddress, ...], list[LogOutcome]]]:
         """Each batch with what became of its logs, as they finish."""
         ...
 
@@ -85,20 +83,15 @@ def find(
     names do not tell, their first bytes do, as of files on this machine. Archives count as one log until
     they are read; logs on this machine are sorted out later, by their hashes.
 
-    Parameters
-    ----------
-    since : only objects that arrived at this moment or later.
-    retry : those in quarantine, too.
-    force : all of them, whatever the lake knows.
-    bounds : of memory and time for looking into one file of this machine; see `find_logs`.
-
-    Raises
-    ------
-    UsageError : nothing there is a log.
+    `since`: only objects that arrived at this moment or later.
+    `retry`: those in quarantine, too.
+    `force`: all of them, whatever the lake knows.
+    `bounds`: of memory and time for looking into one file of this machine; see `find_logs`.
+    Raises UsageError: nothing there is a log.
     """
     addresses = [item for item in given if is_address(item)]
     paths = [item for item in given if not is_address(item)]
-    found: dict[str, Log] = {}
+    found: dict[str, LogAddress] = {}
     passed: list[str] = []
     unread: list[tuple[str, str]] = []
     for address in addresses:
@@ -114,7 +107,7 @@ def find(
         passed += [str(item.path) for item in here.passed_over]
         unread += [(str(item.path), item.reason) for item in here.unread]
         for path in here.paths:
-            found[str(path)] = Log(os.path.abspath(path), path.stat().st_size if path.is_file() else 0)
+            found[str(path)] = LogAddress(os.path.abspath(path), path.stat().st_size if path.is_file() else 0)
     if not found and not passed and not unread and since is None:
         raise UsageError("no flight log in there", path=", ".join(given))
     place = Place(lake)
@@ -188,10 +181,10 @@ def _judge_bytes(path: Path, head: bytes) -> Found:
     return found
 
 
-def _log_of(objects: _Objects, one: StoredObject) -> Log:
+def _log_of(objects: _Objects, one: StoredObject) -> LogAddress:
     """An object as a log; it is another log once what it is read with is another."""
     sides = [objects.there[key].etag for suffix in READ if (key := one.key + suffix) in objects.there]
-    return Log(objects.place.at(one.key), one.size, " ".join((one.etag, *sides)))
+    return LogAddress(objects.place.at(one.key), one.size, " ".join((one.etag, *sides)))
 
 
 def _is_meant(found: StoredObject, pattern: str, since: datetime | None) -> bool:
@@ -256,15 +249,15 @@ def _once(flights: Iterable[FlightFacts]) -> list[FlightFacts]:
 
 
 def batched(
-    logs: Sequence[Log], most: int, workers: int, *, most_bytes: int = 64 << 20, shares: int = 4
-) -> list[tuple[Log, ...]]:
+    logs: Sequence[LogAddress], most: int, workers: int, *, most_bytes: int = 64 << 20, shares: int = 4
+) -> list[tuple[LogAddress, ...]]:
     """Logs in batches of at most `most` and about 64 MB; of few logs, some for every worker.
 
     `shares`: tasks that a worker gets at least, where there are logs enough: the last one is then short.
     """
     most = max(1, min(most, len(logs) // (shares * workers)))
-    batches: list[tuple[Log, ...]] = []
-    batch: list[Log] = []
+    batches: list[tuple[LogAddress, ...]] = []
+    batch: list[LogAddress] = []
     size = 0
     for log in logs:
         if batch and (len(batch) >= most or size + log.size > most_bytes):
@@ -283,8 +276,8 @@ class Threads:
     workers: int
 
     def run(
-        self, batches: Sequence[tuple[Log, ...]], settings: Settings
-    ) -> Iterator[tuple[tuple[Log, ...], list[LogOutcome]]]:
+        self, batches: Sequence[tuple[LogAddress, ...]], settings: Settings
+    ) -> Iterator[tuple[tuple[LogAddress, ...], list[LogOutcome]]]:
         """See `Engine`."""
         stopped = threading.Event()
         with ThreadPoolExecutor(self.workers) as pool:
@@ -296,10 +289,10 @@ class Threads:
                 pool.shutdown(wait=False, cancel_futures=True)
 
 
-Tasks = dict["Future[list[LogOutcome]]", tuple[Log, ...]]
+Tasks = dict["Future[list[LogOutcome]]", tuple[LogAddress, ...]]
 
 
-def as_they_finish(tasks: Tasks) -> Iterator[tuple[tuple[Log, ...], list[LogOutcome]]]:
+def as_they_finish(tasks: Tasks) -> Iterator[tuple[tuple[LogAddress, ...], list[LogOutcome]]]:
     """Batches with their outcomes."""
     waiting = set(tasks)
     while waiting:

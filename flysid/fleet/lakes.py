@@ -23,10 +23,8 @@ DOCUMENT = json.dumps({"format": DATA_FORMAT, "version": LAKE_VERSION}).encode()
 def create_lake(address: str) -> Place:
     """A lake to write to: made where there is none, once its store has shown that it keeps conditions.
 
-    Raises
-    ------
-    UsageError : something else is there, the store ignores conditions, no permission.
-    StoreError : of a newer version. PlaceError : no answer.
+    Raises UsageError: something else is there, the store ignores conditions, no permission.
+    Raises StoreError: of a newer version. Raises PlaceError: no answer.
     """
     place = Place(address)
     document = place.read_if_there(DATA_FILE)

@@ -46,15 +46,10 @@ def find_committed(place: Place, sha256: str) -> FlightFacts | None:
 def publish(place: Place, folder: Path, info: Mapping[str, str], *, replace: bool = False) -> Published:
     """Put a flight that lies in a scratch folder into a lake.
 
-    Parameters
-    ----------
-    folder : the flight's: tables and manifest.
-    info : more facts for the manifest, such as the log's address.
-    replace : put it in the place of a flight of the same log.
-
-    Raises
-    ------
-    PlaceError : the store does not answer. Nothing is visible then.
+    `folder`: the flight's: tables and manifest.
+    `info`: more facts for the manifest, such as the log's address.
+    `replace`: put it in the place of a flight of the same log.
+    Raises PlaceError: the store does not answer. Nothing is visible then.
     """
     manifest = read_manifest(folder)
     files = [entry.file for entry in manifest.streams]

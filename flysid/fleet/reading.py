@@ -44,7 +44,7 @@ TRIES = 2
 """Of a log that ends its process: the machine may be at fault the first time."""
 
 
-class Log(msgspec.Struct, frozen=True):
+class LogAddress(msgspec.Struct, frozen=True):
     """A log to ingest: an address or a path, and for an address the store's mark of its content."""
 
     url: str
@@ -84,21 +84,19 @@ class Settings:
 class LogOutcome(msgspec.Struct, frozen=True):
     """What became of a log.
 
-    Attributes
-    ----------
-    status : "ingested", "unchanged" (the lake had it), "duplicate" (of another log), "quarantined",
+    `status`: "ingested", "unchanged" (the lake had it), "duplicate" (of another log), "quarantined",
         "ignored" (an archive without logs), or "waiting": not done, because the store did not answer.
-    reason : why it was quarantined, or waits; the flight that it is a duplicate of.
+    `reason`: why it was quarantined, or waits; the flight that it is a duplicate of.
     """
 
-    log: Log
+    log: LogAddress
     status: str
     facts: FlightFacts | None = None
     reason: str = ""
 
 
 def ingest_batch(
-    logs: Sequence[Log], settings: Settings, stopped: Callable[[], bool] = lambda: False
+    logs: Sequence[LogAddress], settings: Settings, stopped: Callable[[], bool] = lambda: False
 ) -> list[LogOutcome]:
     """Ingest some logs, one after another; what was committed before, by whomever, is not read again.
 
@@ -114,7 +112,7 @@ def ingest_batch(
     return outcomes
 
 
-def _ingest(log: Log, place: Place, settings: Settings, reader: _Reader) -> list[LogOutcome]:
+def _ingest(log: LogAddress, place: Place, settings: Settings, reader: _Reader) -> list[LogOutcome]:
     """What became of a log, or of every log in an archive."""
     try:
         with reader.file_of(log) as path:
@@ -130,7 +128,7 @@ def _ingest(log: Log, place: Place, settings: Settings, reader: _Reader) -> list
 
 
 def _ingest_archive(
-    path: Path, log: Log, place: Place, settings: Settings, reader: _Reader
+    path: Path, log: LogAddress, place: Place, settings: Settings, reader: _Reader
 ) -> list[LogOutcome]:
     """The logs of an archive that was fetched; a note saves the next fetch.
 
@@ -139,10 +137,10 @@ def _ingest_archive(
     found = reader.look_into(path)
     outcomes = []
     for inside in found.paths:
-        member = Log(log.url + inside.as_posix()[len(path.as_posix()) :], log.size, log.etag)
+        member = LogAddress(log.url + inside.as_posix()[len(path.as_posix()) :], log.size, log.etag)
         outcomes.append(_ingest_file(inside, member, place, settings, reader))
     for inside, unread in found.unread.items():
-        member = Log(log.url + inside.as_posix()[len(path.as_posix()) :], log.size, log.etag)
+        member = LogAddress(log.url + inside.as_posix()[len(path.as_posix()) :], log.size, log.etag)
         outcomes.append(LogOutcome(member, "quarantined", reason=unread.reason))
     bad = [outcome.reason for outcome in outcomes if outcome.status == "quarantined"]
     folder = f"{QUARANTINE}/{__version__}" if bad else DUPLICATES
@@ -150,7 +148,9 @@ def _ingest_archive(
     return outcomes or [LogOutcome(log, "ignored", reason=NO_LOGS)]
 
 
-def _ingest_file(path: Path, log: Log, place: Place, settings: Settings, reader: _Reader) -> LogOutcome:
+def _ingest_file(
+    path: Path, log: LogAddress, place: Place, settings: Settings, reader: _Reader
+) -> LogOutcome:
     job = reader.hash(path)
     if isinstance(job, Result):
         return _refuse(log, place, job.reason)
@@ -171,7 +171,7 @@ def _ingest_file(path: Path, log: Log, place: Place, settings: Settings, reader:
     return _already(log, place, done.facts)
 
 
-def _already(log: Log, place: Place, there: FlightFacts) -> LogOutcome:
+def _already(log: LogAddress, place: Place, there: FlightFacts) -> LogOutcome:
     """The lake has this content: from this log; or from another, and a note saves the next fetch."""
     source = there.info.get("source_url", "")
     if not is_address(log.url) or (source == log.url and there.info.get("source_etag") == log.etag):
@@ -182,14 +182,14 @@ def _already(log: Log, place: Place, there: FlightFacts) -> LogOutcome:
     return LogOutcome(log, "duplicate", there, reason=there.id)
 
 
-def _refuse(log: Log, place: Place, reason: str) -> LogOutcome:
+def _refuse(log: LogAddress, place: Place, reason: str) -> LogOutcome:
     """A log that cannot be read. One that came by address is noted, so that nobody fetches it again."""
     if is_address(log.url):
         place.put(f"{QUARANTINE}/{__version__}/{log.digest}.json", _note(log, reason))
     return LogOutcome(log, "quarantined", reason=reason)
 
 
-def _note(log: Log, reason: str, flight: str = "") -> bytes:
+def _note(log: LogAddress, reason: str, flight: str = "") -> bytes:
     known = {"url": log.url, "etag": log.etag, "size": log.size, "reason": reason, "flysid": __version__}
     return json.dumps(known | ({"flight": flight} if flight else {}), indent=1).encode() + b"\n"
 
@@ -220,7 +220,7 @@ class _Reader:
         self._looks = read_bounded(judge_file, self._archives, 1, settings.bounds)
 
     @contextmanager
-    def file_of(self, log: Log) -> Iterator[Path]:
+    def file_of(self, log: LogAddress) -> Iterator[Path]:
         """The log as a file on this machine, for as long as it is needed."""
         if not is_address(log.url):
             yield Path(log.url)

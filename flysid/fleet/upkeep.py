@@ -25,14 +25,12 @@ from flysid.progress import tell
 class LakeState:
     """What a lake holds, and what is wrong with it.
 
-    Attributes
-    ----------
-    flights : of all manifests.
-    damaged : manifests that cannot be read: address -> why.
-    missing : tables that a manifest names and nobody has.
-    twice : hashes of logs that have more than one flight.
-    unlisted, stale : flights that the catalogue lacks, or has as they are not; rows without a flight.
-    orphans : objects that belong to no flight, with their age.
+    `flights`: of all manifests.
+    `damaged`: manifests that cannot be read: address -> why.
+    `missing`: tables that a manifest names and nobody has.
+    `twice`: hashes of logs that have more than one flight.
+    `unlisted`, `stale`: flights that the catalogue lacks, or has as they are not; rows without a flight.
+    `orphans`: objects that belong to no flight, with their age.
     """
 
     flights: tuple[FlightFacts, ...]

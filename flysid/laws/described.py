@@ -25,19 +25,15 @@ BLACKBOX = ("betaflight", "inav")
 class Law:
     """The controller of one firmware in a range of versions.
 
-    Attributes
-    ----------
-    firmware : as it calls itself.
-    version : of the log.
-    since, until : first and last version that the entry describes.
-    scale : of the gains: p, i, d, f, and what I of yaw is multiplied by.
-    gains : name of the header's line with an axis' gains, by axis.
-    parts : the other tables of the entry: derivative, boost, moving, integral, throttle, expected.
-    names : header names of a setting, the newest first.
-    not_described : settings that change the law where they are not 0, and what they are.
+    `firmware`: as it calls itself.
+    `version`: of the log.
+    `since`, `until`: first and last version that the entry describes.
+    `scale`: of the gains: p, i, d, f, and what I of yaw is multiplied by.
+    `gains`: name of the header's line with an axis' gains, by axis.
+    `parts`: the other tables of the entry: derivative, boost, moving, integral, throttle, expected.
+    `names`: header names of a setting, the newest first.
+    `not_described`: settings that change the law where they are not 0, and what they are.
 
-    Examples
-    --------
     >>> law = blackbox_law("Betaflight 4.6.0 (norevision) SITL")
     >>> law.since, law.exact, law.scale["p"]
     ((4, 6), True, 0.032029)
@@ -87,12 +83,8 @@ def _dotted(version: Version) -> str:
 def blackbox_law(revision: str) -> Law:
     """The law of a blackbox header's `Firmware revision`.
 
-    Raises
-    ------
-    DataError : a firmware that no table describes.
+    Raises DataError: a firmware that no table describes.
 
-    Examples
-    --------
     >>> blackbox_law("INAV 7.1.2 (8ae2c5b) X").firmware
     'INAV'
     """
@@ -111,8 +103,6 @@ def blackbox_law(revision: str) -> Law:
 def parameter_law(name: str, version: Version | None = None) -> Law:
     """The law of an autopilot that states parameters: px4 or arducopter; the last one without a version.
 
-    Examples
-    --------
     >>> parameter_law("px4", (1, 12)).part("derivative")["order"]
     2
     """

@@ -58,9 +58,7 @@ class Grid:
 def same_noise(e_a: FloatArray, e_b: FloatArray, lags: Indices, least: float) -> tuple[int, float]:
     """How many samples of (n_y, N) remainders overlap where they share their noise, and its correlation.
 
-    Parameters
-    ----------
-    lags : (n_y,) of b behind a. least : samples that must overlap.
+    `lags`: (n_y,) of b behind a. `least`: samples that must overlap.
     """
     # the largest of so many lags by chance, in standard deviations
     limit = np.sqrt(2.0 * np.log(float(e_a.shape[1] + e_b.shape[1]))) + SIGMAS
@@ -99,10 +97,8 @@ def same_output(
 ) -> int:
     """How many samples overlap where all outputs agree, and the inputs roughly; 0 where they do not.
 
-    Parameters
-    ----------
-    a, b : (n_u, N) inputs and (n_y, N) outputs. least : samples that must overlap.
-    spread : (n_y,) standard deviation of b's outputs; 0 of what stands still.
+    `a`, `b`: (n_u, N) inputs and (n_y, N) outputs. `least`: samples that must overlap.
+    `spread`: (n_y,) standard deviation of b's outputs; 0 of what stands still.
     """
     (u_a, y_a), (u_b, y_b) = a, b
     fewest = 0

@@ -52,9 +52,7 @@ class Copy:
 def find_copy(train: Sequence[Stretch], test: Sequence[Stretch], dt_s: float) -> Copy | None:
     """The first held-out flight that repeats or overlaps a training flight of another name, or None.
 
-    Parameters
-    ----------
-    train, test : samples of both parts; pieces of one flight may be in both.
+    `train`, `test`: samples of both parts; pieces of one flight may be in both.
     """
     train, test = ([s for s in part if len(s.y)] for part in (train, test))
     if not train or not test or len({s.flight for s in (*train, *test)}) < 2:
@@ -69,11 +67,9 @@ def find_copy(train: Sequence[Stretch], test: Sequence[Stretch], dt_s: float) ->
 class _Windows:
     """Every COPY_ROWS rows of some flights that are not all alike, in the order of their hashes.
 
-    Attributes
-    ----------
-    hashes, flight, row : (n,) of every window: hash, number of its flight, its first row in that flight.
-    counts : (flights,) how many windows each flight has.
-    steps : per flight the rows, rising, at which an output changes.
+    `hashes`, `flight`, `row`: (n,) of every window: hash, number of its flight, its first row in that flight.
+    `counts`: (flights,) how many windows each flight has.
+    `steps`: per flight the rows, rising, at which an output changes.
     """
 
     hashes: Hashes

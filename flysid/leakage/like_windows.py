@@ -40,11 +40,9 @@ SLOW_SHAPES = dct(np.eye(WINDOW), norm="ortho", axis=0)[1 : COSINES + 1].T
 class Windows:
     """Windows as points.
 
-    Attributes
-    ----------
-    points : (n, COSINES) shapes, in units of each window's size.
-    size : (n,) root mean square of each, without its mean.
-    flight : (n,) whose they are.
+    `points`: (n, COSINES) shapes, in units of each window's size.
+    `size`: (n,) root mean square of each, without its mean.
+    `flight`: (n,) whose they are.
     """
 
     points: FloatArray
@@ -66,11 +64,9 @@ def pairs_alike(
 ) -> Iterator[tuple[int, int]]:
     """Numbers of a flight of `mine` and one of `theirs` that have a window in common, each pair once.
 
-    Parameters
-    ----------
-    theirs, mine : one output of every flight, without gaps.
-    apart : how far a copy may lie from the flight, root mean square over a window, of the flight's spread.
-    farthest : of a window's size: beyond it, windows are not alike.
+    `theirs`, `mine`: one output of every flight, without gaps.
+    `apart`: how far a copy may lie from the flight, root mean square over a window, of the flight's spread.
+    `farthest`: of a window's size: beyond it, windows are not alike.
     """
     if not len(theirs) or not len(mine):
         return

@@ -43,9 +43,7 @@ def same_flights(
 
     Of flights of like length, those of each part in their order; the shortest first.
 
-    Parameters
-    ----------
-    every_pair : up to so many pairs are all looked at. Of more only those are that have a stretch in common,
+    `every_pair`: up to so many pairs are all looked at. Of more only those are that have a stretch in common,
         as all copies had that were tried.
     """
     units = [_units(x, train, held) for x in ("u", "y")]
@@ -118,13 +116,11 @@ Arrays = tuple[Indices, FloatArray, FloatArray, FloatArray, Indices, Indices]
 class _Part:
     """The flights of a part, one behind the other; NaN in gaps.
 
-    Attributes
-    ----------
-    start : (flights + 1,) where each begins.
-    e : (n_y, N) what the linear model leaves, of each flight in units of its largest.
-    u, y : (n_u, N), (n_y, N) inputs; outputs less each flight's mean; in units that all flights share.
-    samples, flown : (flights,) samples known of e and of y.
-    spread : (flights, n_y) standard deviation of y; 0 of what stands still.
+    `start`: (flights + 1,) where each begins.
+    `e`: (n_y, N) what the linear model leaves, of each flight in units of its largest.
+    `u`, `y`: (n_u, N), (n_y, N) inputs; outputs less each flight's mean; in units that all flights share.
+    `samples`, `flown`: (flights,) samples known of e and of y.
+    `spread`: (flights, n_y) standard deviation of y; 0 of what stands still.
     """
 
     start: Indices

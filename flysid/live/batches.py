@@ -57,12 +57,10 @@ HEADER = np.dtype(
 class Arrival:
     """Bytes of one peer that came together.
 
-    Attributes
-    ----------
-    peer : the sender's address as the socket states it; b"" on a link with one peer.
-    raw : the bytes.
-    ends : (n,) where each datagram ends in `raw`; one end for bytes of a stream.
-    stamps_us : (n,) arrival of each, microseconds UTC.
+    `peer`: the sender's address as the socket states it; b"" on a link with one peer.
+    `raw`: the bytes.
+    `ends`: (n,) where each datagram ends in `raw`; one end for bytes of a stream.
+    `stamps_us`: (n,) arrival of each, microseconds UTC.
     """
 
     peer: bytes

@@ -98,9 +98,7 @@ class _MessageStream:
 class Decoder:
     """Decodes the records of one sender; what it has seen is a log's (`flysid.ingest.align.signals.Log`).
 
-    Parameters
-    ----------
-    wanted : messages, by name or by key of a stream.
+    `wanted`: messages, by name or by key of a stream.
     """
 
     wanted: Collection[str]

@@ -12,7 +12,7 @@ from flysid.ingest.align.recipe import Recipe
 from flysid.live.decoding import Decoder, Rows
 from flysid.live.gridding import RunningGrid, streams_of
 from flysid.live.spool import SpoolPiece
-from flysid.live.watching import ChannelWatch, Event
+from flysid.live.watching import ChannelWatch, Notice
 
 EVERY_S = 0.06  # at most so often; else as soon as something has come
 LOOK_S = 0.5
@@ -26,16 +26,14 @@ class Follower:
 
     It follows the first sender that is heard; another one is followed when that one has fallen silent.
 
-    Parameters
-    ----------
-    watches : of the channels.
-    recipe : of the run.
-    tell : is called with every event, from the thread that calls `step`.
+    `watches`: of the channels.
+    `recipe`: of the run.
+    `tell`: is called with every event, from the thread that calls `step`.
     """
 
     watches: Sequence[ChannelWatch]
     recipe: Recipe
-    tell: Callable[[Event], None]
+    tell: Callable[[Notice], None]
     _waiting: list[bytes] = field(default_factory=list)
     _guard: threading.Lock = field(default_factory=threading.Lock)
 
@@ -104,7 +102,7 @@ class Follower:
         self._silent ^= {name}
         at = self._newest_ns[name] * 1e-9
         text = f"does not arrive: {self.lack(name)}" if silent else "arrives"
-        self.tell(Event("silent" if silent else "heard", name, "", at, text=f"{name} {text}"))
+        self.tell(Notice("silent" if silent else "heard", name, "", at, text=f"{name} {text}"))
 
     def lack(self, name: str) -> str:
         """Why a channel's samples do not come."""

@@ -24,13 +24,11 @@ LIVE_DIALECT = "all"
 class Cut:
     """What a stretch of bytes holds.
 
-    Attributes
-    ----------
-    raw : the stretch, with what was kept from before in front.
-    starts : (n,) the frames' markers in `raw`.
-    ends, stamps_us : (m,) ends of the datagrams in `raw`, and their times of arrival.
-    rejected : bytes that belong to no frame.
-    bad_checksums : frames among them that follow a frame exactly, and whose checksum is wrong.
+    `raw`: the stretch, with what was kept from before in front.
+    `starts`: (n,) the frames' markers in `raw`.
+    `ends`, `stamps_us`: (m,) ends of the datagrams in `raw`, and their times of arrival.
+    `rejected`: bytes that belong to no frame.
+    `bad_checksums`: frames among them that follow a frame exactly, and whose checksum is wrong.
     """
 
     raw: ByteArray
@@ -45,9 +43,7 @@ class Cut:
 class Framer:
     """Cuts the bytes of one peer into frames.
 
-    Parameters
-    ----------
-    datagrams : whether bytes come in datagrams; frames may be spread over several.
+    `datagrams`: whether bytes come in datagrams; frames may be spread over several.
     """
 
     datagrams: bool

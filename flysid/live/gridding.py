@@ -51,11 +51,9 @@ class GridPiece:
 class _Segment:
     """A segment that is being given out.
 
-    Attributes
-    ----------
-    begin_ns : of the grid; `done` points of it are out, or were left out at its beginning.
-    ratio : of the fine grid that is filtered.
-    gaps, afters, tolerances : of every signal, ns.
+    `begin_ns`: of the grid; `done` points of it are out, or were left out at its beginning.
+    `ratio`: of the fine grid that is filtered.
+    `gaps`, `afters`, `tolerances`: of every signal, ns.
     """
 
     begin_ns: int
@@ -116,10 +114,8 @@ class _RunningCondition:
 class RunningGrid:
     """One channel of a recipe on a grid of `dt_s`.
 
-    Parameters
-    ----------
-    recipe : its conditions' margins are not kept: nobody knows when one will end.
-    log : decodes the streams.
+    `recipe`: its conditions' margins are not kept: nobody knows when one will end.
+    `log`: decodes the streams.
     """
 
     def __init__(self, recipe: Recipe, channel: str, dt_s: float, log: Decoder) -> None:
@@ -160,9 +156,7 @@ class RunningGrid:
     def take(self, rows: Mapping[str, Sequence[Rows]]) -> list[GridPiece]:
         """The samples that new rows make certain.
 
-        Raises
-        ------
-        RecipeError : a signal cannot be read as the recipe defines it; nothing is given out.
+        Raises RecipeError: a signal cannot be read as the recipe defines it; nothing is given out.
         """
         try:
             given = self._taken(rows)

@@ -41,10 +41,8 @@ TIMED_FIRST = (30, 32, 33)
 class Ledger:
     """The senders of all links.
 
-    Attributes
-    ----------
-    senders : (n,) rows of `SENDER`; the first is for all those that found no room.
-    counters : row -> what counts the losses of that sender.
+    `senders`: (n,) rows of `SENDER`; the first is for all those that found no room.
+    `counters`: row -> what counts the losses of that sender.
     """
 
     _table: npt.NDArray[Any] = field(default_factory=lambda: np.zeros(ROOM, SENDER))

@@ -63,12 +63,10 @@ def parse_link(text: str) -> Target:
 class Link(ABC):
     """One link: what it receives, and what became of it.
 
-    Attributes
-    ----------
-    target : as it was named.
-    state : "open", or what is wrong and what is done about it.
-    buffer : bytes of the socket's buffer as granted; None where there is none to ask for.
-    keeps_datagrams : whether bytes come in datagrams.
+    `target`: as it was named.
+    `state`: "open", or what is wrong and what is done about it.
+    `buffer`: bytes of the socket's buffer as granted; None where there is none to ask for.
+    `keeps_datagrams`: whether bytes come in datagrams.
     """
 
     keeps_datagrams = False
@@ -298,14 +296,9 @@ KINDS: dict[str, Callable[[Target], Link]] = {
 def open_link(text: str, *, buffer: int | None = None, sends: bool = False) -> Link:
     """Open the link that `text` names.
 
-    Parameters
-    ----------
-    buffer : bytes of socket buffer to ask for; as much as can be had where None.
-    sends : whether heartbeats will be sent: a `udpout:` link hears nothing without.
-
-    Raises
-    ------
-    UsageError : not understood, in use, not there, or not allowed.
+    `buffer`: bytes of socket buffer to ask for; as much as can be had where None.
+    `sends`: whether heartbeats will be sent: a `udpout:` link hears nothing without.
+    Raises UsageError: not understood, in use, not there, or not allowed.
     """
     target = parse_link(text)
     if target.kind == "udpout" and not sends:

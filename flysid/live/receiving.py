@@ -45,13 +45,11 @@ class Peer:
 class Receiver:
     """Receives on links and gives out records of a tlog.
 
-    Parameters
-    ----------
-    links : open ones; `close` closes them.
-    sink : takes what has come, many times a second; must not wait.
-    guard : judges signatures; None where there is no key.
-    heartbeat : sent once a second on every link; None to send nothing at all, ever.
-    nap_s : between passes.
+    `links`: open ones; `close` closes them.
+    `sink`: takes what has come, many times a second; must not wait.
+    `guard`: judges signatures; None where there is no key.
+    `heartbeat`: sent once a second on every link; None to send nothing at all, ever.
+    `nap_s`: between passes.
     """
 
     links: Sequence[Link]

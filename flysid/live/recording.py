@@ -23,22 +23,15 @@ GROUND_STATION = 255, 190  # system and component of MAV_TYPE_GCS
 class Recording:
     """A recording that runs until `stop`.
 
-    Parameters
-    ----------
-    links : open links; closed at the end.
-    target : the file to write.
-    rotation : when a new part begins.
-    guard : judges signatures; None where there is no key.
-    heartbeat : send a ground station's heartbeat once a second, for vehicles that need one.
-    listener : is given every piece as well, e.g. to watch what is recorded; must not wait.
-    watched : the state of every channel that is watched meanwhile, for the sidecar.
+    `links`: open links; closed at the end.
+    `target`: the file to write.
+    `rotation`: when a new part begins.
+    `guard`: judges signatures; None where there is no key.
+    `heartbeat`: send a ground station's heartbeat once a second, for vehicles that need one.
+    `listener`: is given every piece as well, e.g. to watch what is recorded; must not wait.
+    `watched`: the state of every channel that is watched meanwhile, for the sidecar.
+    Raises UsageError: the target exists. Raises WriteError: it cannot be made.
 
-    Raises
-    ------
-    UsageError : the target exists. WriteError : it cannot be made.
-
-    Examples
-    --------
     >>> recording = Recording([open_link("udp:0.0.0.0:14550")], Path("flight.tlog"))  # doctest: +SKIP
     >>> recording.start(); time.sleep(60); recording.stop()  # doctest: +SKIP
     """

@@ -59,21 +59,13 @@ def parse_rotation(words: Sequence[str]) -> Rotation:
 class RecordingParts:
     """Writes records, syncs them, begins new parts; stops writing, with a notice, where the disk refuses.
 
-    Parameters
-    ----------
-    target : the file, ending in .tlog; with a rotation, NAME-0001.tlog and so on.
-    rotation : when a new part begins.
-    facts : returns the sidecar's account of the links, called whenever it is written.
-
-    Attributes
-    ----------
-    paths : the parts so far.
-    frames, bytes : written to all parts.
-    refusal : why nothing is written any more; "" while all is well.
-
-    Raises
-    ------
-    UsageError : the target exists. WriteError : it cannot be made.
+    `target`: the file, ending in .tlog; with a rotation, NAME-0001.tlog and so on.
+    `rotation`: when a new part begins.
+    `facts`: returns the sidecar's account of the links, called whenever it is written.
+    `paths`: the parts so far.
+    `frames`, `bytes`: written to all parts.
+    `refusal`: why nothing is written any more; "" while all is well.
+    Raises UsageError: the target exists. Raises WriteError: it cannot be made.
     """
 
     def __init__(self, target: Path, rotation: Rotation, facts: Callable[[], dict[str, Any]]) -> None:

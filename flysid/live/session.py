@@ -10,17 +10,15 @@ from flysid.ingest.align.recipe import Recipe
 from flysid.live.following import Follower
 from flysid.live.recording import Recording
 from flysid.live.traces import Trace
-from flysid.live.watching import ChannelWatch, Event
+from flysid.live.watching import ChannelWatch, Notice
 from flysid.validate.diagnose.detect import LEVEL_EVERY_S
 
 
 class Session:
     """A recording with watches beside it.
 
-    Parameters
-    ----------
-    recording : not yet started.
-    watches, recipe : of a run; none and None to record only.
+    `recording`: not yet started.
+    `watches`, `recipe`: of a run; none and None to record only.
     """
 
     def __init__(
@@ -34,7 +32,7 @@ class Session:
         """`kept_s`: of each channel: what a page can still be given."""
         self.recording = recording
         self.watches = watches
-        self._events: list[Event] = []
+        self._events: list[Notice] = []
         self._stop = threading.Event()
         self._thread: threading.Thread | None = None
         self._follower: Follower | None = None

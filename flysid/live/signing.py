@@ -38,11 +38,7 @@ def load_key(path: Path | None) -> bytes | None:
     """The key in a file that only its owner can read, or in the environment; None where there is neither.
 
     A key is 32 bytes, or 64 hexadecimal digits; any other text is a pass phrase, whose SHA-256 is the key, as
-    ground stations do.
-
-    Raises
-    ------
-    UsageError : the file cannot be read, or others can.
+    ground stations do. Raises UsageError: the file cannot be read, or others can.
     """
     if path is None:
         text = os.environ.get(KEY_VARIABLE)
@@ -76,15 +72,10 @@ def _key(content: bytes) -> bytes:
 class Guard:
     """Judges the frames of all links by one key.
 
-    Parameters
-    ----------
-    key : 32 bytes.
-    unsigned : what becomes of frames without a signature: "reject", "keep", or "radio": keep RADIO_STATUS
+    `key`: 32 bytes.
+    `unsigned`: what becomes of frames without a signature: "reject", "keep", or "radio": keep RADIO_STATUS
         alone, which radios put in without knowing the key.
-
-    Attributes
-    ----------
-    refused : (peer, reason) -> frames.
+    `refused`: (peer, reason) -> frames.
     """
 
     key: bytes

@@ -13,12 +13,10 @@ from flysid.ingest.formats.mavlink.frames import STAMP_BYTES, read_header
 class SpoolPiece:
     """Whole records of a tlog, or bytes that are no frame.
 
-    Attributes
-    ----------
-    content : the bytes.
-    frames : how many records they hold; 0 for bytes that are no frame.
-    boots : a vehicle was started anew: what follows may begin a new part.
-    peer : who sent it, a number.
+    `content`: the bytes.
+    `frames`: how many records they hold; 0 for bytes that are no frame.
+    `boots`: a vehicle was started anew: what follows may begin a new part.
+    `peer`: who sent it, a number.
     """
 
     content: bytes

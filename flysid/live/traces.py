@@ -16,14 +16,10 @@ class Trace:
     the free run begun a few seconds before. The free run is known later than the rest: `settles` rows from
     the end may still change.
 
-    Parameters
-    ----------
-    outputs : how many.
-    capacity : rows to keep.
-    settles : rows that a free run fills in afterwards, at most.
+    `outputs`: how many.
+    `capacity`: rows to keep.
+    `settles`: rows that a free run fills in afterwards, at most.
 
-    Examples
-    --------
     >>> trace = Trace(outputs=1, capacity=100, settles=2)
     >>> trace.add(0.0, 0.5, np.array([[1.0], [2.0]]), np.array([[1.1], [1.9]]))
     >>> trace.since(0)

@@ -35,17 +35,15 @@ OVER_S = 5.0
 
 
 @dataclass(frozen=True)
-class Event:
+class Notice:
     """Something to say about a channel.
 
-    Attributes
-    ----------
-    kind : "alarm", "over" (an alarm ended), "outside" (an input outside what the model knows), "inside".
-    time_s : vehicle time.
-    detector, statistic, threshold : of an alarm.
-    since_s : since when, by the CUSUM.
-    shift : mean of measured less expected since then, in `unit`; `share` of the output's usual size.
-    text : all of it in words.
+    `kind`: "alarm", "over" (an alarm ended), "outside" (an input outside what the model knows), "inside".
+    `time_s`: vehicle time.
+    `detector`, `statistic`, `threshold`: of an alarm.
+    `since_s`: since when, by the CUSUM.
+    `shift`: mean of measured less expected since then, in `unit`; `share` of the output's usual size.
+    `text`: all of it in words.
     """
 
     kind: str
@@ -83,13 +81,11 @@ class _Output:
 class ChannelWatch:
     """Watches one channel with one model.
 
-    Parameters
-    ----------
-    name : the channel.
-    model : predicts one step ahead and runs freely.
-    thresholds : one per output (`flysid.validate.diagnose.detect.calibrate`).
-    known : (2, n_u) lowest and highest inputs that are judged (`known_inputs`).
-    trace : keeps what was seen, for a page; None where nobody looks.
+    `name`: the channel.
+    `model`: predicts one step ahead and runs freely.
+    `thresholds`: one per output (`flysid.validate.diagnose.detect.calibrate`).
+    `known`: (2, n_u) lowest and highest inputs that are judged (`known_inputs`).
+    `trace`: keeps what was seen, for a page; None where nobody looks.
     """
 
     name: str
@@ -130,7 +126,7 @@ class ChannelWatch:
         """What this channel can show, a line for each output."""
         return [visibility(self.name, o, self.model.inputs) for o in self.model.outputs]
 
-    def run(self, segment: Segment) -> list[Event]:
+    def run(self, segment: Segment) -> list[Notice]:
         """All events of a segment."""
         self.restart()
         step = max(1, round(LEVEL_EVERY_S / self.model.dt_s))
@@ -140,7 +136,7 @@ class ChannelWatch:
             events += self.feed(segment.u[k : k + step], segment.y[k : k + step], time_s, segment.flight)
         return events
 
-    def feed(self, u: FloatArray, y: FloatArray, time_s: float, flight: str = "") -> list[Event]:
+    def feed(self, u: FloatArray, y: FloatArray, time_s: float, flight: str = "") -> list[Notice]:
         """Events of the next samples; `time_s` is that of the first."""
         self._u = np.concatenate([self._u[-self._keep :], u])
         self._y = np.concatenate([self._y[-self._keep :], y])
@@ -160,13 +156,13 @@ class ChannelWatch:
             events += self._judge(j, stats, since, errors[:, j], time_s, flight)
         return events
 
-    def _judge_inputs(self, u: FloatArray, time_s: float, flight: str) -> list[Event]:
+    def _judge_inputs(self, u: FloatArray, time_s: float, flight: str) -> list[Notice]:
         """Whether the inputs are those that the model has seen; where not, nothing is judged."""
         outside = (u < self.known[0]) | (u > self.known[1])
         self._clean = 0 if outside.any() else self._clean + len(u)
         if self._outside and self._clean * self.model.dt_s >= OVER_S:
             self._outside = False
-            return [Event("inside", self.name, "", time_s, flight, text=f"{self.name} is judged again")]
+            return [Notice("inside", self.name, "", time_s, flight, text=f"{self.name} is judged again")]
         if self._outside or not outside.any():
             return []
         self._outside = True
@@ -181,7 +177,7 @@ class ChannelWatch:
         causes = likely_of_effort(signal, self._meanings[0], u[row, k] - high)
         if causes:
             text += f". Where it lasts, likely: {causes}"
-        return [Event("outside", self.name, "", time_s + float(row) * self.model.dt_s, flight, text=text)]
+        return [Notice("outside", self.name, "", time_s + float(row) * self.model.dt_s, flight, text=text)]
 
     def _first_outside(self, u: FloatArray) -> int:
         """The first row in which an input is outside."""
@@ -205,7 +201,7 @@ class ChannelWatch:
 
     def _judge(
         self, j: int, stats: FloatArray, since: Any, errors: FloatArray, time_s: float, flight: str
-    ) -> list[Event]:
+    ) -> list[Notice]:
         """An alarm where a statistic passes its threshold, and its end."""
         output = self._outputs[j]
         signal = self.model.outputs[j]
@@ -230,22 +226,22 @@ class ChannelWatch:
         shift = self._shift(j, errors, int(since[k]), which)
         at = time_s + k * self.model.dt_s
         began = at - (LEVEL_S if which == 2 else since[k] * self.model.dt_s)
-        event = Event(
+        event = Notice(
             "alarm", self.name, signal.name, at, flight, DETECTORS[which], values[which], bounds[which],
             float(began), shift, shift / limits.typical if limits.typical else 0.0, self._unit(j),
         )  # fmt: skip
-        return [Event(**{**event.to_dict(), "text": self._sentence(event, j)})]
+        return [Notice(**{**event.to_dict(), "text": self._sentence(event, j)})]
 
     def _judge_end(
         self, output: _Output, name: str, ratios: FloatArray, time_s: float, flight: str
-    ) -> list[Event]:
+    ) -> list[Notice]:
         output.quiet = output.quiet + len(ratios) if (ratios < 0.5).all() else 0
         if output.quiet * self.model.dt_s < OVER_S:
             if (ratios[-1] > 2.0).any():
                 output.sums.forget()  # what is known need not be summed up: it would take as long to forget
             return []
         output.alarmed = False
-        return [Event("over", self.name, name, time_s, flight, text=f"{name} is back in its band")]
+        return [Notice("over", self.name, name, time_s, flight, text=f"{name} is back in its band")]
 
     def _shift(self, j: int, errors: FloatArray, since: int, which: int) -> float:
         """How far the output is from where the model expects it: by the free run, else by one-step errors."""
@@ -267,7 +263,7 @@ class ChannelWatch:
         unit = self.model.outputs[j].unit
         return f"{unit} per s" if self._meanings[j].kind == "turning" else unit
 
-    def _sentence(self, event: Event, j: int) -> str:
+    def _sentence(self, event: Notice, j: int) -> str:
         signal = self.model.outputs[j]
         inputs = ", ".join(s.name for s in self.model.inputs)
         meaning = self._meanings[j]
@@ -284,14 +280,9 @@ class ChannelWatch:
 def watch_of(held: HeldOut, label: str | None, false_alarms_1_h: float) -> ChannelWatch:
     """The watch of a run's channel: thresholds from its held-out flights.
 
-    Parameters
-    ----------
-    label : of the model; the channel's baseline when None.
-    false_alarms_1_h : an hour, for this channel.
-
-    Raises
-    ------
-    UsageError : no such model. DataError : too little held-out flight.
+    `label`: of the model; the channel's baseline when None.
+    `false_alarms_1_h`: an hour, for this channel.
+    Raises UsageError: no such model. Raises DataError: too little held-out flight.
     """
     label = label or held.channel.baseline
     if label not in held.models:

@@ -29,11 +29,9 @@ LOWEST_SHARE = 0.02
 class AngleLoop:
     """An angle loop under the present settings, and with the new ones.
 
-    Attributes
-    ----------
-    name, old, new : of the gain, 1/s.
-    peak : largest answer of the angle to its setpoint, before and after, on 97.5 % of the plants.
-    crossover_hz : before and after.
+    `name`, `old`, `new`: of the gain, 1/s.
+    `peak`: largest answer of the angle to its setpoint, before and after, on 97.5 % of the plants.
+    `crossover_hz`: before and after.
     """
 
     axis: str
@@ -59,11 +57,7 @@ def angle_loop(known: KnownAxis, controller: Controller, bounds: RateBounds) -> 
     """The angle loop around a rate loop under a controller; None where the log states no gain of it.
 
     The gain is the largest within a factor of two whose answer stays below the bound; the least, where none
-    does.
-
-    Raises
-    ------
-    DataError : the gain was changed in flight.
+    does. Raises DataError: the gain was changed in flight.
     """
     if "Firmware revision" in known.last.settings:
         return None

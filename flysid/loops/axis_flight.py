@@ -34,14 +34,12 @@ SIDES = np.array([[-1.0, -1.0, 1.0, 1.0], [1.0, -1.0, 1.0, -1.0], [1.0, -1.0, -1
 class AxisFlight:
     """One axis, row by row.
 
-    Attributes
-    ----------
-    time : (N,) s.
-    terms : (N,) thousandths, what the controller gave, by the letter of the term.
-    throttle, stick : (N,) us, and the stick's way from its middle, 0 to 1.
-    rows : what the controller saw.
-    breaks : (N - 1,) whether rows are missing behind a row: a loop that was late is none.
-    slower : steps of the loop over those that the header states.
+    `time`: (N,) s.
+    `terms`: (N,) thousandths, what the controller gave, by the letter of the term.
+    `throttle`, `stick`: (N,) us, and the stick's way from its middle, 0 to 1.
+    `rows`: what the controller saw.
+    `breaks`: (N - 1,) whether rows are missing behind a row: a loop that was late is none.
+    `slower`: steps of the loop over those that the header states.
     """
 
     time: FloatArray
@@ -64,12 +62,7 @@ class AxisFlight:
 
 
 def axis_flight(log: Any, axis: str, settings: Mapping[str, str], law: BetaflightLaw) -> AxisFlight:
-    """One axis of a flight.
-
-    Raises
-    ------
-    DataError : fields are missing.
-    """
+    """One axis of a flight. Raises DataError: fields are missing."""
     k = list(AXES).index(axis)
     fine = FINE if stated_number(settings, "blackbox_high_resolution", otherwise=0.0) else 1.0
     fields = term_fields(law, k)
@@ -116,9 +109,7 @@ def term_fields(law: BetaflightLaw, axis: int) -> dict[str, str]:
 def outputs_of(log: Any, settings: Mapping[str, str]) -> FloatArray:
     """(3, N) what roll, pitch and yaw give to the mixer, thousandths, inside their limits.
 
-    Raises
-    ------
-    DataError : fields or gains are missing.
+    Raises DataError: fields or gains are missing.
     """
     found = []
     for axis, name in enumerate(AXES):
@@ -171,10 +162,8 @@ def _slew(time: Any, values: Any, limit: Any) -> Any:
 def slower(time: FloatArray, loops: FloatArray, stated: float) -> float:
     """Steps of the loop over those that the header states; 1 where it states none.
 
-    Parameters
-    ----------
-    time, loops : (N,) s, and numbers of the loop that a row is of; gaps and restarts do not count.
-    stated : s.
+    `time`, `loops`: (N,) s, and numbers of the loop that a row is of; gaps and restarts do not count.
+    `stated`: s.
     """
     gone, passed = np.diff(loops), np.diff(time)
     inside = (gone > 0.0) & (gone <= MOST_LOOPS_BETWEEN)
@@ -182,12 +171,7 @@ def slower(time: FloatArray, loops: FloatArray, stated: float) -> float:
 
 
 def fields_of(log: Any, stream: str, names: Iterable[str]) -> dict[str, FloatArray]:
-    """(N,) each.
-
-    Raises
-    ------
-    DataError : one is missing.
-    """
+    """(N,) each. Raises DataError: one is missing."""
     wanted = list(names)
     try:
         table = log.table(stream, wanted)

@@ -60,16 +60,15 @@ def stated_step_s(settings: Mapping[str, str]) -> float:
 class Conditions:
     """What the gains of one flight depended on.
 
-    Attributes
-    ----------
-    throttle : (N,) us.
-    setpoint, stick : (N,) deg/s, and the stick's way from its middle, 0 to 1.
-    slower : steps of the loop over those that the header states.
-    means : of what moves in laws since 4.0; None: of TPA alone, by the throttle.
-    forward : f (Hz), and the recorded F term's response to the setpoint there; None where there is no F term.
-    checks : how well the law's terms are those that the log recorded.
-    forward_gain : of the law's F term.
-    output_limit : of the controller, thousandths.
+    `throttle`: (N,) us.
+    `setpoint`, `stick`: (N,) deg/s, and the stick's way from its middle, 0 to 1.
+    `slower`: steps of the loop over those that the header states.
+    `means`: of what moves in laws since 4.0; None: of TPA alone, by the throttle.
+    `forward`: f (Hz), and the recorded F term's response to the setpoint there; None where there is no F
+        term.
+    `checks`: how well the law's terms are those that the log recorded.
+    `forward_gain`: of the law's F term.
+    `output_limit`: of the controller, thousandths.
     """
 
     throttle: FloatArray
@@ -90,30 +89,29 @@ NO_CONDITIONS = Conditions(np.zeros(0), np.zeros(0), np.zeros(0))
 class BetaflightLaw:
     """What a header states of one axis.
 
-    Attributes
-    ----------
-    stated : gains as the firmware names them.
-    p, i, d, f : the same in the mixer's numbers; d is the least where D grows.
-    weight, relaxed : of the setpoint in the derivative, and the stick up to which it grows; 0: it does not.
-    filters, notch : orders and cut-offs (Hz), and centre and cut-off, of what the derivative goes through.
-    slope_filtered : the setpoint goes through the filters too: 3.1.
-    stated_steps : of the derivative, of the integral: whether they count on the stated step.
-    step_s : stated; 0 where it is not.
-    tpa, tpa_terms : share that it takes at full throttle, and where it begins, us; of which terms.
-    windup : share of the motors' range beyond which the integral slows down.
-    anti_gravity : factor of the integral while the throttle moves by more than a threshold (us) in 0.1 s.
-    limits : of the outputs of roll, pitch and yaw.
-    largest_i : of the integral.
-    freezes : the integral does not grow while the axes ask for more than the motors have.
-    rotates : the integrals of all axes stay where they are in space as the body turns.
-    p_filters : of yaw's P.
-    boost, relax, moving, faster : parts that only some versions have.
-    setpoint_field : of the log.
-    acceleration : limit of the setpoint, deg/s^2, which sticks do not show; 0: none.
-    cut_terms : the log has terms without their fractions.
-    title : version, and which law stands in for an unknown one.
-    not_described : settings of this log that change the law in a way that is not described.
-    not_stated : settings that this header lacks and others of its version have, by the term that they move.
+    `stated`: gains as the firmware names them.
+    `p`, `i`, `d`, `f`: the same in the mixer's numbers; d is the least where D grows.
+    `weight`, `relaxed`: of the setpoint in the derivative, and the stick up to which it grows; 0: it does
+        not.
+    `filters`, `notch`: orders and cut-offs (Hz), and centre and cut-off, of what the derivative goes through.
+    `slope_filtered`: the setpoint goes through the filters too: 3.1.
+    `stated_steps`: of the derivative, of the integral: whether they count on the stated step.
+    `step_s`: stated; 0 where it is not.
+    `tpa`, `tpa_terms`: share that it takes at full throttle, and where it begins, us; of which terms.
+    `windup`: share of the motors' range beyond which the integral slows down.
+    `anti_gravity`: factor of the integral while the throttle moves by more than a threshold (us) in 0.1 s.
+    `limits`: of the outputs of roll, pitch and yaw.
+    `largest_i`: of the integral.
+    `freezes`: the integral does not grow while the axes ask for more than the motors have.
+    `rotates`: the integrals of all axes stay where they are in space as the body turns.
+    `p_filters`: of yaw's P.
+    `boost`, `relax`, `moving`, `faster`: parts that only some versions have.
+    `setpoint_field`: of the log.
+    `acceleration`: limit of the setpoint, deg/s^2, which sticks do not show; 0: none.
+    `cut_terms`: the log has terms without their fractions.
+    `title`: version, and which law stands in for an unknown one.
+    `not_described`: settings of this log that change the law in a way that is not described.
+    `not_stated`: settings that this header lacks and others of its version have, by the term that they move.
     """
 
     stated: Mapping[str, float]
@@ -155,9 +153,7 @@ class BetaflightLaw:
     def of(cls, settings: Mapping[str, str], axis: str) -> BetaflightLaw:
         """Of an axis, from a header's settings.
 
-        Raises
-        ------
-        DataError : another firmware, a gain or filter that is missing.
+        Raises DataError: another firmware, a gain or filter that is missing.
         """
         law = blackbox_law(settings.get("Firmware revision", ""))
         read = _Header(law, settings)

@@ -24,10 +24,8 @@ Curve = tuple[FloatArray, ComplexArray]
 class FlightScatter:
     """What sets the plants of single flights apart from their mean.
 
-    Attributes
-    ----------
-    f : (F,) Hz, the band in which every flight's plant is known.
-    away : (N, F) ln of a flight's plant over the flights' geometric mean.
+    `f`: (F,) Hz, the band in which every flight's plant is known.
+    `away`: (N, F) ln of a flight's plant over the flights' geometric mean.
     """
 
     f: FloatArray

@@ -26,12 +26,7 @@ LARGEST_SHARE = 0.05
 
 
 def settings_of(log: Any) -> dict[str, str]:
-    """A header's settings by name.
-
-    Raises
-    ------
-    DataError : the log is no blackbox log.
-    """
+    """A header's settings by name. Raises DataError: the log is no blackbox log."""
     settings = header_of(log)
     if not settings or "main" not in log.rows:
         raise DataError(
@@ -47,10 +42,8 @@ def record_of(
 ) -> tuple[StickRecord, Conditions]:
     """One axis of a flight on an even grid, and what its gains depended on.
 
-    Raises
-    ------
-    DataError : fields are missing; the controller's output was at its limit for more than 5 % of the time;
-        parts of the law move with the flight, and the header does not state how long a loop takes.
+    Raises DataError: fields are missing; the controller's output was at its limit for more than 5 % of the
+    time; parts of the law move with the flight, and the header does not state how long a loop takes.
     """
     law = BetaflightLaw.of(settings, axis)
     if law.changes_in_flight and not law.step_s:
@@ -120,9 +113,7 @@ def even_pieces(
 ) -> tuple[FloatArray, ...]:
     """Stretches without a gap, on an even grid: setpoint, output, rate, and times and values from outside.
 
-    Parameters
-    ----------
-    breaks : (N - 1,) behind which rows a stretch ends; None: before long steps of the time.
+    `breaks`: (N - 1,) behind which rows a stretch ends; None: before long steps of the time.
     """
     if breaks is None:
         breaks = np.diff(time) > max(GAP_S, 3.0 / rate_hz)

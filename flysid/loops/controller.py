@@ -24,27 +24,25 @@ THOUSANDTHS = 1000.0
 class Controller:
     """u = reference(f) r - feedback(f) y.
 
-    Attributes
-    ----------
-    gains : as the firmware names them, for people.
-    p, i, d : per unit of error, of its integral, of its derivative.
-    weight : of the setpoint in the derivative.
-    filters : orders and cut-offs (Hz) of what the derivative of y goes through.
-    error_filters, reference_filters : of what the error goes through, and the setpoint before it.
-    forward : from the filtered setpoint straight to the output.
-    slope_filtered : the setpoint's derivative goes through `filters` and `notch`, too.
-    notch : centre and cut-off (Hz) of what the derivative goes through besides; 0 for none.
-    p_filters : of what P goes through.
-    recorded_forward : f (Hz), and the response there of a recorded term that the setpoint alone makes.
-    i_at_rest : of the error's integral while the sticks rest, where `i` is less on average over a flight.
-    forward_slope : from the filtered setpoint's derivative straight to the output.
-    error_notches, reference_notches : centre (Hz), quality and depth (a factor) of what they go through.
-    output_filters : of what the whole output goes through.
-    step_s, slope_step_s : in which integral and filters are computed, and the derivative with its filters; 0
-        for so short a step that it does not show.
-    setpoint_steps : the log has the setpoint this many steps before the loop uses it.
-    law : firmware and version whose law this is, for people.
-    exact : whether that version is described; else the nearest one stands in.
+    `gains`: as the firmware names them, for people.
+    `p`, `i`, `d`: per unit of error, of its integral, of its derivative.
+    `weight`: of the setpoint in the derivative.
+    `filters`: orders and cut-offs (Hz) of what the derivative of y goes through.
+    `error_filters`, `reference_filters`: of what the error goes through, and the setpoint before it.
+    `forward`: from the filtered setpoint straight to the output.
+    `slope_filtered`: the setpoint's derivative goes through `filters` and `notch`, too.
+    `notch`: centre and cut-off (Hz) of what the derivative goes through besides; 0 for none.
+    `p_filters`: of what P goes through.
+    `recorded_forward`: f (Hz), and the response there of a recorded term that the setpoint alone makes.
+    `i_at_rest`: of the error's integral while the sticks rest, where `i` is less on average over a flight.
+    `forward_slope`: from the filtered setpoint's derivative straight to the output.
+    `error_notches`, `reference_notches`: centre (Hz), quality and depth (a factor) of what they go through.
+    `output_filters`: of what the whole output goes through.
+    `step_s`, `slope_step_s`: in which integral and filters are computed, and the derivative with its filters;
+        0 for so short a step that it does not show.
+    `setpoint_steps`: the log has the setpoint this many steps before the loop uses it.
+    `law`: firmware and version whose law this is, for people.
+    `exact`: whether that version is described; else the nearest one stands in.
     """
 
     gains: Mapping[str, float]
@@ -140,10 +138,8 @@ def refuse_misfit(
 ) -> float:
     """The miss of a controller; raises DataError where it is not what the log recorded.
 
-    Parameters
-    ----------
-    low, high : Hz, between which it is compared.
-    checks : of its terms; those that miss are named. All of them must fit where the law only stands in.
+    `low`, `high`: Hz, between which it is compared.
+    `checks`: of its terms; those that miss are named. All of them must fit where the law only stands in.
     """
     miss = controller.miss(loop, low, high)
     off = "; ".join(check.complaint() for check in checks if not check.fits)

@@ -27,13 +27,11 @@ HIGHEST = 0.4
 class Errors:
     """The last flight's errors, line by line.
 
-    Attributes
-    ----------
-    f : (F,) Hz, up to the end of the band.
-    plants : (1 + D, F) the plant, and what else it may be.
-    misses : (1 + D, F) of the law, see `KnownAxis`.
-    sticks : (F,) power of the setpoint.
-    rest : (1 + D, F) power of the error that the setpoint does not make, times |1 + G C|^2 as it flew.
+    `f`: (F,) Hz, up to the end of the band.
+    `plants`: (1 + D, F) the plant, and what else it may be.
+    `misses`: (1 + D, F) of the law, see `KnownAxis`.
+    `sticks`: (F,) power of the setpoint.
+    `rest`: (1 + D, F) power of the error that the setpoint does not make, times |1 + G C|^2 as it flew.
     """
 
     f: FloatArray
@@ -103,12 +101,10 @@ def _loops(
 class Noise:
     """The last flight's gyro above what the sticks move.
 
-    Attributes
-    ----------
-    f : (F,) Hz.
-    plants : (1 + D, F), see `KnownAxis.everywhere`.
-    rate : (1 + D, F) power of the rate, times |1 + G C|^2 as it flew: what a loop that is open would see.
-    others : (1 + D,) what the noise of another stretch of flight is of this one's.
+    `f`: (F,) Hz.
+    `plants`: (1 + D, F), see `KnownAxis.everywhere`.
+    `rate`: (1 + D, F) power of the rate, times |1 + G C|^2 as it flew: what a loop that is open would see.
+    `others`: (1 + D,) what the noise of another stretch of flight is of this one's.
     """
 
     f: FloatArray

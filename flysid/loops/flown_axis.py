@@ -50,15 +50,13 @@ class Turning:
 class FlownAxis:
     """Roll or pitch of one flight, row by row of its log.
 
-    Attributes
-    ----------
-    time : (N,) s.
-    setpoint, stick, throttle : (N,) deg/s, 0 to 1, us.
-    axis : 0 roll, 1 pitch.
-    others : (4, N) what the other axes add to the motors, thousandths.
-    rate, given : (N,) deg/s, and what the motors were given for this axis, thousandths.
-    airmode : the throttle gives way to the axes.
-    slower : steps of the loop over those that the header states.
+    `time`: (N,) s.
+    `setpoint`, `stick`, `throttle`: (N,) deg/s, 0 to 1, us.
+    `axis`: 0 roll, 1 pitch.
+    `others`: (4, N) what the other axes add to the motors, thousandths.
+    `rate`, `given`: (N,) deg/s, and what the motors were given for this axis, thousandths.
+    `airmode`: the throttle gives way to the axes.
+    `slower`: steps of the loop over those that the header states.
     """
 
     name: str
@@ -132,14 +130,9 @@ class FlownAxis:
 def flown_axis(log: Any, axis: str, settings: Mapping[str, str], *, largest_miss: float = 0.05) -> FlownAxis:
     """Roll or pitch of a log.
 
-    Parameters
-    ----------
-    largest_miss : of the motors that the mixer gives, root mean square, in shares of their range.
-
-    Raises
-    ------
-    UsageError : yaw.
-    DataError : another firmware, fields or settings are missing, or the motors are not those of a quad X.
+    `largest_miss`: of the motors that the mixer gives, root mean square, in shares of their range.
+    Raises UsageError: yaw. Raises DataError: another firmware, fields or settings are missing, or the motors
+    are not those of a quad X.
     """
     if axis not in ("roll", "pitch"):
         raise UsageError(f"{axis} cannot be flown again: its P is filtered", hint="roll or pitch")

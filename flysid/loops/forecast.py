@@ -41,15 +41,14 @@ class StepFigures:
 class Side:
     """A loop under one set of gains.
 
-    Attributes
-    ----------
-    gains : as the firmware names them.
-    figures : by name, as of `Margins`.
-    response : (F,) from setpoint to rate, and its ends in dB and deg, (2, F) each.
-    step : figures of the step; (N,) the answer itself, 1000 values a second.
-    limited : share of the flight at the output's limit.
-    lost : (D,) whether the loop is not stable with a drawn plant.
-    errors : (1 + D,) root mean square of setpoint less rate over the last flight, of the plant and its draws.
+    `gains`: as the firmware names them.
+    `figures`: by name, as of `Margins`.
+    `response`: (F,) from setpoint to rate, and its ends in dB and deg, (2, F) each.
+    `step`: figures of the step; (N,) the answer itself, 1000 values a second.
+    `limited`: share of the flight at the output's limit.
+    `lost`: (D,) whether the loop is not stable with a drawn plant.
+    `errors`: (1 + D,) root mean square of setpoint less rate over the last flight, of the plant and its
+        draws.
     """
 
     gains: Mapping[str, float]
@@ -90,17 +89,15 @@ class Side:
 class Forecast:
     """One axis under other settings.
 
-    Attributes
-    ----------
-    flights : whose plants it goes by.
-    next_flight : whether the intervals hold for one more flight.
-    f, band_hz : (F,) Hz of the responses, inside the band in which the plant is known.
-    before, after : under the flown settings, and the new ones.
-    noise : of the output above what the sticks move, after over before.
-    tracking : root mean square of setpoint less rate over the last flight, after over before.
-    better : share of the plants that fit with which it is smaller, and the loop stable.
-    off : median error of the response under the flown settings against the measured one.
-    law : firmware and version.
+    `flights`: whose plants it goes by.
+    `next_flight`: whether the intervals hold for one more flight.
+    `f`, `band_hz`: (F,) Hz of the responses, inside the band in which the plant is known.
+    `before`, `after`: under the flown settings, and the new ones.
+    `noise`: of the output above what the sticks move, after over before.
+    `tracking`: root mean square of setpoint less rate over the last flight, after over before.
+    `better`: share of the plants that fit with which it is smaller, and the loop stable.
+    `off`: median error of the response under the flown settings against the measured one.
+    `law`: firmware and version.
     """
 
     axis: str
@@ -149,15 +146,10 @@ class Forecast:
 def forecast(logs: Sequence[Any], axis: str, changes: Mapping[str, str]) -> Forecast:
     """What an axis would do under other settings than those of the last flight.
 
-    Parameters
-    ----------
-    logs : flights of one vehicle, under any gains.
-    changes : see `with_settings`.
-
-    Raises
-    ------
-    UsageError : a setting that the log does not state; settings that change nothing of this loop.
-    DataError : see `flysid gains`: the law is not what flew, or the plant is not known.
+    `logs`: flights of one vehicle, under any gains.
+    `changes`: see `with_settings`.
+    Raises UsageError: a setting that the log does not state; settings that change nothing of this loop.
+    Raises DataError: see `flysid gains`: the law is not what flew, or the plant is not known.
     """
     return forecast_of(KnownAxis.of(logs, axis), changes)
 

@@ -25,11 +25,9 @@ BEYOND = 2.0
 class RateBounds:
     """What a loop must keep.
 
-    Attributes
-    ----------
-    ms : largest sensitivity.
-    noise : root mean square of the output's noise, over that of the present settings.
-    angle_peak : largest answer of an angle loop around it to its setpoint.
+    `ms`: largest sensitivity.
+    `noise`: root mean square of the output's noise, over that of the present settings.
+    `angle_peak`: largest answer of an angle loop around it to its setpoint.
     """
 
     ms: float = 1.7
@@ -41,9 +39,7 @@ class RateBounds:
 class Terms:
     """A controller's answer, term by term, at some frequencies: P, I, D and what no factor moves.
 
-    Attributes
-    ----------
-    back, forward : (4, F) from the rate, its sign left out, and from the setpoint.
+    `back`, `forward`: (4, F) from the rate, its sign left out, and from the setpoint.
     """
 
     back: ComplexArray
@@ -82,10 +78,8 @@ class Terms:
 class Bounded:
     """A loop whose gains are factors of a controller's.
 
-    Attributes
-    ----------
-    f, plants : (F,) Hz from the band's lower end to beyond its upper one, (D, F) draws of the plant.
-    high_hz : the band's end.
+    `f`, `plants`: (F,) Hz from the band's lower end to beyond its upper one, (D, F) draws of the plant.
+    `high_hz`: the band's end.
     """
 
     bounds: RateBounds

@@ -27,12 +27,7 @@ from flysid.loops.margins import (
 from flysid.loops.moved_means import conditions_under
 from flysid.loops.parameter_checks import ardupilot_checks, px4_checks
 from flysid.loops.parameter_laws import ardupilot, px4, px4_law
-from flysid.loops.parameterlogs import (
-    ardupilot_parameters,
-    ardupilot_record,
-    px4_parameters,
-    px4_record,
-)
+from flysid.loops.parameterlogs import ardupilot_parameters, ardupilot_record, px4_parameters, px4_record
 from flysid.loops.stick_response import Loop, StickRecord
 from flysid.progress import tell
 

@@ -48,12 +48,7 @@ class Flown:
 
     @classmethod
     def of(cls, log: Any, axis: str) -> Flown:
-        """A flight, checked against its law.
-
-        Raises
-        ------
-        DataError : see `flysid gains`.
-        """
+        """A flight, checked against its law. Raises DataError: see `flysid gains`."""
         kind = kind_of(log)
         settings = kind.settings(log)
         kind.controller(settings, axis, NO_CONDITIONS)  # what is missing is named before the flight is read
@@ -68,16 +63,14 @@ class Flown:
 class KnownAxis:
     """What some flights tell of one axis.
 
-    Attributes
-    ----------
-    log : the last flight's, whose settings are the present ones.
-    flights : in their order.
-    together : all of them.
-    f, band_hz : (F,) Hz, the lines of the band in which the plant is known.
-    centre, draws : (F,) the plant there, and (D, F) what else it may be.
-    turning : that fits the plant.
-    miss : (F,) of the law, a factor of the response to the setpoint.
-    missed : (D, F) what else that may be.
+    `log`: the last flight's, whose settings are the present ones.
+    `flights`: in their order.
+    `together`: all of them.
+    `f`, `band_hz`: (F,) Hz, the lines of the band in which the plant is known.
+    `centre`, `draws`: (F,) the plant there, and (D, F) what else it may be.
+    `turning`: that fits the plant.
+    `miss`: (F,) of the law, a factor of the response to the setpoint.
+    `missed`: (D, F) what else that may be.
     """
 
     axis: str
@@ -96,9 +89,7 @@ class KnownAxis:
     def of(cls, logs: Sequence[Any], axis: str) -> KnownAxis:
         """From flights of one vehicle, under any gains.
 
-        Raises
-        ------
-        DataError : the law is not what flew, or the plant is not known.
+        Raises DataError: the law is not what flew, or the plant is not known.
         """
         flights = _alike([Flown.of(log, axis) for log in logs])
         loops = [flight.loop for flight in flights]
@@ -130,9 +121,7 @@ class KnownAxis:
     def law_under(self, changes: Mapping[str, str]) -> tuple[Controller, Conditions]:
         """The controller under other settings, as the last flight would have moved it.
 
-        Raises
-        ------
-        UsageError : a setting that the log does not state.
+        Raises UsageError: a setting that the log does not state.
         """
         kind, last = kind_of(self.log), self.last
         other = with_settings(last.settings, changes)

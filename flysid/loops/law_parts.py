@@ -17,10 +17,8 @@ LARGEST_MISS = 0.15
 class Means:
     """What the parts of a law that move were on average over a flight, as shares of what the header states.
 
-    Attributes
-    ----------
-    p, i, d : of the gains.
-    lowpass_hz : cut-off of the first low-pass where it moves.
+    `p`, `i`, `d`: of the gains.
+    `lowpass_hz`: cut-off of the first low-pass where it moves.
     """
 
     p: float = 1.0
@@ -33,11 +31,9 @@ class Means:
 class Boost:
     """How D grows from the gain `d`: by up to `most` with quick motions.
 
-    Attributes
-    ----------
-    most : of D, over the least.
-    by_rate, by_setpoint : what a deg/s^2 of the filtered rate, or of the setpoint, adds to the share.
-    range_filters, smooth_filters : of the rate's slope, and of the factor.
+    `most`: of D, over the least.
+    `by_rate`, `by_setpoint`: what a deg/s^2 of the filtered rate, or of the setpoint, adds to the share.
+    `range_filters`, `smooth_filters`: of the rate's slope, and of the factor.
     """
 
     most: float
@@ -87,13 +83,11 @@ class AntiGravity:
 class TermCheck:
     """One term of the law against the recorded one.
 
-    Attributes
-    ----------
-    term : P, I, D or F.
-    miss : root mean square of the difference, over that of the recorded term.
-    slope : recorded over rebuilt, by least squares.
-    cause : the part of the law without which the term fits, and how well; "" where there is none.
-    scaled : the miss under another gain.
+    `term`: P, I, D or F.
+    `miss`: root mean square of the difference, over that of the recorded term.
+    `slope`: recorded over rebuilt, by least squares.
+    `cause`: the part of the law without which the term fits, and how well; "" where there is none.
+    `scaled`: the miss under another gain.
     """
 
     term: str

@@ -64,16 +64,14 @@ class Figure:
 class Margins:
     """What the present gains mean.
 
-    Attributes
-    ----------
-    band_hz : where the plant is known to `TRUSTED` of itself.
-    crossover_hz, phase_deg, gain_db, delay_ms : where the loop's gain is one; margins there and at -180 deg.
-        Where the loop reaches -180 deg above the band, the gain margin exceeds what its gain leaves at the
-        band's end.
-    ms : the largest sensitivity inside the band: how much disturbances grow at worst. Never below 1, to which
-        every loop's tends where its gain fades.
-    bandwidth_hz : where the answer to the setpoint falls to -3 dB.
-    noise : the largest gain from measurement noise to the controller's output, inside the band.
+    `band_hz`: where the plant is known to `TRUSTED` of itself.
+    `crossover_hz`, `phase_deg`, `gain_db`, `delay_ms`: where the loop's gain is one; margins there and at
+        -180 deg. Where the loop reaches -180 deg above the band, the gain margin exceeds what its gain leaves
+        at the band's end.
+    `ms`: the largest sensitivity inside the band: how much disturbances grow at worst. Never below 1, to
+        which every loop's tends where its gain fades.
+    `bandwidth_hz`: where the answer to the setpoint falls to -3 dB.
+    `noise`: the largest gain from measurement noise to the controller's output, inside the band.
     """
 
     band_hz: tuple[float, float]
@@ -89,9 +87,7 @@ class Margins:
 def loop_around(records: Sequence[StickRecord], controller: Controller) -> Loop:
     """The loop in windows that show its crossover: a slow one lies below what short ones show.
 
-    Raises
-    ------
-    DataError : the sticks show the plant in none of the windows; the reason is that of the shortest.
+    Raises DataError: the sticks show the plant in none of the windows; the reason is that of the shortest.
     """
     shortest = Loop.of(records)
     found, refused = None, None
@@ -116,9 +112,7 @@ def trusted_band(loop: Loop, *, periods: float = 3.0) -> tuple[float, float]:
 
     `periods`: with fewer, the window bends the plant by more than 4 %, before that is taken off.
 
-    Raises
-    ------
-    DataError : there is none: the sticks did not move the vehicle enough.
+    Raises DataError: there is none: the sticks did not move the vehicle enough.
     """
     from scipy.ndimage import median_filter
 
@@ -144,14 +138,9 @@ def trusted_band(loop: Loop, *, periods: float = 3.0) -> tuple[float, float]:
 def margins(loop: Loop, controller: Controller, between: FlightScatter | None = None) -> Margins:
     """The figures of one loop.
 
-    Parameters
-    ----------
-    between : scatter between flights, for intervals that hold for other flights, too. Without it they hold
+    `between`: scatter between flights, for intervals that hold for other flights, too. Without it they hold
         for these flights.
-
-    Raises
-    ------
-    DataError : the plant is not known anywhere, or not where the loop's gain is one.
+    Raises DataError: the plant is not known anywhere, or not where the loop's gain is one.
     """
     low, high, at = _known_band(loop)
     f = loop.f[at]
@@ -207,10 +196,7 @@ def margins_across(
     """The figures of `own` with intervals that hold the scatter between flights, too.
 
     None where fewer than two flights are known up to the crossover; without one, to the end of the band.
-
-    Raises
-    ------
-    DataError : as `margins`.
+    Raises DataError: as `margins`.
     """
     scatter = FlightScatter.of(curves, own.crossover_hz.value or own.band_hz[1])
     return None if scatter is None else margins(loop, controller, scatter)
@@ -305,9 +291,7 @@ class _Curves:
     A band that reaches far, as in still air, holds bends that one curve would spread over all of it. Lines
     between the middles of two stretches have what both say, by their distance from either.
 
-    Attributes
-    ----------
-    size, turn : (3, F, F) from ln |G| and from the phase of the lines to those of the curves, and to their
+    `size`, `turn`: (3, F, F) from ln |G| and from the phase of the lines to those of the curves, and to their
         first and second derivatives by f.
     """
 

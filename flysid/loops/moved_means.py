@@ -32,11 +32,9 @@ def conditions_under(
 ) -> Conditions:
     """What the gains of a flight would have depended on under other settings.
 
-    Parameters
-    ----------
-    flown, new : settings of the header, and the other ones.
-    seen : what they did depend on.
-    turning : the plant that fits.
+    `flown`, `new`: settings of the header, and the other ones.
+    `seen`: what they did depend on.
+    `turning`: the plant that fits.
     """
     old_law, law = (BetaflightLaw.of(settings, axis) for settings in (flown, new))
     forward = seen.forward

@@ -21,12 +21,8 @@ WORDS = {"ON": "1", "OFF": "0", "PT1": "0", "BIQUAD": "1", "PT2": "2", "PT3": "3
 def settings_in(words: str) -> dict[str, str]:
     """Settings of "NAME=VALUE,NAME=VALUE".
 
-    Raises
-    ------
-    UsageError : a word is not NAME=VALUE.
+    Raises UsageError: a word is not NAME=VALUE.
 
-    Examples
-    --------
     >>> settings_in("p_roll=58, d_roll = 38")
     {'p_roll': '58', 'd_roll': '38'}
     """
@@ -42,13 +38,9 @@ def settings_in(words: str) -> dict[str, str]:
 def read_settings(path: Path, *, numbers: bool = False) -> dict[str, str]:
     """Names and values of a file: a ground station's, NAME VALUE lines, or Betaflight's `set` lines.
 
-    Parameters
-    ----------
-    numbers : values are numbers; else words stand too, as a command line has them.
-
-    Raises
-    ------
-    UsageError : no such file. DataError : a line is not a setting, or a name stands twice with two values.
+    `numbers`: values are numbers; else words stand too, as a command line has them.
+    Raises UsageError: no such file. Raises DataError: a line is not a setting, or a name stands twice with
+    two values.
     """
     try:
         text = path.read_text("utf-8")
@@ -80,14 +72,9 @@ def read_settings(path: Path, *, numbers: bool = False) -> dict[str, str]:
 def with_settings(stated: Mapping[str, Any], changes: Mapping[str, str]) -> dict[str, Any]:
     """What a log states, with changes in the places of its own values.
 
-    Parameters
-    ----------
-    stated : a blackbox header's settings, or parameters by name.
-    changes : by the names of the firmware's command line, or of its parameters.
-
-    Raises
-    ------
-    UsageError : a name that the log does not state, a value that is no number.
+    `stated`: a blackbox header's settings, or parameters by name.
+    `changes`: by the names of the firmware's command line, or of its parameters.
+    Raises UsageError: a name that the log does not state, a value that is no number.
     """
     if "Firmware revision" in stated:
         return _in_header(stated, changes)
@@ -102,9 +89,7 @@ def with_settings(stated: Mapping[str, Any], changes: Mapping[str, str]) -> dict
 def value_of(stated: Mapping[str, Any], name: str) -> float:
     """The present value of a setting.
 
-    Raises
-    ------
-    UsageError : the log does not state it. DataError : its line does not hold a number there.
+    Raises UsageError: the log does not state it. Raises DataError: its line does not hold a number there.
     """
     if "Firmware revision" not in stated:
         if name not in stated:

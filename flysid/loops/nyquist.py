@@ -22,11 +22,9 @@ if TYPE_CHECKING:
 class Curve:
     """The open loop of one axis inside its band, as its margins are computed from it.
 
-    Attributes
-    ----------
-    f : (F,) Hz.
-    loop : (F,) plant times controller.
-    radius : (F,) distance from `loop` within which 95 % of the resampled loops lie.
+    `f`: (F,) Hz.
+    `loop`: (F,) plant times controller.
+    `radius`: (F,) distance from `loop` within which 95 % of the resampled loops lie.
     """
 
     f: FloatArray

@@ -31,9 +31,7 @@ def px4_law(stated: Mapping[str, float]) -> Law:
 def px4(stated: Mapping[str, float], axis: str) -> Controller:
     """The rate controller of PX4.
 
-    Raises
-    ------
-    DataError : parameters are missing: another version, or a log without them.
+    Raises DataError: parameters are missing: another version, or a log without them.
     """
     law = px4_law(stated)
     own = law.part("axes")[axis]
@@ -57,9 +55,7 @@ def px4(stated: Mapping[str, float], axis: str) -> Controller:
 def ardupilot(stated: Mapping[str, float], axis: str) -> Controller:
     """The rate controller of ArduCopter 4.0 and later.
 
-    Raises
-    ------
-    DataError : parameters are missing; older versions have one filter.
+    Raises DataError: parameters are missing; older versions have one filter.
     """
     law = parameter_law("arducopter")
     own = law.part("axes")[axis]
@@ -103,9 +99,7 @@ def _step_of(stated: Mapping[str, float], names: Mapping[str, str]) -> float:
 def _notches(stated: Mapping[str, float], law: Law, name: str) -> Notches:
     """The notch that a parameter names by its number; none for 0.
 
-    Raises
-    ------
-    DataError : that filter's own parameters are missing.
+    Raises DataError: that filter's own parameters are missing.
     """
     number = int(stated.get(name, 0.0))
     if not number:

@@ -37,9 +37,7 @@ WHOLE_TURN = 360.0
 def parameters_of(log: Any, needed: Callable[[str], bool]) -> dict[str, float]:
     """Parameters of a log by name, those that are needed.
 
-    Raises
-    ------
-    DataError : the log states none, or one of them was changed in flight.
+    Raises DataError: the log states none, or one of them was changed in flight.
     """
     stream = next((s for s in STREAMS if s in log.facts.streams), None)
     if stream is None:
@@ -80,9 +78,7 @@ def ardupilot_parameters(log: Any) -> dict[str, float]:
 def px4_record(log: Any, axis: str) -> StickRecord:
     """One axis of a PX4 flight in deg/s and thousandths of the output.
 
-    Raises
-    ------
-    DataError : a topic is missing, too slow, or the output at its limit.
+    Raises DataError: a topic is missing, too slow, or the output at its limit.
     """
     k = list(AXES).index(axis)
     if "vehicle_torque_setpoint" in log.facts.streams:
@@ -106,9 +102,7 @@ def px4_record(log: Any, axis: str) -> StickRecord:
 def ardupilot_record(log: Any, axis: str) -> StickRecord:
     """One axis of an ArduCopter flight in deg/s and thousandths of the output.
 
-    Raises
-    ------
-    DataError : RATE is missing or too slow, or the output at its limit.
+    Raises DataError: RATE is missing or too slow, or the output at its limit.
     """
     letter = axis[0].upper()
     time, rate = column_of(log, "RATE", letter)
@@ -199,9 +193,7 @@ def _record(
     At the setpoint's own rate every row would lie where the setpoint has just moved, and what the output does
     until the next one would be lost: 2 % of the plant's gain on PX4.
 
-    Parameters
-    ----------
-    rates : Hz, of output and gyro, and of the setpoint.
+    `rates`: Hz, of output and gyro, and of the setpoint.
     """
     rate_hz, slowest_hz = rates[0], min(rates)
     if slowest_hz < least_hz:

@@ -81,11 +81,9 @@ def weights(n: int) -> FloatArray:
 class Turnings:
     """The plant of some flights together, and of each of them.
 
-    Attributes
-    ----------
-    f : (F,) Hz of the flights' responses.
-    window_s : of the responses.
-    band_hz : in which the plants were fitted.
+    `f`: (F,) Hz of the flights' responses.
+    `window_s`: of the responses.
+    `band_hz`: in which the plants were fitted.
     """
 
     f: FloatArray
@@ -103,13 +101,8 @@ class Turnings:
     ) -> Turnings:
         """Of flights of one vehicle, from what the motors were given to the rate.
 
-        Parameters
-        ----------
-        band_hz : where to fit; None: where the plant of all flights together is known.
-
-        Raises
-        ------
-        DataError : the sticks did not move the vehicle enough.
+        `band_hz`: where to fit; None: where the plant of all flights together is known.
+        Raises DataError: the sticks did not move the vehicle enough.
         """
         loops = [Loop.of([flight.record()], window_s) for flight in flights]
         f = loops[0].f
@@ -145,11 +138,8 @@ def fit_turning(loop: Loop, at: npt.NDArray[np.bool_], step_s: float) -> Turning
 def predict_flight(known: Turnings, later: FlownAxis) -> Prediction:
     """The response of a flight with its own gains, sticks and throttle, from the plants of others.
 
-    Its draws are those of its small motions about the flight as it was flown again.
-
-    Raises
-    ------
-    DataError : fewer than two flights are known.
+    Its draws are those of its small motions about the flight as it was flown again. Raises DataError: fewer
+    than two flights are known.
     """
     n = len(known.each)
     if n < 2:

@@ -46,13 +46,11 @@ SURE = 0.95
 class Proposal:
     """What is to be flown next.
 
-    Attributes
-    ----------
-    old, new : settings by name, present and proposed, those that change.
-    axes : what each axis would do.
-    angles : the angle loops around them.
-    refused : axis -> why there is no proposal for it.
-    command_line : whether names are those of a command line; else of parameters.
+    `old`, `new`: settings by name, present and proposed, those that change.
+    `axes`: what each axis would do.
+    `angles`: the angle loops around them.
+    `refused`: axis -> why there is no proposal for it.
+    `command_line`: whether names are those of a command line; else of parameters.
     """
 
     old: Mapping[str, str]
@@ -85,10 +83,8 @@ class _Axis:
 def propose(logs: Sequence[Any], axes: Sequence[str], bounds: RateBounds | None = None) -> Proposal:
     """Settings for the next flight.
 
-    Parameters
-    ----------
-    logs : flights of one vehicle.
-    axes : roll, pitch, yaw; those that cannot be designed are refused by name.
+    `logs`: flights of one vehicle.
+    `axes`: roll, pitch, yaw; those that cannot be designed are refused by name.
     """
     ready: list[_Axis] = []
     refused: dict[str, DataError] = {}
@@ -156,12 +152,7 @@ def _filters_move(ready: Sequence[_Axis]) -> bool:
 
 
 def _prepare(logs: Sequence[Any], axis: str, bounds: RateBounds) -> _Axis:
-    """An axis that can be designed.
-
-    Raises
-    ------
-    DataError : the flights do not determine its loop.
-    """
+    """An axis that can be designed. Raises DataError: the flights do not determine its loop."""
     known = KnownAxis.of(logs, axis)
     margins(known.together, known.last.controller.at_rest())
     settings = tuple(list_tunable(known.last.settings, axis))
@@ -228,9 +219,7 @@ def _descend(loop: Bounded, movable: Sequence[bool], least: FloatArray) -> Float
 def _judge(one: _Axis, chosen: int, factors: FloatArray) -> tuple[dict[str, str], Forecast]:
     """Settings of an axis by factors, and what it does with them.
 
-    Raises
-    ------
-    DataError : they pass a bound, or are not surely better.
+    Raises DataError: they pass a bound, or are not surely better.
     """
     loop = one.loops[chosen]
     if loop.excess(factors) > 0.0:

@@ -38,17 +38,15 @@ FREE_RATE = 50.0
 class Rows:
     """What the controller saw, row by row of a log.
 
-    Attributes
-    ----------
-    loop : (N,) its number.
-    setpoint, weighed, rate : (N,) deg/s; `weighed` is what the derivative takes of the setpoint.
-    throttle : (N,) 0 to 1, of the kind that the law goes by.
-    asked : (N,) share of the motors' range that the axes demanded.
-    faster : (N,) factor of the integral while the throttle moves in steps.
-    carried : (N,) thousandths a second that turns of the body carry over from the other axes' integrals.
-    slope : (N,) deg/s^2 of the setpoint, as the F term has it.
-    integral : (N,) the recorded I.
-    resolution : of setpoint and rate, deg/s.
+    `loop`: (N,) its number.
+    `setpoint`, `weighed`, `rate`: (N,) deg/s; `weighed` is what the derivative takes of the setpoint.
+    `throttle`: (N,) 0 to 1, of the kind that the law goes by.
+    `asked`: (N,) share of the motors' range that the axes demanded.
+    `faster`: (N,) factor of the integral while the throttle moves in steps.
+    `carried`: (N,) thousandths a second that turns of the body carry over from the other axes' integrals.
+    `slope`: (N,) deg/s^2 of the setpoint, as the F term has it.
+    `integral`: (N,) the recorded I.
+    `resolution`: of setpoint and rate, deg/s.
     """
 
     loop: FloatArray
@@ -75,12 +73,7 @@ class Rebuilt:
 
 
 def rebuild(law: BetaflightLaw, rows: Rows, step_s: float) -> Rebuilt:
-    """The terms P, I and D.
-
-    Parameters
-    ----------
-    step_s : of the loop as it ran; the law's own step is that of its filters.
-    """
+    """The terms P, I and D. `step_s`: of the loop as it ran; the law's own step is that of its filters."""
     whole = np.zeros((3, len(rows.loop)))
     pieces = _pieces(rows.loop)
     squares = np.sum([_rebuild_piece(law, rows, own, step_s, whole) for own in pieces], axis=0)
@@ -101,9 +94,7 @@ def _rebuild_piece(
 ) -> FloatArray:
     """(4, 2) sums whose quotients are the means; the terms of a stretch are written to `whole` (3, N).
 
-    Parameters
-    ----------
-    most_loops : held at once: a log of every sixteenth loop has sixteen times its rows of them.
+    `most_loops`: held at once: a log of every sixteenth loop has sixteen times its rows of them.
     """
     loop = rows.loop[own]
     fixed = (
@@ -151,10 +142,8 @@ def _step_rows(
 ) -> tuple[FloatArray, tuple[float, int]]:
     """(3, n) terms of every loop of some rows; the moving cut-offs' sum and number.
 
-    Parameters
-    ----------
-    goes_on : the last row is the first of the next call.
-    state, sums : changed in place.
+    `goes_on`: the last row is the first of the next call.
+    `state`, `sums`: changed in place.
     """
     loop = rows.loop[own]
     every = np.arange(loop[0], loop[-1] + (0.0 if goes_on else 1.0))

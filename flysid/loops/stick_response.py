@@ -36,11 +36,9 @@ FLIGHTS_TO_RESAMPLE = 4
 class StickRecord:
     """One flight of a loop on an even grid, in pieces without gaps.
 
-    Attributes
-    ----------
-    rate_hz : samples a second.
-    pieces : (3, N) setpoint, controller's output, measured rate; (4, N) where the last, what an outer loop is
-        asked for, stands for the setpoint as what is free of disturbances.
+    `rate_hz`: samples a second.
+    `pieces`: (3, N) setpoint, controller's output, measured rate; (4, N) where the last, what an outer loop
+        is asked for, stands for the setpoint as what is free of disturbances.
     """
 
     name: str
@@ -52,10 +50,8 @@ class StickRecord:
 class Loop:
     """Spectra of one or several flights of a loop, and what to resample.
 
-    Attributes
-    ----------
-    f : (F,) Hz.
-    blocks : per flight (B, 3, 3, F) sums of conj(W_i) X_j over the windows of a block; X setpoint, output,
+    `f`: (F,) Hz.
+    `blocks`: per flight (B, 3, 3, F) sums of conj(W_i) X_j over the windows of a block; X setpoint, output,
         rate, and W the same or with what is asked from outside in the setpoint's place.
     """
 
@@ -66,9 +62,8 @@ class Loop:
     def of(cls, records: Sequence[StickRecord], window_s: float = 2.0, *, highest_hz: float = 250.0) -> Loop:
         """Windows of `window_s`, under a Hann window; no hand moves a vehicle above `highest_hz`.
 
-        Raises
-        ------
-        DataError : fewer than `LEAST_BLOCKS` blocks in all, no stick movement, or flights of different rates.
+        Raises DataError: fewer than `LEAST_BLOCKS` blocks in all, no stick movement, or flights of different
+        rates.
         """
         rate = records[0].rate_hz
         if any(abs(r.rate_hz - rate) > 1e-9 * rate for r in records):

@@ -32,11 +32,9 @@ def check_terms(
 
     Nothing is compared where the header does not state how long a loop takes.
 
-    Parameters
-    ----------
-    recorded : (N,) by the term's letter.
-    step_s : of the loop, as it ran.
-    rate_hz : of the log.
+    `recorded`: (N,) by the term's letter.
+    `step_s`: of the loop, as it ran.
+    `rate_hz`: of the log.
     """
     if not law.step_s:
         return (), Means()
@@ -107,11 +105,9 @@ def show_change(
     Where a gain that drifts gives it better than two, nothing was switched: a battery that empties, for one,
     looks like that, and the drift is all that is shown.
 
-    Parameters
-    ----------
-    time_s : (N,) from the record's begin.
-    scaled : the miss under one gain for all of it.
-    least_s : that either gain flew.
+    `time_s`: (N,) from the record's begin.
+    `scaled`: the miss under one gain for all of it.
+    `least_s`: that either gain flew.
     """
     sums = [np.cumsum(product) for product in (one * other, other**2)]
     middle = slice(

@@ -25,12 +25,10 @@ LOWPASSES = ("lowpass_1", "lowpass_2")
 class Setting:
     """One setting.
 
-    Attributes
-    ----------
-    name : of the command line, or of the parameter.
-    part : p, i, d or filters; what moves together.
-    value : the present one.
-    whole : only whole numbers.
+    `name`: of the command line, or of the parameter.
+    `part`: p, i, d or filters; what moves together.
+    `value`: the present one.
+    `whole`: only whole numbers.
     """
 
     name: str
@@ -54,13 +52,8 @@ class Setting:
 def list_tunable(stated: Mapping[str, Any], axis: str) -> list[Setting]:
     """The gains and D filters of an axis that are in use.
 
-    Parameters
-    ----------
-    stated : a blackbox header's settings, or parameters by name.
-
-    Raises
-    ------
-    UsageError : a value is no number.
+    `stated`: a blackbox header's settings, or parameters by name.
+    Raises UsageError: a value is no number.
     """
     if "Firmware revision" in stated:
         return _of_header(blackbox_law(stated["Firmware revision"]), stated, axis)

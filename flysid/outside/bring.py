@@ -21,15 +21,10 @@ WANTED = re.compile(r"(?:(?P<channel>[^/=]+)/)?(?P<label>[\w.+-]+)=(?P<source>.+
 def bring(source: str, like: Like, starts: Sequence[str] = ()) -> Fitted:
     """A model of `like`'s signals.
 
-    Parameters
-    ----------
-    source : a .mat, .m, .npz or .json file, an .fmu, or module:function.
-    starts : of an FMU: variables that a run starts from.
-
-    Raises
-    ------
-    UsageError : it cannot be found or run, or is a model of something else. FormatError : the file is
-        damaged or holds something else.
+    `source`: a .mat, .m, .npz or .json file, an .fmu, or module:function.
+    `starts`: of an FMU: variables that a run starts from.
+    Raises UsageError: it cannot be found or run, or is a model of something else. Raises FormatError: the
+    file is damaged or holds something else.
     """
     path = Path(source)
     if path.suffix.lower() == ".fmu":
@@ -54,15 +49,10 @@ def brought(
 ) -> dict[str, dict[str, Fitted]]:
     """Channel -> label -> model, of "[CHANNEL/]LABEL=SOURCE"; without a channel, of the one with its signals.
 
-    Parameters
-    ----------
-    channels : the models of a run, by channel and label.
-    starts : "LABEL=VARIABLE" of FMUs.
-
-    Raises
-    ------
-    UsageError : not understood, a label that is taken, a start of no model, or a model of no channel. Else
-        as `bring`.
+    `channels`: the models of a run, by channel and label.
+    `starts`: "LABEL=VARIABLE" of FMUs.
+    Raises UsageError: not understood, a label that is taken, a start of no model, or a model of no channel.
+    Else as `bring`.
     """
     labels = {match["label"] for text in wanted if (match := WANTED.fullmatch(text))}
     begins: dict[str, list[str]] = {}

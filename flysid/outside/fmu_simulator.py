@@ -45,12 +45,7 @@ class FmuSimulator:
         return f"the FMU {self.name}"
 
     def run(self, u: FloatArray, start: FloatArray) -> FloatArray:
-        """(N, n_y) outputs.
-
-        Raises
-        ------
-        UsageError : the FMU fails.
-        """
+        """(N, n_y) outputs. Raises UsageError: the FMU fails."""
         with running(self.words):
             return self._run(u, start)
 
@@ -88,13 +83,9 @@ class FmuSimulator:
 def fmu_model(path: Path, like: Like, starts: Sequence[str] = ()) -> Simulated:
     """Unpack an FMU and match its signals.
 
-    Parameters
-    ----------
-    starts : variables that a run starts from, besides those that the FMU declares so (initial "exact").
-
-    Raises
-    ------
-    UsageError : no FMPy, not an FMU for co-simulation on this machine, other signals, units or sample time.
+    `starts`: variables that a run starts from, besides those that the FMU declares so (initial "exact").
+    Raises UsageError: no FMPy, not an FMU for co-simulation on this machine, other signals, units or sample
+    time.
     """
     described = _description(path)
     _refuse_other_steps(described, like.dt_s, path)

@@ -48,9 +48,7 @@ class FunctionSimulator:
     def run(self, u: FloatArray, start: FloatArray) -> FloatArray:
         """(N, n_y) outputs, in the order of the data.
 
-        Raises
-        ------
-        UsageError : the function fails, or returns something else.
+        Raises UsageError: the function fails, or returns something else.
         """
         given = np.empty_like(u)
         given[:, self.u_order] = u
@@ -70,10 +68,8 @@ class FunctionSimulator:
 def function_model(name: str, like: Like) -> Simulated:
     """Import `module:function`, from the working folder too, and try it.
 
-    Raises
-    ------
-    UsageError : it is not there, has other signals, units or sample time, fails, looks ahead, or gives
-        another answer the second time.
+    Raises UsageError: it is not there, has other signals, units or sample time, fails, looks ahead, or gives
+    another answer the second time.
     """
     function = _found(name)
     dt_s = getattr(function, "dt_s", None)

@@ -41,10 +41,8 @@ class Like:
 class Matched:
     """Where the data's signals stand in the model.
 
-    Attributes
-    ----------
-    order : of every signal of the data, its column in the model.
-    factors : value in the model's unit = factor * value in the data's.
+    `order`: of every signal of the data, its column in the model.
+    `factors`: value in the model's unit = factor * value in the data's.
     """
 
     order: list[int]
@@ -55,9 +53,7 @@ class Matched:
 def match(ours: Sequence[Signal], names: Sequence[str], units: Sequence[str], side: str) -> Matched:
     """Match by name; by place where nobody named the model's signals.
 
-    Raises
-    ------
-    UsageError : other names, or units that cannot be converted.
+    Raises UsageError: other names, or units that cannot be converted.
     """
     theirs = [""] * len(ours) if len(names) != len(ours) else list(names)
     wanted = [s.name for s in ours]

@@ -89,9 +89,7 @@ class _Parts:
     def per_pair(self, name: str, n_y: int) -> list[list[FloatArray]] | None:
         """Polynomials by output and input; None where there are none.
 
-        Parameters
-        ----------
-        n_y : outputs that are expected: files do not tell a column of cells from a row of them.
+        `n_y`: outputs that are expected: files do not tell a column of cells from a row of them.
         """
         value = _plain(self._value(name))
         if value is None:
@@ -129,14 +127,9 @@ def _flat(value: Any) -> list[Any]:
 def linear_model(fields: Mapping[str, Any], like: Like, source: str) -> FittedStateSpace:
     """The system as a model of `like`'s signals and sample time.
 
-    Parameters
-    ----------
-    fields : as `stored.read_stored` gives them.
-    source : where it came from, for people.
-
-    Raises
-    ------
-    UsageError : no system, other signals or units, another sample time, or improper.
+    `fields`: as `stored.read_stored` gives them.
+    `source`: where it came from, for people.
+    Raises UsageError: no system, other signals or units, another sample time, or improper.
     """
     parts = _Parts(fields)
     step = _sample_time(parts, like.dt_s)
@@ -199,9 +192,7 @@ def _balance(matrices: Matrices, like: Like) -> FittedStateSpace:
 def _sample_time(parts: _Parts, dt_s: float) -> float:
     """0 for a continuous system, else that of the data.
 
-    Raises
-    ------
-    UsageError : another sample time, or none is stated.
+    Raises UsageError: another sample time, or none is stated.
     """
     unit = parts.text("timeunit", "seconds")
     if unit not in SECONDS:

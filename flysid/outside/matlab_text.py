@@ -60,9 +60,7 @@ class Call:
 def read_matlab_text(text: str) -> dict[str, Any]:
     """Name -> array, text, list of lists (a cell) or `Call`, in the order of assignment.
 
-    Raises
-    ------
-    FormatError : anything but literals, and calls of them; it names the line.
+    Raises FormatError: anything but literals, and calls of them; it names the line.
     """
     return _Reader(_tokens(text)).statements()
 

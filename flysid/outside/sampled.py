@@ -27,10 +27,8 @@ WHOLE = 1e-6
 class Block:
     """A system of some outputs and inputs.
 
-    Attributes
-    ----------
-    matrices : A, B, C, D; continuous where `dt_s` is 0.
-    delays : of every input; in samples, or in seconds where `dt_s` is 0.
+    `matrices`: A, B, C, D; continuous where `dt_s` is 0.
+    `delays`: of every input; in samples, or in seconds where `dt_s` is 0.
     """
 
     matrices: Matrices
@@ -103,9 +101,7 @@ def side_by_side(rows: Sequence[Sequence[Block]], dt_s: float) -> tuple[Matrices
 def from_polynomials(numerator: FloatArray, denominator: FloatArray) -> Matrices:
     """(A, B, C, D) of a quotient of polynomials in falling powers of s or z.
 
-    Raises
-    ------
-    UsageError : improper, or nothing below the line.
+    Raises UsageError: improper, or nothing below the line.
     """
     below = np.trim_zeros(np.asarray(denominator, dtype=np.float64).ravel(), "f")
     above = np.trim_zeros(np.asarray(numerator, dtype=np.float64).ravel(), "f")

@@ -63,9 +63,7 @@ def running(words: str) -> Iterator[None]:
 class Simulated(OneRule):
     """A simulator with the laws of `flysid.model.base`; it cannot be stored.
 
-    Attributes
-    ----------
-    u_factors, y_factors : value in the simulator's unit = factor * value in the data's.
+    `u_factors`, `y_factors`: value in the simulator's unit = factor * value in the data's.
     """
 
     dt_s: float
@@ -92,9 +90,7 @@ class Simulated(OneRule):
     def simulate(self, u: FloatArray, y0: FloatArray | None = None) -> FloatArray:
         """(N, n_y) free run from the start that fits the first `n_init` outputs best, or from its own.
 
-        Raises
-        ------
-        UsageError : shapes do not fit, fewer outputs than `n_init`, or the simulator fails.
+        Raises UsageError: shapes do not fit, fewer outputs than `n_init`, or the simulator fails.
         """
         u = as_columns(u, len(self.inputs), "u")
         if y0 is None:
@@ -114,9 +110,7 @@ class Simulated(OneRule):
     def predict(self, u: FloatArray, y: FloatArray, k: int = 1) -> FloatArray:
         """(N, n_y) the free run and its last known error; the first n_init + k - 1 rows are NaN.
 
-        Raises
-        ------
-        UsageError : shapes do not fit, or k < 1.
+        Raises UsageError: shapes do not fit, or k < 1.
         """
         u, y = as_record(self, u, y, k)
         out = np.full(y.shape, np.nan)

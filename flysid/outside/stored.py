@@ -40,9 +40,8 @@ OBJECTS = (
 def read_stored(path: Path) -> dict[str, Any]:
     """Field in lower case -> number, array, text or list.
 
-    Raises
-    ------
-    UsageError : no such file, or no form for its name. FormatError : it holds no model that can be read.
+    Raises UsageError: no such file, or no form for its name. Raises FormatError: it holds no model that can
+    be read.
     """
     readers: dict[str, Callable[[bytes], Mapping[str, Any]]] = {
         ".mat": _mat,

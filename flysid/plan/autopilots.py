@@ -40,13 +40,8 @@ class ParameterFile:
 def ardupilot(plan: FlightPlan, place: str) -> list[ParameterFile]:
     """One file of SID_* an axis, each the same sweep.
 
-    Parameters
-    ----------
-    place : "angle", "recover", "rate" or "mixer": where the sweep enters.
-
-    Raises
-    ------
-    UsageError : not a chirp; an axis, unit, frequency or duration that ArduPilot does not have.
+    `place`: "angle", "recover", "rate" or "mixer": where the sweep enters.
+    Raises UsageError: not a chirp; an axis, unit, frequency or duration that ArduPilot does not have.
     """
     require_chirp(plan.kind, "ArduPilot")
     unit, axes = SID_AXES[place]
@@ -105,9 +100,7 @@ def _sid_file(
 def px4_plane(plan: FlightPlan) -> ParameterFile:
     """FW_AT_* of PX4 v1.16 and later, as QGroundControl loads them; gains are left as they are.
 
-    Raises
-    ------
-    UsageError : not a chirp; an axis, frequency or duration that PX4 does not have.
+    Raises UsageError: not a chirp; an axis, frequency or duration that PX4 does not have.
     """
     require_chirp(plan.kind, "PX4")
     strange = [a.name for a in plan.axes if a.name not in FW_AXES]

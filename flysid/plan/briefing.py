@@ -22,9 +22,7 @@ REACH = (2.5, 97.5)
 def axes_of_last_flight(data: Dataset) -> tuple[CommandedAxis, ...]:
     """The inputs, each as far to either side as the last flight went.
 
-    Raises
-    ------
-    UsageError : an input did not move in the last flight.
+    Raises UsageError: an input did not move in the last flight.
     """
     last = data.flights[-1]
     u = np.concatenate([s.u for s in data.segments if s.flight == last])
@@ -44,13 +42,8 @@ def axes_of_last_flight(data: Dataset) -> tuple[CommandedAxis, ...]:
 def recipe_for(plan: FlightPlan, outputs: Sequence[str]) -> str:
     """A recipe for the log of the plan: every output driven by all axes.
 
-    Parameters
-    ----------
-    outputs : columns of the log, as FIELD of a table or STREAM.FIELD of a log.
-
-    Raises
-    ------
-    UsageError : an output that is an axis.
+    `outputs`: columns of the log, as FIELD of a table or STREAM.FIELD of a log.
+    Raises UsageError: an output that is an axis.
     """
     names = {word: re.sub(r"\W+", "_", word).strip("_") for word in (*(a.name for a in plan.axes), *outputs)}
     if len(set(names.values())) < len(plan.axes) + len(outputs):

@@ -56,10 +56,8 @@ class CommandedAxis:
 class FlightPlan:
     """Commands on a grid, around where each axis rests.
 
-    Attributes
-    ----------
-    u : (N, n) one column an axis; 0 at both ends.
-    lines : of multisines, each axis's own multiples of 1 / seconds; () otherwise.
+    `u`: (N, n) one column an axis; 0 at both ends.
+    `lines`: of multisines, each axis's own multiples of 1 / seconds; () otherwise.
     """
 
     kind: Kind
@@ -97,9 +95,7 @@ class FlightPlan:
 def axis_of(text: str) -> CommandedAxis:
     """An axis as written, "roll=0.15" or "theta_in=5deg".
 
-    Raises
-    ------
-    UsageError : no such form, or an amplitude that is not above zero.
+    Raises UsageError: no such form, or an amplitude that is not above zero.
     """
     match = _AXIS.fullmatch(text.strip())
     if match is None:
@@ -118,9 +114,7 @@ def axis_of(text: str) -> CommandedAxis:
 def within(axes: Sequence[CommandedAxis], limits: Sequence[CommandedAxis]) -> tuple[CommandedAxis, ...]:
     """The axes, none going further than its limit.
 
-    Raises
-    ------
-    UsageError : a limit of an axis that is not flown, or in another unit.
+    Raises UsageError: a limit of an axis that is not flown, or in another unit.
     """
     own = {limit.name: limit for limit in limits}
     check_limits([a.name for a in axes], limits)
@@ -142,18 +136,11 @@ def make_plan(
 
     Multisines are flown on all axes at once, chirps and doublets one axis after the other.
 
-    Parameters
-    ----------
-    band_hz : lowest and highest frequency.
-    seconds : of the whole flight; of multisines, one period.
-    rate_hz : rows a second.
+    `band_hz`: lowest and highest frequency.
+    `seconds`: of the whole flight; of multisines, one period.
+    `rate_hz`: rows a second.
+    Raises UsageError: axes, band, rate or duration make no sense together; the hint names values that do.
 
-    Raises
-    ------
-    UsageError : axes, band, rate or duration make no sense together; the hint names values that do.
-
-    Examples
-    --------
     >>> axes = [CommandedAxis("roll", 0.1), CommandedAxis("pitch", 0.1)]
     >>> plan = make_plan("multisine", axes, (0.2, 5.0), 40.0, 50.0)
     >>> plan.u.shape, plan.correlation < 1e-3, max(plan.peak_factors) < 1.12

@@ -45,14 +45,10 @@ def sum_of_lines(lines: Lines, phases_rad: FloatArray, n: int) -> FloatArray:
 def low_peak_phases(lines: Lines, seed: int = 0, *, starts: int = 24) -> FloatArray:
     """(K,) phases of equal lines with a low relative peak factor, the period beginning and ending at zero.
 
-    Parameters
-    ----------
-    lines : (K,) whole multiples of the base frequency, increasing.
-    seed : of the random starts.
-    starts : Schroeder's phases, then random ones: the descent ends in one of many valleys.
+    `lines`: (K,) whole multiples of the base frequency, increasing.
+    `seed`: of the random starts.
+    `starts`: Schroeder's phases, then random ones: the descent ends in one of many valleys.
 
-    Examples
-    --------
     >>> lines = np.arange(6, 120, 3)
     >>> relative_peak_factor(sum_of_lines(lines, low_peak_phases(lines), 4096)) < 1.12
     True

@@ -32,11 +32,9 @@ UNDETERMINED = 0.5
 class Known:
     """A figure of a model and how well it is known.
 
-    Attributes
-    ----------
-    what : "gain of theta_in to v_x".
-    half_width : of its 95 % interval.
-    seconds : of flight that it comes from, held-out part included: more of the same is held out alike.
+    `what`: "gain of theta_in to v_x".
+    `half_width`: of its 95 % interval.
+    `seconds`: of flight that it comes from, held-out part included: more of the same is held out alike.
     """
 
     channel: str
@@ -102,10 +100,8 @@ def known_of_model(
 ) -> Iterator[Known]:
     """Figures of a linear model, or of every rule, that come with an interval.
 
-    Parameters
-    ----------
-    seconds : of the flights that it was fitted on.
-    train : those flights, for a model of rules.
+    `seconds`: of the flights that it was fitted on.
+    `train`: those flights, for a model of rules.
     """
     if isinstance(model, HasTransferFunctions):
         for transfer in model.transfers:

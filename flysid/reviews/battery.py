@@ -26,11 +26,9 @@ LEAST_V = 2.0
 class Battery:
     """What a log holds of the battery.
 
-    Attributes
-    ----------
-    voltage, current : None where they are not logged.
-    cells : in series; 0 where it is not known.
-    missing : why there is no voltage, "" where there is one.
+    `voltage`, `current`: None where they are not logged.
+    `cells`: in series; 0 where it is not known.
+    `missing`: why there is no voltage, "" where there is one.
     """
 
     voltage: Column | None
@@ -90,8 +88,6 @@ def _cells(flight: LoggedFlight, voltage: Column) -> int:
 def measure_resistance(voltage: Column, current: Column, *, slow_s: float = 5.0) -> Resistance:
     """From changes faster than `slow_s`.
 
-    Examples
-    --------
     >>> time_s = np.arange(0.0, 60.0, 0.1)
     >>> amps = 20.0 + 5.0 * np.sign(np.sin(2.0 * time_s))
     >>> volts = 16.0 - 0.01 * time_s - 0.025 * amps

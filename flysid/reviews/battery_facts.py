@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from flysid.reviews.battery import Battery, lowest, measure_resistance, share_at_end, used_ah
-from flysid.reviews.fact import Action, Fact, Finding, Grade, Line, Picture
+from flysid.reviews.fact import Action, Fact, Finding, Grade, Picture, PictureLine
 from flysid.reviews.figures import absent, exceeded, fact_of, limit
 from flysid.reviews.logged import LoggedFlight
 
@@ -112,5 +112,5 @@ def actions(facts: tuple[Fact, ...]) -> Iterator[Action]:
 def picture(battery: Battery) -> Iterator[Picture]:
     """The voltage over time."""
     if battery.voltage is not None:
-        line = Line("voltage", battery.voltage.time_s, battery.voltage.values)
+        line = PictureLine("voltage", battery.voltage.time_s, battery.voltage.values)
         yield Picture("Battery", "s", "V", (line,), f"{battery.cells} cells")

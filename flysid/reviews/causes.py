@@ -30,10 +30,8 @@ HELD_S = 0.3
 class Cause:
     """A cause, how strongly the log speaks for it (0 to 1), and what it holds.
 
-    Attributes
-    ----------
-    name : a few words.
-    evidence : a sentence with its figures.
+    `name`: a few words.
+    `evidence`: a sentence with its figures.
     """
 
     name: str
@@ -46,10 +44,8 @@ def rank_causes(
 ) -> list[Cause]:
     """The likeliest first; empty where the log does not tell.
 
-    Parameters
-    ----------
-    begins_s : when it went wrong, on the log's clock.
-    events, stated : of the log, and the failures that it states.
+    `begins_s`: when it went wrong, on the log's clock.
+    `events`, `stated`: of the log, and the failures that it states.
     """
     motors = read_motors(flight)
     found = [

@@ -10,19 +10,9 @@ import numpy as np
 from markupsafe import Markup
 
 from flysid.dataset import FloatArray
-from flysid.reviews.fact import HeatMap, Line, MotorPlan, Picture, TopView
+from flysid.reviews.fact import HeatMap, MotorPlan, Picture, PictureLine, TopView
 from flysid.validate.show.page.decimate import extremes
-from flysid.validate.show.page.svg import (
-    Axes,
-    box,
-    frame,
-    legend,
-    line,
-    picture,
-    segment,
-    span,
-    text,
-)
+from flysid.validate.show.page.svg import Axes, box, frame, legend, line, picture, segment, span, text
 
 WIDTH = 470.0
 HEIGHT = 210.0
@@ -153,7 +143,7 @@ def _disc(x: float, y: float, radius: float, css: str) -> Markup:
     return Markup('<circle cx="{:.1f}" cy="{:.1f}" r="{:.1f}" class="{}"/>').format(x, y, radius, css)
 
 
-def _thinned(drawn: Line) -> Line:
+def _thinned(drawn: PictureLine) -> PictureLine:
     """No more points than the picture is wide: the lowest and the highest of as many samples as it takes."""
     size = -(-len(drawn.x) // round(WIDTH))
     kept = extremes(drawn.y, size) if size > 1 else slice(None)

@@ -178,7 +178,7 @@ class Action:
 
 
 @dataclass(frozen=True, eq=False)
-class Line:
+class PictureLine:
     """A line of a picture: (N,) x and y, NaN where it breaks.
 
     `style` is its colour: "measured", "setpoint", or "r1" to "r8".
@@ -194,19 +194,17 @@ class Line:
 class Picture:
     """Lines on two axes.
 
-    Attributes
-    ----------
-    title, aside : at its top left and right.
-    x_label, y_label : with units.
-    lines : drawn in their order.
-    marks : x -> words: a peak, an impact.
-    hidden_from : x from which on the log cannot show anything, such as half of its rate; None for nowhere.
+    `title`, `aside`: at its top left and right.
+    `x_label`, `y_label`: with units.
+    `lines`: drawn in their order.
+    `marks`: x -> words: a peak, an impact.
+    `hidden_from`: x from which on the log cannot show anything, such as half of its rate; None for nowhere.
     """
 
     title: str
     x_label: str
     y_label: str
-    lines: tuple[Line, ...]
+    lines: tuple[PictureLine, ...]
     aside: str = ""
     marks: Mapping[float, str] = field(default_factory=dict)
     hidden_from: float | None = None
@@ -240,12 +238,10 @@ class MotorPlan:
 class TopView:
     """A vehicle from above: what its motors do to it.
 
-    Attributes
-    ----------
-    places : of each motor, forward and right, -1 to 1.
-    names : of each motor.
-    spins : 1 for a rotor that turns clockwise as seen from above, -1 against it, 0 where that is not known.
-    is_known : whether the flights determine where each motor stands.
+    `places`: of each motor, forward and right, -1 to 1.
+    `names`: of each motor.
+    `spins`: 1 for a rotor that turns clockwise as seen from above, -1 against it, 0 where that is not known.
+    `is_known`: whether the flights determine where each motor stands.
     """
 
     title: str

@@ -20,13 +20,11 @@ GENERAL = ("failsafe", "emergency", "attitude beyond its limit")
 class Failure:
     """Something that failed in a log.
 
-    Attributes
-    ----------
-    at_s : when, on the log's clock.
-    words : what.
-    stated : by a state or an error of the firmware, not by a message alone.
-    failsafe : the firmware calls it one.
-    mode : to which the vehicle changed in that moment; "" for none.
+    `at_s`: when, on the log's clock.
+    `words`: what.
+    `stated`: by a state or an error of the firmware, not by a message alone.
+    `failsafe`: the firmware calls it one.
+    `mode`: to which the vehicle changed in that moment; "" for none.
     """
 
     at_s: float
@@ -44,12 +42,7 @@ class Failure:
 
 
 def stated_failures(flight: LoggedFlight, stated_events: Sequence[Event]) -> list[Failure]:
-    """In the order of their beginnings.
-
-    Parameters
-    ----------
-    stated_events : of the log.
-    """
+    """In the order of their beginnings. `stated_events`: of the log."""
     stated = [(flight.clock.seconds(m.boot, m.span[0]), m.what, True) for m in flight.failures]
     stated += [
         (flight.clock.seconds(e.boot, e.time_ns), plain_words(e.text), False)

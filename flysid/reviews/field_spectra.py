@@ -27,11 +27,9 @@ OVER = ("time", "throttle", "rpm")
 class FieldSpectrum:
     """The spectrum of one field.
 
-    Attributes
-    ----------
-    name : "roll", or the field as it was named.
-    column : that it is of.
-    windows, peaks : the strongest peak first.
+    `name`: "roll", or the field as it was named.
+    `column`: that it is of.
+    `windows`, `peaks`: the strongest peak first.
     """
 
     name: str
@@ -177,10 +175,7 @@ def _named(flight: LoggedFlight, name: str) -> Column | None:
 def quantity_over(flight: LoggedFlight, windows: Windows, over: str) -> np.ndarray[Any, np.dtype[np.float64]]:
     """(W,) time, throttle or mean turns a minute of the motors, during each window.
 
-    Raises
-    ------
-    UsageError : it is none of them.
-    DataError : the log does not hold it.
+    Raises UsageError: it is none of them. Raises DataError: the log does not hold it.
     """
     if over not in OVER:
         raise UsageError(f"nothing is known over {over!r}", hint=one_of(OVER, over))

@@ -43,8 +43,6 @@ class Row:
     def grade(self, value: float) -> Grade:
         """Of a value.
 
-        Examples
-        --------
         >>> limit("vibration.ardupilot_vibe").grade(41.0).value, limit("estimator.satellites").grade(4).value
         ('watch', 'bad')
         """
@@ -80,16 +78,9 @@ def limit(key: str) -> Row:
 def own_limits(limits: Mapping[str, tuple[float, float]]) -> Iterator[None]:
     """Judge by other limits within this block.
 
-    Parameters
-    ----------
-    limits : figure -> from which value on it is to be watched, and bad, in the unit of the figure.
+    `limits`: figure -> from which value on it is to be watched, and bad, in the unit of the figure.
+    Raises UsageError: no figure of that name has a limit.
 
-    Raises
-    ------
-    UsageError : no figure of that name has a limit.
-
-    Examples
-    --------
     >>> with own_limits({"power.motor_spread": (20.0, 60.0)}):
     ...     limit("power.motor_spread").grade(15.0).value
     'good'
@@ -111,9 +102,7 @@ def own_limits(limits: Mapping[str, tuple[float, float]]) -> Iterator[None]:
 def parse_limits(words: Iterable[str]) -> dict[str, tuple[float, float]]:
     """Limits as a person writes them: "power.motor_spread=15,40".
 
-    Raises
-    ------
-    UsageError : it is written otherwise.
+    Raises UsageError: it is written otherwise.
     """
     found = {}
     for text in words:
@@ -146,13 +135,9 @@ def fact_of(
 ) -> Fact:
     """A figure as its row calls it, graded by its limit, whose source ends its note.
 
-    Parameters
-    ----------
-    key : of the row; braces in it and in its label are filled with `names`.
-    grade : where the row's limit is not that of the value itself.
+    `key`: of the row; braces in it and in its label are filled with `names`.
+    `grade`: where the row's limit is not that of the value itself.
 
-    Examples
-    --------
     >>> fact_of("estimator.cpu_load", 97.0).grade.value
     'bad'
     """

@@ -26,12 +26,8 @@ OTHERWISE_HZ = 30.0
 def stage_of(words: str) -> Stage:
     """A filter as a person writes it: "notch 86 40" (centre and width), "pt1 100", "biquad 90".
 
-    Raises
-    ------
-    UsageError : it is no filter that is known.
+    Raises UsageError: it is no filter that is known.
 
-    Examples
-    --------
     >>> stage_of("notch 86 40").words
     'notch 86 Hz, Q 2.1'
     """
@@ -70,11 +66,9 @@ def crossover_of(flight: LoggedFlight) -> tuple[float, str]:
 class Cost:
     """What a chain does.
 
-    Attributes
-    ----------
-    delay_s : of a tone of `at_hz`.
-    phase_deg : at the crossover.
-    noise : RMS behind it, deg/s; None where the log cannot show it.
+    `delay_s`: of a tone of `at_hz`.
+    `phase_deg`: at the crossover.
+    `noise`: RMS behind it, deg/s; None where the log cannot show it.
     """
 
     delay_s: float
@@ -90,15 +84,13 @@ class Cost:
 class FilterTrial:
     """A chain as flown, and as tried.
 
-    Attributes
-    ----------
-    present, tried : chains; the same where nothing is tried.
-    crossover_hz, crossover_from : where phase counts, and how that is known.
-    delay_hz, noise_hz : at which the delay is stated, and from which on what the gyro shows is noise.
-    noise_of : where the noise comes from.
-    costs : of present and tried.
-    replayed : axis -> how well the present chain gives what was logged; {} where it cannot.
-    not_replayed, remedy : why not, and what helps.
+    `present`, `tried`: chains; the same where nothing is tried.
+    `crossover_hz`, `crossover_from`: where phase counts, and how that is known.
+    `delay_hz`, `noise_hz`: at which the delay is stated, and from which on what the gyro shows is noise.
+    `noise_of`: where the noise comes from.
+    `costs`: of present and tried.
+    `replayed`: axis -> how well the present chain gives what was logged; {} where it cannot.
+    `not_replayed`, `remedy`: why not, and what helps.
     """
 
     present: Chain
@@ -198,18 +190,13 @@ def try_filters(
 ) -> FilterTrial:
     """The filters of a log, and others in their place.
 
-    Parameters
-    ----------
-    more : filters that are added, see `stage_of`.
-    without : filters that are taken away, by a part of their words.
-    crossover_hz, crossover_from : where phase counts, and how that is known.
-    delay_hz : at which the delay is stated.
-    noise_hz : above it, what the gyro shows is noise.
-
-    Raises
-    ------
-    DataError : the firmware's filters are not known.
-    UsageError : a filter is no filter, lies above half the rate, or is not there.
+    `more`: filters that are added, see `stage_of`.
+    `without`: filters that are taken away, by a part of their words.
+    `crossover_hz`, `crossover_from`: where phase counts, and how that is known.
+    `delay_hz`: at which the delay is stated.
+    `noise_hz`: above it, what the gyro shows is noise.
+    Raises DataError: the firmware's filters are not known. Raises UsageError: a filter is no filter, lies
+    above half the rate, or is not there.
     """
     stages = [(words, stage_of(words)) for words in more]
     gyro = logged_gyro(flight)

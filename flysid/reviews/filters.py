@@ -26,9 +26,7 @@ from flysid.spectra.spectrum import whole_stretches
 def gyro_chain(flight: LoggedFlight, gyro: LoggedGyro) -> Chain:
     """The filters that the firmware of a log applies to its gyro.
 
-    Raises
-    ------
-    DataError : they are not known: another firmware, or the log does not state them.
+    Raises DataError: they are not known: another firmware, or the log does not state them.
     """
     if flight.family == "betaflight":
         loops = flight.quantity("main.loopIteration")
@@ -64,9 +62,7 @@ def _turns(flight: LoggedFlight, *addresses: str) -> Column | None:
 def _rate(flight: LoggedFlight, gyro: LoggedGyro) -> float:
     """At which the filters run: of the raw signal where every sample is logged, else as the log states it.
 
-    Raises
-    ------
-    DataError : neither is known.
+    Raises DataError: neither is known.
     """
     if gyro.every_sample and gyro.raw:
         return gyro.raw["roll"].rate_hz
@@ -97,9 +93,7 @@ class Replayable:
 def replayable(flight: LoggedFlight, gyro: LoggedGyro) -> Replayable:
     """Raw and filtered gyro side by side, in stretches without a lost row.
 
-    Raises
-    ------
-    DataError : the log does not hold both, sample by sample.
+    Raises DataError: the log does not hold both, sample by sample.
     """
     if not gyro.raw:
         raise DataError(gyro.missing, hint=gyro.remedy)

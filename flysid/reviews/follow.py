@@ -25,11 +25,9 @@ DRAWS = 200
 class Together:
     """A setpoint and its measurement at the same times.
 
-    Attributes
-    ----------
-    time_s, setpoint, measured : (N,); an angle's setpoint lies within half a turn of its measurement.
-    logged : (N,) whether both were logged.
-    counts : (N,) whether the vehicle flew, too.
+    `time_s`, `setpoint`, `measured`: (N,); an angle's setpoint lies within half a turn of its measurement.
+    `logged`: (N,) whether both were logged.
+    `counts`: (N,) whether the vehicle flew, too.
     """
 
     time_s: FloatArray
@@ -62,11 +60,9 @@ class Together:
 class Lag:
     """How late a measurement follows, or why that is not known.
 
-    Attributes
-    ----------
-    seconds, interval : NaN and None where it is not determined.
-    explained : share of the measurement's variance that the delayed setpoint explains.
-    why : why it is not determined; "" where it is.
+    `seconds`, `interval`: NaN and None where it is not determined.
+    `explained`: share of the measurement's variance that the delayed setpoint explains.
+    `why`: why it is not determined; "" where it is.
     """
 
     seconds: float = float("nan")
@@ -95,9 +91,7 @@ def at_rows(pair: Pair, counts: Counting) -> Together:
 def on_grid(pair: Pair, counts: Counting, *, fastest_hz: float = 250.0) -> Together:
     """On an even grid at the rate of the slower of the two; means over its steps where it is much coarser.
 
-    Parameters
-    ----------
-    fastest_hz : the grid's rate at most.
+    `fastest_hz`: the grid's rate at most.
     """
     period = max(1.0 / pair.rate_hz, 1.0 / fastest_hz)
     first = max(pair.setpoint.time_s[0], pair.measured.time_s[0])
@@ -161,12 +155,10 @@ def lag_of(
 ) -> Lag:
     """How late a measurement follows its setpoint, both on an even grid.
 
-    Parameters
-    ----------
-    search_s : the longest lag that is looked for; a quarter of it ahead is looked at, too.
-    block_s : of the blocks that are resampled.
-    least_blocks : fewer tell no interval.
-    explained : a smaller share of the variance tells no lag.
+    `search_s`: the longest lag that is looked for; a quarter of it ahead is looked at, too.
+    `block_s`: of the blocks that are resampled.
+    `least_blocks`: fewer tell no interval.
+    `explained`: a smaller share of the variance tells no lag.
     """
     if len(together.time_s) < 2:
         return Lag(why="too few samples in the air")

@@ -26,13 +26,11 @@ SCALED_IN = re.compile(r"Betaflight 4\.[0-5]\b")
 class LoggedGyro:
     """Body rates of a log in deg/s.
 
-    Attributes
-    ----------
-    raw : axis -> before the filters; {} where the log has them nowhere.
-    filtered : axis -> behind the filters.
-    every_sample : raw holds samples that the filters ran on, so that they can be run again on it.
-    note : what raw is, where it is not plainly the sensor's.
-    missing, remedy : why there is no raw signal, and what logs it.
+    `raw`: axis -> before the filters; {} where the log has them nowhere.
+    `filtered`: axis -> behind the filters.
+    `every_sample`: raw holds samples that the filters ran on, so that they can be run again on it.
+    `note`: what raw is, where it is not plainly the sensor's.
+    `missing`, `remedy`: why there is no raw signal, and what logs it.
     """
 
     raw: Mapping[str, Column] = field(default_factory=dict)

@@ -28,12 +28,10 @@ FAR_MORE = 2.0
 class Shaking:
     """The spectra of one flight's gyro.
 
-    Attributes
-    ----------
-    flight, gyro : what they are of.
-    windows : axis -> in the air, of the signal that shows most.
-    chain : of the filters; None where it is not known.
-    no_chain : why not.
+    `flight`, `gyro`: what they are of.
+    `windows`: axis -> in the air, of the signal that shows most.
+    `chain`: of the filters; None where it is not known.
+    `no_chain`: why not.
     """
 
     flight: LoggedFlight

@@ -18,10 +18,8 @@ STATED = {"ardupilot": "MOT_THST_HOVER", "px4": "MPC_THR_HOVER"}
 class Hover:
     """Share of full thrust that hovering takes, its interval of 95 %, and where it was read; NaN for unknown.
 
-    Attributes
-    ----------
-    stated : what the parameter says; NaN where there is none.
-    learns : the firmware sets the parameter itself after each flight.
+    `stated`: what the parameter says; NaN where there is none.
+    `learns`: the firmware sets the parameter itself after each flight.
     """
 
     share: float
@@ -42,12 +40,10 @@ def find_calm(
 ) -> BoolArray:
     """(n,) whether it flew level and slowly, as far as that is logged.
 
-    Parameters
-    ----------
-    tilt_deg : the most that it leans.
-    speed_m_s : over ground, and half of it up or down.
-    edge_s : after take-off and before landing, when the ground carries a part.
-    lasts_s : the least that a stretch lasts: level for a moment is a manoeuvre.
+    `tilt_deg`: the most that it leans.
+    `speed_m_s`: over ground, and half of it up or down.
+    `edge_s`: after take-off and before landing, when the ground carries a part.
+    `lasts_s`: the least that a stretch lasts: level for a moment is a manoeuvre.
     """
     calm = flight.flying(time_s - edge_s) & flight.flying(time_s + edge_s)
     for column, most in (

@@ -30,12 +30,10 @@ STANDING = 0.2
 class HardLanding:
     """A landing that was a blow.
 
-    Attributes
-    ----------
-    at_s : on the log's clock.
-    impact_m_s2 : what the accelerometer felt at most.
-    sink_m_s : how fast it sank just before; NaN where the log does not show it.
-    field : of the accelerometer.
+    `at_s`: on the log's clock.
+    `impact_m_s2`: what the accelerometer felt at most.
+    `sink_m_s`: how fast it sank just before; NaN where the log does not show it.
+    `field`: of the accelerometer.
     """
 
     at_s: float

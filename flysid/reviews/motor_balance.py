@@ -28,13 +28,11 @@ LEAST_S = 5.0
 class Balance:
     """Means in flight.
 
-    Attributes
-    ----------
-    shares : (n,) of the motors' ranges.
-    trims : roll, pitch and yaw, as shares of the mean.
-    doubts : half the interval of 95 % of each trim, from how much blocks of the flight differ.
-    speeds : (n,) rpm; NaN where it is not logged.
-    calm : only level and slow flight was taken.
+    `shares`: (n,) of the motors' ranges.
+    `trims`: roll, pitch and yaw, as shares of the mean.
+    `doubts`: half the interval of 95 % of each trim, from how much blocks of the flight differ.
+    `speeds`: (n,) rpm; NaN where it is not logged.
+    `calm`: only level and slow flight was taken.
     """
 
     motors: tuple[Motor, ...]

@@ -27,11 +27,9 @@ def propose_notch(
 ) -> Action | None:
     """A static notch at a peak that stays where it is; None where the log does not show that it helps.
 
-    Parameters
-    ----------
-    windows, peak : of the gyro before its filters.
-    above_hz : what is slower is the vehicle's motion.
-    phase_hz : at which its cost is stated.
+    `windows`, `peak`: of the gyro before its filters.
+    `above_hz`: what is slower is the vehicle's motion.
+    `phase_hz`: at which its cost is stated.
     """
     made = _FIRMWARES.get(flight.family)
     if made is None or chain.unknown or peak.hz < 2.0 * above_hz:

@@ -26,13 +26,11 @@ MANOEUVRES_HZ = 1.0
 class Oscillation:
     """Of one body rate.
 
-    Attributes
-    ----------
-    address, rate_hz : of the gyro that shows it.
-    rms : deg/s, in the windows in which it oscillates, in a narrow band; 0 where it does in none.
-    share : of the windows.
-    frequency_hz : as it shows in this log.
-    at_s : where it is largest.
+    `address`, `rate_hz`: of the gyro that shows it.
+    `rms`: deg/s, in the windows in which it oscillates, in a narrow band; 0 where it does in none.
+    `share`: of the windows.
+    `frequency_hz`: as it shows in this log.
+    `at_s`: where it is largest.
     """
 
     address: str
@@ -88,14 +86,12 @@ def oscillation(
 ) -> Oscillation | None:
     """Whether a rate oscillates; None where there is too little flight to tell.
 
-    Parameters
-    ----------
-    setpoint : of this rate: what it does not hold is the vehicle's own.
-    narrow : share that a narrow band must hold, of what is quicker than manoeuvres and not in the setpoint.
-    quiet : the setpoint moves by less than this share of it.
-    least : deg/s, root mean square: less does not count; and where the log folds, since the shaking of rotors
-        may lie behind what it shows.
-    least_windows : that must be there, and that must oscillate.
+    `setpoint`: of this rate: what it does not hold is the vehicle's own.
+    `narrow`: share that a narrow band must hold, of what is quicker than manoeuvres and not in the setpoint.
+    `quiet`: the setpoint moves by less than this share of it.
+    `least`: deg/s, root mean square: less does not count; and where the log folds, since the shaking of
+        rotors may lie behind what it shows.
+    `least_windows`: that must be there, and that must oscillate.
     """
     slow = means(gyro, 0.25 / FASTEST_HZ)
     windows = list(_windows(slow, setpoint, counts, window_s))

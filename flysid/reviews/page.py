@@ -37,9 +37,7 @@ def write_review(
 ) -> Path:
     """Write the page whole or not at all; returns its path. The rest is as in `render`.
 
-    Raises
-    ------
-    StoreError : the file cannot be written.
+    Raises StoreError: the file cannot be written.
     """
     return write_page(path, render(reviews, command, series, absent))
 
@@ -52,11 +50,9 @@ def render(
 ) -> str:
     """The page of one log, or of several below one another.
 
-    Parameters
-    ----------
-    command : that made it, for its foot.
-    series : tables over all of them, which come first.
-    absent : sentences for what of the series could not be given.
+    `command`: that made it, for its foot.
+    `series`: tables over all of them, which come first.
+    `absent`: sentences for what of the series could not be given.
     """
     missing = Missing()
     with missing.gathering():
@@ -78,10 +74,8 @@ def fill_page(
 ) -> str:
     """The page of what `fill_answer` made, one below another.
 
-    Parameters
-    ----------
-    data : a timeline each, for plots; () where nothing is plotted: then the page runs no script.
-    command, series, absent : as in `render`.
+    `data`: a timeline each, for plots; () where nothing is plotted: then the page runs no script.
+    `command`, `series`, `absent`: as in `render`.
     """
     styles = "\n".join(load_asset(name) for name in ("uPlot.min.css", "page.css", "plot.css"))
     styles += _asset("review.css")
@@ -141,12 +135,10 @@ def fill_answer(
 ) -> dict[str, Any]:
     """What the template shows of one log or vehicle.
 
-    Parameters
-    ----------
-    whose : the line above the headline.
-    findings : the first one is the headline.
-    aside : what the actions rest on.
-    index : of it on its page.
+    `whose`: the line above the headline.
+    `findings`: the first one is the headline.
+    `aside`: what the actions rest on.
+    `index`: of it on its page.
     """
     keys = {fact.key for section in sections for fact in section.facts}
     return {

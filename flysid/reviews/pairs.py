@@ -25,14 +25,12 @@ YAW_SLOWER = 3.0
 class Loop:
     """One kind of loop.
 
-    Attributes
-    ----------
-    key, title : "rate", "rates".
-    unit : of setpoint and measurement.
-    search_s : the longest lag that is looked for.
-    channels : axis -> name of the channel in a recipe.
-    recipes : of other places than `tracking.toml`, the first that fits the log counts.
-    is_angle : whether 359 and 1 degrees are 2 apart.
+    `key`, `title`: "rate", "rates".
+    `unit`: of setpoint and measurement.
+    `search_s`: the longest lag that is looked for.
+    `channels`: axis -> name of the channel in a recipe.
+    `recipes`: of other places than `tracking.toml`, the first that fits the log counts.
+    `is_angle`: whether 359 and 1 degrees are 2 apart.
     """
 
     key: str
@@ -72,12 +70,10 @@ LOOPS = (
 class Pair:
     """A setpoint and what came of it.
 
-    Attributes
-    ----------
-    loop, axis : which.
-    setpoint, measured : in the loop's unit.
-    min_rate_hz : below which a log does not show how the loop follows.
-    remedy : what to set on the vehicle to log faster; "" where the recipe does not say.
+    `loop`, `axis`: which.
+    `setpoint`, `measured`: in the loop's unit.
+    `min_rate_hz`: below which a log does not show how the loop follows.
+    `remedy`: what to set on the vehicle to log faster; "" where the recipe does not say.
     """
 
     loop: Loop

@@ -15,14 +15,10 @@ REAL_NUMBER = 9
 def parameter_text(actions: Sequence[Action], family: str, whole: Container[str] = ()) -> str:
     """The changes of all actions; "" where they have none.
 
-    Parameters
-    ----------
-    family : firmware: "ardupilot" (Mission Planner's NAME,VALUE), "px4" (QGroundControl's columns), or one
+    `family`: firmware: "ardupilot" (Mission Planner's NAME,VALUE), "px4" (QGroundControl's columns), or one
         whose command line takes `set name = value`: Betaflight, INAV.
-    whole : names of parameters that are whole numbers, which QGroundControl's columns state.
+    `whole`: names of parameters that are whole numbers, which QGroundControl's columns state.
 
-    Examples
-    --------
     >>> hover = Action("Set the hover throttle", "", (Change("MPC_THR_HOVER", 0.5, 0.66),))
     >>> print(parameter_text([hover], "px4").splitlines()[-1].split())
     ['1', '1', 'MPC_THR_HOVER', '0.66', '9']

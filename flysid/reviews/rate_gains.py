@@ -23,8 +23,6 @@ SMALLER_D = ("d_min", "d_max")
 def stated_gains(flight: LoggedFlight, axis: str) -> dict[str, float]:
     """Name -> value of P, I and D of an axis; {} where the log does not state them.
 
-    Examples
-    --------
     >>> import flysid
     >>> from flysid.ingest.align.signals import FlightLog
     >>> stated_gains(LoggedFlight(FlightLog(flysid.read("sample_logs/01-multisine-seed1.tlog"))), "roll")
@@ -66,9 +64,7 @@ def scaled_gains(
 ) -> list[Change]:
     """The gains of an axis that are not zero, multiplied, rounded towards what they are.
 
-    Parameters
-    ----------
-    proportional, integral, slope : whether P, I and D are among them.
+    `proportional`, `integral`, `slope`: whether P, I and D are among them.
     """
     wanted = {"p": proportional, "i": integral, "d": slope}
     whole = flight.has("main")

@@ -94,9 +94,7 @@ def review(
 def review_flight(flight: LoggedFlight, *, with_evidence: bool = False) -> Review:
     """All sections of one flight; what breaks in one of them leaves the others as they are.
 
-    Parameters
-    ----------
-    with_evidence : read the fields behind the figures over time, too: a page shows them.
+    `with_evidence`: read the fields behind the figures over time, too: a page shows them.
     """
     sections = []
     broken = Missing()

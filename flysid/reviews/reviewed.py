@@ -27,17 +27,13 @@ NO_TIMELINE = Timeline("", (), (), ())
 class Review(Shown):
     """The review of one log.
 
-    Attributes
-    ----------
-    name, info : of the log, and facts about its vehicle.
-    clock : the axis of all times.
-    sections : in the order of the page.
-    broken : a sentence for every section that could not be given.
-    whole : names of the parameters that are whole numbers.
-    timeline : the evidence over time, for a page; empty unless a page was requested.
+    `name`, `info`: of the log, and facts about its vehicle.
+    `clock`: the axis of all times.
+    `sections`: in the order of the page.
+    `broken`: a sentence for every section that could not be given.
+    `whole`: names of the parameters that are whole numbers.
+    `timeline`: the evidence over time, for a page; empty unless a page was requested.
 
-    Examples
-    --------
     >>> found = flysid.review("sample_logs/01-multisine-seed1.tlog")
     >>> found.fact("trust.lost").words
     'nothing'

@@ -41,9 +41,7 @@ def facts(flight: LoggedFlight) -> Iterator[Fact]:
 def _field(flight: LoggedFlight, before_s: float = 0.0) -> Column | None:
     """Strength of the magnetic field in the air, in the log's unit: only its change counts.
 
-    Parameters
-    ----------
-    before_s : take so much of the time before each take-off, too.
+    `before_s`: take so much of the time before each take-off, too.
     """
     thing = (flight.things("MAG") or ["MAG"])[0]
     addresses = [f"{thing}.Mag{axis}" for axis in AXES]

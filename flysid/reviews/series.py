@@ -71,11 +71,9 @@ class Flown:
 class VehicleSeries:
     """The flights of one vehicle, in their order.
 
-    Attributes
-    ----------
-    vehicle : what people call it.
-    flights : by date where all have one, else by their names' numbers.
-    by_date : whether by date.
+    `vehicle`: what people call it.
+    `flights`: by date where all have one, else by their names' numbers.
+    `by_date`: whether by date.
     """
 
     vehicle: str
@@ -296,9 +294,7 @@ class VehicleSeries:
 class Series:
     """Flights of one vehicle or several, each vehicle's apart.
 
-    Attributes
-    ----------
-    missing : a sentence for what could not be compared.
+    `missing`: a sentence for what could not be compared.
     """
 
     vehicles: tuple[VehicleSeries, ...]

@@ -26,10 +26,8 @@ TOGETHER = 0.9
 class Figure:
     """One figure over the flights of a series.
 
-    Attributes
-    ----------
-    key, name, unit : "lag", "roll lag", "ms".
-    values, halves : (N,) NaN where it is not determined, and half of its own interval.
+    `key`, `name`, `unit`: "lag", "roll lag", "ms".
+    `values`, `halves`: (N,) NaN where it is not determined, and half of its own interval.
     """
 
     key: str
@@ -43,15 +41,13 @@ class Figure:
 class Effect:
     """What one gain, or several that changed together, did to a figure.
 
-    Attributes
-    ----------
-    figure, unit : whose.
-    gains : names of what changed, and from where to where: ("p_roll", 46, 74).
-    start, end : the figure at both.
-    change, interval : between them, with 95 %.
-    flights : on which it rests.
-    note : what limits it.
-    knows_scatter : whether the interval holds the scatter between flights; else that inside them alone.
+    `figure`, `unit`: whose.
+    `gains`: names of what changed, and from where to where: ("p_roll", 46, 74).
+    `start`, `end`: the figure at both.
+    `change`, `interval`: between them, with 95 %.
+    `flights`: on which it rests.
+    `note`: what limits it.
+    `knows_scatter`: whether the interval holds the scatter between flights; else that inside them alone.
     """
 
     figure: str

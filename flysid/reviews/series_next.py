@@ -47,10 +47,8 @@ class _Tried:
 def try_next(axis: str, loops: Sequence[Loop], latest: LoggedFlight, controller: Controller) -> Action | None:
     """The next gains of an axis; None where the flights do not tell, or the present ones serve best.
 
-    Parameters
-    ----------
-    loops : of flights under any gains, three or more.
-    latest, controller : the flight whose gains are changed, and what it flew.
+    `loops`: of flights under any gains, three or more.
+    `latest`, `controller`: the flight whose gains are changed, and what it flew.
     """
     if len(loops) < LEAST_FLIGHTS:
         return None
@@ -99,10 +97,8 @@ def _choose(
 ) -> _Tried | None:
     """The quickest with enough margin; of a thin one that cannot be had, the largest margin.
 
-    Parameters
-    ----------
-    noisier : the noise on the motors may grow by this factor.
-    gain : share of the crossover, or of the margin, below which a change is not worth a flight.
+    `noisier`: the noise on the motors may grow by this factor.
+    `gain`: share of the crossover, or of the margin, below which a change is not worth a flight.
     """
     wanted = limit(PHASE_MARGIN).watch
     noise = now.margins.noise.value or np.inf

@@ -21,13 +21,11 @@ PERCENT = 100.0
 class Sameness:
     """How the plants of one axis differ.
 
-    Attributes
-    ----------
-    axis : which.
-    is_same : whether they differ by no more than their own scatter, or by less than matters.
-    largest : the largest difference to all together, percent of the gain, with its sign.
-    flight : whose that is.
-    band_hz : where they were compared.
+    `axis`: which.
+    `is_same`: whether they differ by no more than their own scatter, or by less than matters.
+    `largest`: the largest difference to all together, percent of the gain, with its sign.
+    `flight`: whose that is.
+    `band_hz`: where they were compared.
     """
 
     axis: str
@@ -63,10 +61,8 @@ def compare_plants(
 ) -> Sameness | None:
     """Of flights whose loop is known, by name; None of fewer than two, or where no band is common to them.
 
-    Parameters
-    ----------
-    matters : difference of the gain from which on it may be another vehicle: batteries and air make less.
-    unlikely : probability below which chance does not explain the differences.
+    `matters`: difference of the gain from which on it may be another vehicle: batteries and air make less.
+    `unlikely`: probability below which chance does not explain the differences.
     """
     known = [found for name, loop in loops if (found := _measure(name, loop)) is not None]
     if len(known) < 2:

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from flysid.dataset import FloatArray
-from flysid.reviews.fact import HeatMap, Line, Picture, Shown
+from flysid.reviews.fact import HeatMap, Picture, PictureLine, Shown
 from flysid.reviews.logged import Column
 from flysid.showing import significant
 from flysid.spectra.peaks import Peak
@@ -24,7 +24,8 @@ def pictures_of(
         return ()
     first = next(iter(windows.values()))
     lines = tuple(
-        Line(axis, w.hz, decibels(w.mean), style=f"r{k}") for k, (axis, w) in enumerate(windows.items(), 1)
+        PictureLine(axis, w.hz, decibels(w.mean), style=f"r{k}")
+        for k, (axis, w) in enumerate(windows.items(), 1)
     )
     strongest = {axis: found[0] for axis, found in peaks.items() if found}
     marks = {peak.hz: f"{peak.hz:.0f} Hz" for peak in strongest.values()}

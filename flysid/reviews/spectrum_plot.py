@@ -26,13 +26,8 @@ def draw_spectra(
 ) -> None:
     """Draw them into a file.
 
-    Parameters
-    ----------
-    quantity, over : what the map is over, and its name; None: the throttle where it moves, else time.
-
-    Raises
-    ------
-    WriteError : the file cannot be written.
+    `quantity`, `over`: what the map is over, and its name; None: the throttle where it moves, else time.
+    Raises WriteError: the file cannot be written.
     """
     from matplotlib.figure import Figure
 

@@ -73,9 +73,7 @@ class Followed:
 class Tracked:
     """Everything that the section states of a flight.
 
-    Attributes
-    ----------
-    resting : of every motor the share of the time at its minimum, where some axis oscillates.
+    `resting`: of every motor the share of the time at its minimum, where some axis oscillates.
     """
 
     flight: LoggedFlight
@@ -162,10 +160,8 @@ def overshoot(
 ) -> Overshoot:
     """Of a loop, within the longest lag that is looked for.
 
-    Parameters
-    ----------
-    fastest_hz, taps : what the response is resolved to: it has to be cheap.
-    widest : percent to either side: an interval beyond determines nothing.
+    `fastest_hz`, `taps`: what the response is resolved to: it has to be cheap.
+    `widest`: percent to either side: an interval beyond determines nothing.
     """
     from flysid.model.step_response import step_response
 
@@ -210,9 +206,7 @@ def controller_limits(flight: LoggedFlight, counts: Counting) -> list[AtLimit]:
 def resting_motors(flight: LoggedFlight, counts: Counting, *, least: float = 0.001) -> list[float]:
     """Of every motor the share of the time in the air that its command is its minimum.
 
-    Parameters
-    ----------
-    least : share of the range up to which a command is the minimum.
+    `least`: share of the range up to which a command is the minimum.
     """
     flown = [motor.command.values[counts(motor.command.time_s)] for motor in read_motors(flight)]
     return [float(np.mean(values <= least)) for values in flown if len(values)]

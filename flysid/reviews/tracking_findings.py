@@ -44,12 +44,7 @@ def _axes_in(finding: Finding) -> list[str]:
 
 
 def oscillating(tracked: Tracked, *, often: float = 0.1) -> dict[str, Oscillation]:
-    """Axes that oscillate often enough to be worth a sentence.
-
-    Parameters
-    ----------
-    often : share of the flight.
-    """
+    """Axes that oscillate often enough to be worth a sentence. `often`: share of the flight."""
     return {axis: found for axis, found in tracked.oscillations.items() if found.share >= often}
 
 
@@ -141,9 +136,7 @@ def _missing(
 ) -> Iterator[Finding]:
     """Angles that miss their setpoint by much, and by much of what the setpoint moves.
 
-    Parameters
-    ----------
-    still : of the error. A setpoint that moves by less is in force in no loop, as a plane's is not that is
+    `still`: of the error. A setpoint that moves by less is in force in no loop, as a plane's is not that is
         steered by hand.
     """
     for followed in tracked.followed:

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from flysid.ingest.lake.events import mode_changes
-from flysid.reviews.fact import Line, Picture, Table
+from flysid.reviews.fact import Picture, PictureLine, Table
 from flysid.reviews.follow import telling
 from flysid.reviews.tracked import MS, Followed, Tracked
 from flysid.showing import significant
@@ -30,7 +30,7 @@ def _motion(followed: Followed) -> Picture:
     rows = telling(grid)
     logged = grid.logged[rows]
     lines = tuple(
-        Line(name, grid.time_s[rows], np.where(logged, values[rows], np.nan), name)
+        PictureLine(name, grid.time_s[rows], np.where(logged, values[rows], np.nan), name)
         for name, values in (("setpoint", grid.setpoint), ("measured", grid.measured))
     )
     late = f"{MS * followed.lag.seconds:.0f} ms late, " if followed.lag.is_known else ""

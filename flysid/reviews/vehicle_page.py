@@ -12,7 +12,18 @@ from flysid.errors import UsageError
 from flysid.export.vehicles.body import body_of
 from flysid.export.vehicles.hover import hover_of
 from flysid.extras import Missing
-from flysid.reviews.fact import Action, Drawn, Fact, Finding, Grade, Line, Picture, Section, Table, TopView
+from flysid.reviews.fact import (
+    Action,
+    Drawn,
+    Fact,
+    Finding,
+    Grade,
+    Picture,
+    PictureLine,
+    Section,
+    Table,
+    TopView,
+)
 from flysid.reviews.lines import capital
 from flysid.reviews.page import fill_answer, fill_page
 from flysid.showing import counted, first_of, significant
@@ -43,9 +54,7 @@ def write_vehicle_page(
 ) -> Path:
     """Write the page whole or not at all; returns its path. The rest is as in `render_vehicle`.
 
-    Raises
-    ------
-    StoreError : the file cannot be written.
+    Raises StoreError: the file cannot be written.
     """
     return write_page(path, render_vehicle(vehicle, judged, command))
 
@@ -53,10 +62,8 @@ def write_vehicle_page(
 def render_vehicle(vehicle: FittedVehicle, judged: Judgement | None = None, command: str = "") -> str:
     """The page of a vehicle.
 
-    Parameters
-    ----------
-    judged : its errors on flights that were left out; None where it was not judged.
-    command : that made it, for its foot.
+    `judged`: its errors on flights that were left out; None where it was not judged.
+    `command`: that made it, for its foot.
     """
     missing = Missing()
     with missing.gathering():
@@ -195,7 +202,7 @@ def thrust_curve(vehicle: FittedVehicle) -> Picture | None:
     size = thrust.value if thrust.is_determined else 1.0
     commands = np.linspace(0.0, 1.0, POINTS)
     lines = [
-        Line(name, commands, size * _share(vehicle, commands, factor), style)
+        PictureLine(name, commands, size * _share(vehicle, commands, factor), style)
         for name, factor, style in _voltages(vehicle)
     ]
     if thrust.is_determined:
@@ -236,7 +243,7 @@ def _share(vehicle: FittedVehicle, commands: FloatArray, factor: float) -> Float
     return np.asarray((1.0 - curve) * speed + curve * speed**2)
 
 
-def _band(vehicle: FittedVehicle, commands: FloatArray) -> Line:
+def _band(vehicle: FittedVehicle, commands: FloatArray) -> PictureLine:
     """The edges of the 95 % interval at the reference voltage, as one broken line."""
     share = _share(vehicle, commands, 1.0)
     thrust = float(vehicle.theta[THRUST])
@@ -244,7 +251,7 @@ def _band(vehicle: FittedVehicle, commands: FloatArray) -> Line:
     covariance = vehicle.covariance[np.ix_([THRUST, CURVE], [THRUST, CURVE])]
     width = Z95 * np.sqrt(np.maximum(np.einsum("ni,ij,nj->n", by, covariance, by), 0.0))
     middle = thrust * share
-    return Line(
+    return PictureLine(
         "95 %",
         np.concatenate([commands, [np.nan], commands]),
         np.concatenate([middle - width, [np.nan], middle + width]),

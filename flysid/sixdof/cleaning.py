@@ -35,7 +35,7 @@ ALIKE = 0.6
 
 
 @dataclass(frozen=True)
-class Damage:
+class SampleFaults:
     """What is wrong with a flight's samples.
 
     Attributes

@@ -17,7 +17,6 @@ sqrt(s) is a rotor's speed as a share of its speed at full thrust.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -95,8 +94,3 @@ def limits(motors: int) -> tuple[FloatArray, FloatArray]:
         low[index] = least
         high[index] = most
     return low, high
-
-
-def group(start: int, length: int) -> Sequence[int]:
-    """The places of a group."""
-    return range(start, start + length)

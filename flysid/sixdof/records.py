@@ -18,7 +18,7 @@ from flysid.showing import counted
 from flysid.sixdof import rotations
 from flysid.sixdof.cleaning import (
     BoolArray,
-    Damage,
+    SampleFaults,
     beyond_full_scale,
     clock_offsets,
     runs,
@@ -92,7 +92,7 @@ class Flights:
 
     records: tuple[Record, ...]
     scale: Scale
-    damage: tuple[Damage, ...]
+    damage: tuple[SampleFaults, ...]
     frames: tuple[str, ...]
 
     @property
@@ -205,7 +205,7 @@ def _lines_in(gyro: FloatArray, commands: FloatArray, dt_s: float) -> BoolArray:
     return np.asarray(straight_lines(gyro, dt_s, standing=True) | straight_lines(commands, dt_s))
 
 
-def _damage(records: Sequence[Record]) -> Damage:
+def _damage(records: Sequence[Record]) -> SampleFaults:
     """Counted over all stretches of a flight, whose commands are not clipped yet."""
     lines = [record.lost for record in records]
     beyond = [beyond_full_scale(record.commands) for record in records]
@@ -216,7 +216,7 @@ def _damage(records: Sequence[Record]) -> Damage:
     ]
     late = np.concatenate(offsets) if offsets else np.zeros(0)
     known = len(late) >= LEAST_WINDOWS
-    return Damage(
+    return SampleFaults(
         records[0].flight,
         records[0].dt_s,
         samples=sum(map(len, records)),

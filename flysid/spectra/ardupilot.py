@@ -45,11 +45,9 @@ class Option(IntFlag):
 class Sources:
     """What harmonic notches may follow, where the log holds it.
 
-    Attributes
-    ----------
-    throttle : 0 to 1.
-    rpm_hz, rpm2_hz, fft_hz : turns a second of RPM sensors, and the peak of the onboard FFT.
-    motors_hz : of each ESC.
+    `throttle`: 0 to 1.
+    `rpm_hz`, `rpm2_hz`, `fft_hz`: turns a second of RPM sensors, and the peak of the onboard FFT.
+    `motors_hz`: of each ESC.
     """
 
     throttle: Moving | None = None
@@ -62,14 +60,9 @@ class Sources:
 def ardupilot_chain(stated: Mapping[str, float], rate_hz: float, sources: Sources = Sources()) -> Chain:
     """The filters between the gyro and the rate controller.
 
-    Parameters
-    ----------
-    stated : parameters by name.
-    rate_hz : at which the gyro is sampled and filtered.
-
-    Raises
-    ------
-    DataError : the log states no INS_GYRO_FILTER.
+    `stated`: parameters by name.
+    `rate_hz`: at which the gyro is sampled and filtered.
+    Raises DataError: the log states no INS_GYRO_FILTER.
     """
     if CUTOFF not in stated:
         raise DataError(f"the log does not state {CUTOFF}", hint="log the parameters: they are by default")

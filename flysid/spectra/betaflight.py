@@ -43,16 +43,11 @@ def betaflight_chain(
 ) -> Chain:
     """The gyro's filters as a header states them.
 
-    Parameters
-    ----------
-    settings : of the header, by name.
-    slower : real time of an iteration over the nominal one.
-    throttle : 0 to 1.
-    motors_hz : turns a second of each motor, where the log holds them.
-
-    Raises
-    ------
-    DataError : the header is of another firmware, or of a version that states no filters.
+    `settings`: of the header, by name.
+    `slower`: real time of an iteration over the nominal one.
+    `throttle`: 0 to 1.
+    `motors_hz`: turns a second of each motor, where the log holds them.
+    Raises DataError: the header is of another firmware, or of a version that states no filters.
     """
     version = _version(settings)
     sample_s = 1e-6 * _positive(settings, "looptime") * slower
@@ -93,9 +88,7 @@ def _version(settings: Mapping[str, str]) -> tuple[int, int]:
 def _positive(settings: Mapping[str, str], *names: str) -> float:
     """A number that others are divided by.
 
-    Raises
-    ------
-    DataError : the header does not state it, or states 0 or less.
+    Raises DataError: the header does not state it, or states 0 or less.
     """
     number = needed_numbers(settings, *names)[0]
     if number <= 0.0:
@@ -106,9 +99,7 @@ def _positive(settings: Mapping[str, str], *names: str) -> float:
 def _kind(settings: Mapping[str, str], *names: str) -> Kind:
     """Of a low-pass, PT1 where none is stated.
 
-    Raises
-    ------
-    DataError : the version has a kind that is not known here.
+    Raises DataError: the version has a kind that is not known here.
     """
     number = int(stated_number(settings, *names, otherwise=0.0))
     if not 0 <= number < len(KINDS):

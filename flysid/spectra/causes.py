@@ -17,11 +17,9 @@ from flysid.spectra.spectrum import Windows
 class Source:
     """Something that turns or shakes at a known frequency.
 
-    Attributes
-    ----------
-    name : "motor 2", "the onboard FFT's strongest peak".
-    hz : over time.
-    harmonics : its multiples that are looked for.
+    `name`: "motor 2", "the onboard FFT's strongest peak".
+    `hz`: over time.
+    `harmonics`: its multiples that are looked for.
     """
 
     name: str
@@ -33,13 +31,11 @@ class Source:
 class Match:
     """How well a source explains a peak.
 
-    Attributes
-    ----------
-    source, harmonic : which one.
-    folded : its frequency lies above half the rate, and shows at another one.
-    true_hz : that frequency, its median.
-    near : share of the time that it lies within the peak.
-    follows : by how much (dB) the signal is stronger at the source's frequency of its own second than at
+    `source`, `harmonic`: which one.
+    `folded`: its frequency lies above half the rate, and shows at another one.
+    `true_hz`: that frequency, its median.
+    `near`: share of the time that it lies within the peak.
+    `follows`: by how much (dB) the signal is stronger at the source's frequency of its own second than at
         those of other seconds; 0 where that is not beyond chance.
     """
 
@@ -123,9 +119,7 @@ def follows(windows: Windows, shown_hz: FloatArray, *, draws: int = 40) -> float
     0 where one of `draws` records that were shifted in time does as well: the frequency hardly moves, or the
     signal does not follow it.
 
-    Parameters
-    ----------
-    shown_hz : (W,) during each window.
+    `shown_hz`: (W,) during each window.
     """
     over = 10.0 * np.log10(np.maximum(windows.density, 1e-300) / floor_of(windows.mean))
     place = np.clip(np.rint(shown_hz / windows.step_hz).astype(np.int64) - 1, 0, len(windows.hz) - 1)
@@ -143,10 +137,8 @@ def sizes_along(windows: Windows, turns_hz: FloatArray, *, reach: int = 1, fewes
     It is what stands above the floor within so many steps. A window counts for a frequency where no other
     one is as near as that.
 
-    Parameters
-    ----------
-    turns_hz : (M, W) during each window; NaN or zero where they are not known.
-    fewest : windows that a size rests on.
+    `turns_hz`: (M, W) during each window; NaN or zero where they are not known.
+    `fewest`: windows that a size rests on.
     """
     known = np.isfinite(turns_hz) & (turns_hz > 0.0)
     place = (

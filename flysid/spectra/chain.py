@@ -17,12 +17,10 @@ AtTimes = Callable[[FloatArray], Stage]
 class Step:
     """A filter of a chain.
 
-    Attributes
-    ----------
-    stage : its law; on average where it moves.
-    rate_hz : how often it runs.
-    words : the parameters that state it, as the firmware names them.
-    at : the stage at times (s, on the log's clock), for one that follows the throttle or a motor; else None.
+    `stage`: its law; on average where it moves.
+    `rate_hz`: how often it runs.
+    `words`: the parameters that state it, as the firmware names them.
+    `at`: the stage at times (s, on the log's clock), for one that follows the throttle or a motor; else None.
     """
 
     stage: Stage
@@ -39,14 +37,10 @@ class Step:
 class Chain:
     """Filters of one sensor.
 
-    Attributes
-    ----------
-    steps : in the order in which the signal passes them; a later one never runs faster.
-    unknown : filters that were on but whose frequencies the log does not hold, a sentence each.
-    idle : filters that are set but did not run, a sentence each.
+    `steps`: in the order in which the signal passes them; a later one never runs faster.
+    `unknown`: filters that were on but whose frequencies the log does not hold, a sentence each.
+    `idle`: filters that are set but did not run, a sentence each.
 
-    Examples
-    --------
     >>> from flysid.spectra.stages import Kind
     >>> chain = Chain((Step(Stage(Kind.BIQUAD, 40.0), 1000.0, "IMU_GYRO_CUTOFF 40"),))
     >>> round(1000.0 * chain.delay_s(10.0), 1), round(chain.phase_deg(30.0))
@@ -80,10 +74,8 @@ class Chain:
     def run(self, time_s: FloatArray, x: FloatArray, start_hz: float) -> FloatArray:
         """(M,) what comes out of the last filter, at the rate of the last filter, of x at a rate.
 
-        Parameters
-        ----------
-        time_s, x : (N,) at even times; what the first filter runs on.
-        start_hz : their rate; the rates of the steps divide it.
+        `time_s`, `x`: (N,) at even times; what the first filter runs on.
+        `start_hz`: their rate; the rates of the steps divide it.
         """
         rate = start_hz
         for step in self.steps:

@@ -14,15 +14,13 @@ from flysid.spectra.spectrum import Windows
 class Peak:
     """A peak.
 
-    Attributes
-    ----------
-    hz, interval : where, and its 95 % interval.
-    height_db : over the floor.
-    rms : of what stands above the floor, in the signal's unit.
-    band : from where to where it stands above twice the floor, Hz.
-    nyquist_hz : half the rate of the stream: a faster tone shows below it.
-    cause : words; "" where the log does not show it.
-    true_hz : of the tone, where its cause shows that it lies above half the rate; else None.
+    `hz`, `interval`: where, and its 95 % interval.
+    `height_db`: over the floor.
+    `rms`: of what stands above the floor, in the signal's unit.
+    `band`: from where to where it stands above twice the floor, Hz.
+    `nyquist_hz`: half the rate of the stream: a faster tone shows below it.
+    `cause`: words; "" where the log does not show it.
+    `true_hz`: of the tone, where its cause shows that it lies above half the rate; else None.
     """
 
     hz: float
@@ -59,8 +57,6 @@ class Peak:
 def fold(hz: FloatArray, rate_hz: float) -> FloatArray:
     """Where tones show in samples of this rate.
 
-    Examples
-    --------
     >>> fold(np.array([15.0]), 25.0).tolist()
     [10.0]
     """
@@ -96,11 +92,9 @@ def peaks_of(
     A peak stands so high over the floor that noise alone would do so anywhere in this spectrum with the
     probability `by_chance`, and at least `least_db`.
 
-    Parameters
-    ----------
-    lowest_hz : below it, what moves is the vehicle.
-    faintest_db : below the highest peak, smaller ones are what the windows make of it.
-    most : of them.
+    `lowest_hz`: below it, what moves is the vehicle.
+    `faintest_db`: below the highest peak, smaller ones are what the windows make of it.
+    `most`: of them.
     """
     density, hz = windows.mean, windows.hz
     if len(hz) < 16:

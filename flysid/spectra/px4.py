@@ -21,15 +21,10 @@ CUTOFF = "IMU_GYRO_CUTOFF"
 def px4_chain(stated: Mapping[str, float], rate_hz: float, motors_hz: Sequence[Moving] = ()) -> Chain:
     """The filters between the gyro and the rate controller.
 
-    Parameters
-    ----------
-    stated : parameters by name.
-    rate_hz : at which the gyro is sampled and filtered.
-    motors_hz : turns a second of each motor, where the log holds them.
-
-    Raises
-    ------
-    DataError : the parameters are not those of a PX4 that filters in this way.
+    `stated`: parameters by name.
+    `rate_hz`: at which the gyro is sampled and filtered.
+    `motors_hz`: turns a second of each motor, where the log holds them.
+    Raises DataError: the parameters are not those of a PX4 that filters in this way.
     """
     if CUTOFF not in stated:
         raise DataError(

@@ -17,10 +17,8 @@ from flysid.spectra.chain import Chain
 class Rows:
     """Rows of a log without a gap: raw and filtered signal of one axis.
 
-    Attributes
-    ----------
-    time_s : (N,) on the log's clock.
-    raw, filtered : (N,) filtered is NaN in rows in which it was not logged.
+    `time_s`: (N,) on the log's clock.
+    `raw`, `filtered`: (N,) filtered is NaN in rows in which it was not logged.
     """
 
     time_s: FloatArray
@@ -32,12 +30,10 @@ class Rows:
 class Replayed:
     """How well a chain gives what was logged.
 
-    Attributes
-    ----------
-    removed : RMS of raw less filtered, in the signal's unit.
-    error : RMS of replayed less filtered.
-    floor : what rounding in the log makes of the error at least.
-    rows : that were compared.
+    `removed`: RMS of raw less filtered, in the signal's unit.
+    `error`: RMS of replayed less filtered.
+    `floor`: what rounding in the log makes of the error at least.
+    `rows`: that were compared.
     """
 
     removed: float
@@ -66,9 +62,7 @@ def replay(chain: Chain, rows: Rows, row_hz: float) -> FloatArray:
 
     Between rows the raw signal is taken on straight lines; what it did there is not in the log.
 
-    Parameters
-    ----------
-    row_hz : rows a second.
+    `row_hz`: rows a second.
     """
     if not chain.steps:
         return rows.raw

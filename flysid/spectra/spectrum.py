@@ -21,12 +21,10 @@ ENOUGH_WINDOWS = 8
 class Windows:
     """Half-overlapping windows of a signal, each with its own spectrum.
 
-    Attributes
-    ----------
-    hz : (F,) frequencies, from one step above zero to just below half the rate.
-    density : (W, F) one-sided, in the signal's unit squared per Hz.
-    at_s : (W,) the middle of each window on the log's clock.
-    rate_hz : samples a second, by the stamps.
+    `hz`: (F,) frequencies, from one step above zero to just below half the rate.
+    `density`: (W, F) one-sided, in the signal's unit squared per Hz.
+    `at_s`: (W,) the middle of each window on the log's clock.
+    `rate_hz`: samples a second, by the stamps.
     """
 
     hz: FloatArray
@@ -68,11 +66,9 @@ class Windows:
 def whole_stretches(time_s: FloatArray, *, longest_gap: float = 4.0, fewest: int = 16) -> list[slice]:
     """Stretches of a signal without a lost sample.
 
-    Parameters
-    ----------
-    time_s : (N,) rising.
-    longest_gap : periods from sample to sample beyond which one is lost; a stretch ends there.
-    fewest : samples of a stretch that is kept.
+    `time_s`: (N,) rising.
+    `longest_gap`: periods from sample to sample beyond which one is lost; a stretch ends there.
+    `fewest`: samples of a stretch that is kept.
     """
     if len(time_s) < 2:
         return []
@@ -96,19 +92,12 @@ def windows_of(
     A window lies within a stretch without losses. Its frequencies are those of its own stamps. Where its
     stamps are not even, the values are taken at even times between them.
 
-    Parameters
-    ----------
-    time_s, values : (N,) s on the log's clock, and any unit.
-    window_s, fewest : length of a window, and samples of it at least; less where the signal is short.
-    longest_gap : see `whole_stretches`.
-    uneven : share of a period by which stamps may differ from even ones.
+    `time_s`, `values`: (N,) s on the log's clock, and any unit.
+    `window_s`, `fewest`: length of a window, and samples of it at least; less where the signal is short.
+    `longest_gap`: see `whole_stretches`.
+    `uneven`: share of a period by which stamps may differ from even ones.
+    Raises DataError: no stretch is long enough.
 
-    Raises
-    ------
-    DataError : no stretch is long enough.
-
-    Examples
-    --------
     >>> t = np.arange(0.0, 10.0, 0.01)
     >>> found = windows_of(t, np.sin(2.0 * np.pi * 20.0 * t))
     >>> float(found.hz[found.mean.argmax()]), round(found.rms(15.0, 25.0), 2)
@@ -172,12 +161,10 @@ def _on_one_axis(density: FloatArray, faster: FloatArray) -> FloatArray:
 class Spread:
     """A spectrum by another quantity, such as throttle or RPM.
 
-    Attributes
-    ----------
-    hz : (F,)
-    edges : (B + 1,) of the quantity's bins.
-    density : (B, F), NaN where no window is of a bin.
-    counts : (B,) windows of each bin.
+    `hz`: (F,)
+    `edges`: (B + 1,) of the quantity's bins.
+    `density`: (B, F), NaN where no window is of a bin.
+    `counts`: (B,) windows of each bin.
     """
 
     hz: FloatArray
@@ -194,10 +181,8 @@ class Spread:
 def spread_over(windows: Windows, quantity: FloatArray, bins: int = 20) -> Spread:
     """The spectrum in bins of a quantity.
 
-    Parameters
-    ----------
-    quantity : (W,) during each window; a window where it is NaN counts nowhere.
-    bins : between its least and its largest value.
+    `quantity`: (W,) during each window; a window where it is NaN counts nowhere.
+    `bins`: between its least and its largest value.
     """
     known = np.isfinite(quantity)
     low, high = (float(quantity[known].min()), float(quantity[known].max())) if known.any() else (0.0, 1.0)

@@ -33,16 +33,12 @@ class Kind(StrEnum):
 class Stage:
     """A filter of a chain.
 
-    Attributes
-    ----------
-    kind : its law. PT1 to PT3 are that many filters of first order, BIQUAD is Butterworth's of second order.
-    hz : -3 dB of a low-pass filter, or the centre of a notch; (N,) where it changes from sample to sample.
-    q : of a notch: its centre over its width at -3 dB.
-    left : of a notch: the gain that is left at its centre.
-    weight : the share of the signal that goes through it, the rest goes past it; (N,) where it changes.
+    `kind`: its law. PT1 to PT3 are that many filters of first order, BIQUAD is Butterworth's of second order.
+    `hz`: -3 dB of a low-pass filter, or the centre of a notch; (N,) where it changes from sample to sample.
+    `q`: of a notch: its centre over its width at -3 dB.
+    `left`: of a notch: the gain that is left at its centre.
+    `weight`: the share of the signal that goes through it, the rest goes past it; (N,) where it changes.
 
-    Examples
-    --------
     >>> low = Stage(Kind.PT1, 100.0)
     >>> round(float(abs(low.response(np.array([100.0]), 8000.0)[0])), 2)
     0.72

@@ -371,14 +371,12 @@ def make_app(
 ) -> RequestGuard:
     """The application, guarded.
 
-    Parameters
-    ----------
-    workspace : its folders.
-    key : what a browser must show.
-    cache : an empty folder for mapped fields.
-    leaving : set when the server is to end: streams end then.
-    bounds : of requests' bodies.
-    live : what is recorded and watched meanwhile.
+    `workspace`: its folders.
+    `key`: what a browser must show.
+    `cache`: an empty folder for mapped fields.
+    `leaving`: set when the server is to end: streams end then.
+    `bounds`: of requests' bodies.
+    `live`: what is recorded and watched meanwhile.
     """
     studio = Studio(workspace, cache, live, leaving)
     quiet = Quiet()

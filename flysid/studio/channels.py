@@ -84,9 +84,8 @@ class Recipes:
     def write(self, name: str, draft: Draft) -> dict[str, Any]:
         """Keep a recipe of one's own.
 
-        Raises
-        ------
-        UsageError : a name that is no file name or that a shipped recipe has. RecipeError : not sound.
+        Raises UsageError: a name that is no file name or that a shipped recipe has. Raises RecipeError: not
+        sound.
         """
         if not name or slug(name) != name:
             raise UsageError(f"{name!r} cannot be a recipe's name", hint=slug(name))
@@ -103,9 +102,7 @@ class Recipes:
 def judged(draft: Draft, name: str = "recipe") -> dict[str, Any]:
     """A recipe that is sound, as TOML and as the values of a form.
 
-    Raises
-    ------
-    UsageError : neither of them is given. RecipeError : not sound.
+    Raises UsageError: neither of them is given. Raises RecipeError: not sound.
     """
     text = draft.toml if draft.toml is not None else _as_toml(draft.form)
     try:
@@ -141,10 +138,8 @@ def align_channel(workspace: Workspace, recipes: Recipes, asked: Aligned) -> dic
     """The segments of a channel in one flight, and their signals thinned to what a page can show.
 
     `boots` holds the number of each, the beginning from which the command line counts times, and the end.
-
-    Raises
-    ------
-    NotThere : no such flight or recipe. RecipeError, DataError : the flight does not give the channel.
+    Raises NotThere: no such flight or recipe. Raises RecipeError, DataError: the flight does not give the
+    channel.
     """
     lake = lake_of(workspace.data, asked.f)
     mine = tuple(part for part in asked.x if parse_part(part).flight == asked.f)

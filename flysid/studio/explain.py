@@ -18,12 +18,7 @@ from flysid.extras import Extra, Missing, extra
 from flysid.facts.clock import log_clock
 from flysid.manifest import FLIGHTS, read_manifest
 from flysid.model.base import Fitted
-from flysid.model.capabilities import (
-    DeviationEquation,
-    HasExplanation,
-    HasRuleOutputs,
-    HasRuleRecursion,
-)
+from flysid.model.capabilities import DeviationEquation, HasExplanation, HasRuleOutputs, HasRuleRecursion
 from flysid.model.start import as_modelled, drifting_of, run_from_window, start_window
 from flysid.model.structures import leaders
 from flysid.studio.flights import RUN, SIGNAL
@@ -39,9 +34,8 @@ MOST_ROWS = 20_000  # of a segment in one answer
 def explain(workspace: Workspace, run_id: str, asked: Explained) -> dict[str, Any]:
     """Signals, free runs, rules and recursions of one held-out segment.
 
-    Raises
-    ------
-    NotThere : no such run, channel or segment. UsageError, DataError : the data is gone or has changed.
+    Raises NotThere: no such run, channel or segment. Raises UsageError, DataError: the data is gone or has
+    changed.
     """
     folder = workspace.run(run_id)
     missing = Missing()
@@ -81,9 +75,7 @@ def explain(workspace: Workspace, run_id: str, asked: Explained) -> dict[str, An
 def worst_seconds(workspace: Workspace, run_id: str) -> dict[str, Any]:
     """By channel: the held-out second in which the model that the verdict is about errs most.
 
-    Raises
-    ------
-    NotThere : no such run. UsageError, DataError : the data is gone or has changed.
+    Raises NotThere: no such run. Raises UsageError, DataError: the data is gone or has changed.
     """
     folder = workspace.run(run_id)
     channels = _held(folder, (folder / RUN_FILE).stat().st_mtime_ns)

@@ -99,10 +99,8 @@ class Flights:
         The head has for every series its name, unit and count of points, `base`, and `whole` where every
         sample is there. After it, at the next multiple of 8 bytes, follow for every series its times after
         `start_s` and its values above `base`, float32 in the byte order of the network's opposite (little).
-
-        Raises
-        ------
-        UsageError : no such flight, stream or field; too many fields; a width or a window that cannot be.
+        Raises UsageError: no such flight, stream or field; too many fields; a width or a window that cannot
+        be.
         """
         manifest = self.manifest(window.f)
         start_s, end_s = _span(window, manifest)

@@ -24,10 +24,8 @@ class NotThere(UsageError):
 class Workspace:
     """The ingested folder, and `DATA.studio` beside it.
 
-    Attributes
-    ----------
-    data : the ingested folder.
-    more_runs : further folders in which runs are looked for.
+    `data`: the ingested folder.
+    `more_runs`: further folders in which runs are looked for.
     """
 
     data: Path
@@ -95,10 +93,8 @@ def short_id(path: Path) -> str:
 def open_workspace(data: Path, more_runs: Sequence[Path] = ()) -> Workspace:
     """Make the folders that are missing.
 
-    Raises
-    ------
-    UsageError : `data` exists and is not an ingested folder. WriteError : the folders cannot be made.
-    StoreError : one of them is a link that leads elsewhere.
+    Raises UsageError: `data` exists and is not an ingested folder. Raises WriteError: the folders cannot be
+    made. Raises StoreError: one of them is a link that leads elsewhere.
     """
     if data.is_file():
         raise UsageError(

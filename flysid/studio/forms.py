@@ -34,12 +34,10 @@ class Filters(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 class Window(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """What a page asks to see.
 
-    Attributes
-    ----------
-    f : the flight's id.
-    s : fields, each as "stream:field".
-    t0, t1 : seconds since the flight's start; the whole flight without them.
-    w : pixels across.
+    `f`: the flight's id.
+    `s`: fields, each as "stream:field".
+    `t0`, `t1`: seconds since the flight's start; the whole flight without them.
+    `w`: pixels across.
     """
 
     f: str

@@ -45,15 +45,13 @@ ENDED: tuple[State, ...] = ("done", "failed", "cancelled", "interrupted")
 class Job(msgspec.Struct, frozen=True):
     """One command.
 
-    Attributes
-    ----------
-    words : after `flysid`.
-    lane : jobs of one lane run one after the other, so that reading a log does not wait for a fit.
-    about : what it makes: {"flight": ...}, {"run": ...}, {"upload": ...}.
-    pid, born : of its process: the number, and when the system says that it began.
-    code : the exit code; None before it ended, or where it was killed.
-    then : the words of the job that follows where this one is done.
-    seal : of its words and its folder, by the user's key.
+    `words`: after `flysid`.
+    `lane`: jobs of one lane run one after the other, so that reading a log does not wait for a fit.
+    `about`: what it makes: {"flight": ...}, {"run": ...}, {"upload": ...}.
+    `pid`, `born`: of its process: the number, and when the system says that it began.
+    `code`: the exit code; None before it ended, or where it was killed.
+    `then`: the words of the job that follows where this one is done.
+    `seal`: of its words and its folder, by the user's key.
     """
 
     id: str
@@ -83,9 +81,7 @@ class Job(msgspec.Struct, frozen=True):
 class Jobs:
     """The jobs of a studio. `work` must run for as long as the server does.
 
-    Attributes
-    ----------
-    warm : begins those that read logs sooner; None where each begins from nothing.
+    `warm`: begins those that read logs sooner; None where each begins from nothing.
     """
 
     warm: Warm | None = None
@@ -120,9 +116,7 @@ class Jobs:
     def add(self, words: Sequence[str], lane: Lane, about: dict[str, str], then: Sequence[str] = ()) -> Job:
         """A job that waits for its turn, and the words of the one that follows it.
 
-        Raises
-        ------
-        StoreError : the folder cannot be written to.
+        Raises StoreError: the folder cannot be written to.
         """
         made = time.time()
         job_id = f"{int(made * 1000):x}-{secrets.token_hex(3)}"

@@ -118,15 +118,10 @@ class _Handler(BaseHTTPRequestHandler):
 def serve_live(live: Live, port: int, ready: Callable[[str], None], *, show: bool) -> None:
     """Serve the live page until interrupted.
 
-    Parameters
-    ----------
-    port : 0 takes a free one.
-    ready : receives the address with the token, once the server answers.
-    show : open it in the browser.
-
-    Raises
-    ------
-    UsageError : the port is in use.
+    `port`: 0 takes a free one.
+    `ready`: receives the address with the token, once the server answers.
+    `show`: open it in the browser.
+    Raises UsageError: the port is in use.
     """
     with bound(port) as listening:
         key = Key(listening.getsockname()[1])

@@ -76,9 +76,7 @@ def refusal(key: Key, headers: Mapping[str, str]) -> tuple[int, str] | None:
 def bound(port: int) -> Iterator[socket.socket]:
     """A socket on loopback; `port` 0 takes any that is free.
 
-    Raises
-    ------
-    UsageError : the port is in use, or not ours to take.
+    Raises UsageError: the port is in use, or not ours to take.
     """
     with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as listening:
         listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)

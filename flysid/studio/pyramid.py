@@ -42,10 +42,8 @@ IntArray = npt.NDArray[np.int64]
 class TimeAxis:
     """The times of a stream.
 
-    Attributes
-    ----------
-    time_s : (N,) seconds since the flight's start, boots one after the other.
-    cuts : (C,) rows that begin a boot or follow a pause.
+    `time_s`: (N,) seconds since the flight's start, boots one after the other.
+    `cuts`: (C,) rows that begin a boot or follow a pause.
     """
 
     time_s: FloatArray
@@ -63,10 +61,8 @@ class Pyramid:
 class View:
     """What a window shows of a field: the samples themselves, or the extremes of every pixel.
 
-    Attributes
-    ----------
-    time_s, values : (P,) points of a line in order of time; a NaN breaks it.
-    whole : these are the samples as recorded.
+    `time_s`, `values`: (P,) points of a line in order of time; a NaN breaks it.
+    `whole`: these are the samples as recorded.
     """
 
     time_s: FloatArray
@@ -77,15 +73,10 @@ class View:
 def read_axis(folder: Path, entry: StreamEntry, offsets_s: Mapping[int, float], place: Path) -> TimeAxis:
     """Map the times of a stream.
 
-    Parameters
-    ----------
-    folder : the flight's.
-    offsets_s : boot -> seconds to add to the vehicle's time.
-    place : folder for the mapped file, which goes when the array does.
-
-    Raises
-    ------
-    StoreError : the table is damaged or missing.
+    `folder`: the flight's.
+    `offsets_s`: boot -> seconds to add to the vehicle's time.
+    `place`: folder for the mapped file, which goes when the array does.
+    Raises StoreError: the table is damaged or missing.
     """
     path = _new_file(place)
     boots_begin: list[int] = []
@@ -123,9 +114,7 @@ def hold(boots: Sequence[tuple[FloatArray, FloatArray]], place: Path) -> tuple[T
 def read_pyramid(folder: Path, entry: StreamEntry, field: str, place: Path) -> Pyramid:
     """Map the values of a field, scaled to its unit; `field` may name an element of an array, as `q[2]`.
 
-    Raises
-    ------
-    StoreError : the table is damaged or missing.
+    Raises StoreError: the table is damaged or missing.
     """
     column = field.partition("[")[0]
     path = _new_file(place)

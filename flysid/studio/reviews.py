@@ -30,9 +30,7 @@ class Reviews:
     def document(self, flight: str) -> dict[str, Any]:
         """The review's document; beside each fact its evidence as fields that `Flights.series` takes.
 
-        Raises
-        ------
-        NotThere : no such flight.
+        Raises NotThere: no such flight.
         """
         review = self._of(flight)
         document = review.to_dict()

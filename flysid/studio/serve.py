@@ -42,13 +42,11 @@ def serve(
 ) -> None:
     """Serve until interrupted.
 
-    Parameters
-    ----------
-    workspace : its folders.
-    port : 0 takes a free one.
-    ready : receives the address with the token, once the server answers.
-    show : open it in the browser.
-    live : what is recorded and watched meanwhile; its page is opened first.
+    `workspace`: its folders.
+    `port`: 0 takes a free one.
+    `ready`: receives the address with the token, once the server answers.
+    `show`: open it in the browser.
+    `live`: what is recorded and watched meanwhile; its page is opened first.
     """
     with bound(port) as listening, _views(workspace) as cache:
         key = Key(listening.getsockname()[1])

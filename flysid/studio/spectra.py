@@ -22,9 +22,7 @@ class Spectra:
     def spectrum(self, flight: str) -> dict[str, Any]:
         """What `flysid spectrum` prints, and its document.
 
-        Raises
-        ------
-        UsageError : the log holds nothing of which there is a spectrum.
+        Raises UsageError: the log holds nothing of which there is a spectrum.
         """
         spectra = _spectra(self._log(flight))
         lines = [line for spectrum in spectra for line in spectrum.lines()]
@@ -43,13 +41,8 @@ class Spectra:
     def filters(self, flight: str, more: tuple[str, ...], without: tuple[str, ...]) -> dict[str, Any]:
         """The table that `flysid filters` prints, and its notes.
 
-        Parameters
-        ----------
-        more, without : filters to try, and parts of the names of those to take away.
-
-        Raises
-        ------
-        UsageError : a filter is not written as one.
+        `more`, `without`: filters to try, and parts of the names of those to take away.
+        Raises UsageError: a filter is not written as one.
         """
         log = self._log(flight)
         hz, known_from = crossover_of(log)

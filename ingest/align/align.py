@@ -66,18 +66,13 @@ def align(
 ) -> Aligned:
     """Bring the signals of one channel of many flights onto one grid.
 
-    Parameters
-    ----------
-    flights : flights in memory or stored; those without the channel's streams are left out, and reported.
-    recipe : a recipe, or the name or path of one.
-    channel : a channel of the recipe.
-    may_stand : an input or output that never changes is no reason to refuse the flights.
-    doubted : reasons to doubt models of the dataset are looked for.
-
-    Raises
-    ------
-    RecipeError : no such channel; no flight has the streams; a unit is missing.
-    DataError : no segment is long enough, or an input or output never changes.
+    `flights`: flights in memory or stored; those without the channel's streams are left out, and reported.
+    `recipe`: a recipe, or the name or path of one.
+    `channel`: a channel of the recipe.
+    `may_stand`: an input or output that never changes is no reason to refuse the flights.
+    `doubted`: reasons to doubt models of the dataset are looked for.
+    Raises RecipeError: no such channel; no flight has the streams; a unit is missing. Raises DataError: no
+    segment is long enough, or an input or output never changes.
     """
     job, logs, dt_ns = _prepare(flights, recipe, channel)
     parts = [job.align_log(log, dt_ns) for log in logs]
@@ -130,9 +125,7 @@ def segments_of(
 ) -> tuple[FlightReport, tuple[Segment, ...]]:
     """The segments of one log on a grid of `dt_s`, whether or not anything moves in them.
 
-    Raises
-    ------
-    RecipeError : no such channel; a unit is missing.
+    Raises RecipeError: no such channel; a unit is missing.
     """
     flown = FlightLog(log) if isinstance(log, Flight) else log
     job = _Job(recipe, channel, held_specs(recipe, channel, [flown]))
@@ -156,9 +149,7 @@ def _prepare(
 def check_excitation(data: Dataset) -> None:
     """Refuse a dataset in which an input or output never moves by more than its own resolution.
 
-    Raises
-    ------
-    DataError : names the signal.
+    Raises DataError: names the signal.
     """
     for kind, signals in (("u", data.inputs), ("y", data.outputs)):
         for i, signal in enumerate(signals):

@@ -35,14 +35,12 @@ WIDE_S = 2.0  # and of the wide one
 class ClockFit:
     """reference time = other time + offset + drift * (other time - at).
 
-    Attributes
-    ----------
-    offset_s, offset_std_s : at time `at_ns` of the other clock, with its standard error.
-    drift_ppm, drift_std_ppm : rate of the reference clock against the other one, minus 1.
-    at_ns : middle of the common part, on the other clock.
-    correlation : of the two signals once aligned; the sign tells whether they point the same way.
-    gain : other signal = gain * reference signal.
-    samples : number compared.
+    `offset_s`, `offset_std_s`: at time `at_ns` of the other clock, with its standard error.
+    `drift_ppm`, `drift_std_ppm`: rate of the reference clock against the other one, minus 1.
+    `at_ns`: middle of the common part, on the other clock.
+    `correlation`: of the two signals once aligned; the sign tells whether they point the same way.
+    `gain`: other signal = gain * reference signal.
+    `samples`: number compared.
     """
 
     offset_s: float
@@ -77,16 +75,11 @@ def fit_clock(
 ) -> ClockFit:
     """Estimate offset and drift of `other`'s clock against `reference`'s.
 
-    Parameters
-    ----------
-    reference, other : one quantity, measured by both; units and sign may differ.
-    max_offset_s : largest offset to look for.
-    drift : False fixes the drift to zero; a drift below twice its standard error is taken as zero anyway.
-    significant : standard deviations of a drift that counts.
-
-    Raises
-    ------
-    DataError : the signals do not overlap, do not move, or correlate by less than 0.5.
+    `reference`, `other`: one quantity, measured by both; units and sign may differ.
+    `max_offset_s`: largest offset to look for.
+    `drift`: False fixes the drift to zero; a drift below twice its standard error is taken as zero anyway.
+    `significant`: standard deviations of a drift that counts.
+    Raises DataError: the signals do not overlap, do not move, or correlate by less than 0.5.
     """
     if len(reference.x) < 20 or len(other.x) < 20:
         raise DataError("too few samples to align two clocks", hint="record longer")

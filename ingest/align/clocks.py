@@ -35,9 +35,7 @@ class Clocks:
 def align_clocks(specs: Sequence[ClockSpec], log: Log) -> Clocks:
     """Fit every clock of a recipe whose streams are in the log.
 
-    Raises
-    ------
-    DataError : the two recordings do not match; the message names the clock.
+    Raises DataError: the two recordings do not match; the message names the clock.
     """
     fits: dict[str, Mapping[int, ClockFit]] = {}
     notes: list[str] = []

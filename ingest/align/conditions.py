@@ -16,14 +16,7 @@ from flysid.ingest.align.allowed import Allowed
 from flysid.ingest.align.recipe import Condition
 from flysid.ingest.align.resample import Span
 from flysid.ingest.align.signals import Log, find_source, load_source
-from flysid.ingest.align.values import (
-    MOST_VALUES,
-    base_column,
-    is_one_of,
-    names_of,
-    single_values,
-    texts_of,
-)
+from flysid.ingest.align.values import MOST_VALUES, base_column, is_one_of, names_of, single_values, texts_of
 
 BoolArray = npt.NDArray[np.bool_]
 IntArray = npt.NDArray[np.int64]
@@ -33,9 +26,7 @@ ALWAYS = -resample.FOREVER
 def condition_spans(conditions: Sequence[Condition], log: Log) -> Allowed:
     """Where all conditions hold in a log. A value counts until the next one (zero-order hold).
 
-    Raises
-    ------
-    RecipeError : a required condition has no source in the log.
+    Raises RecipeError: a required condition has no source in the log.
     """
     spans: dict[int, Sequence[Span]] = {}
     notes: list[str] = []

@@ -12,13 +12,7 @@ import numpy as np
 from flysid.dataset import Dataset
 from flysid.ingest.align.recipe import ChannelSpec
 from flysid.ingest.excitation.enough import too_short_alone
-from flysid.ingest.excitation.excitation import (
-    GOOD_COHERENCE,
-    Excitation,
-    excitation,
-    is_narrow,
-    spectrum,
-)
+from flysid.ingest.excitation.excitation import GOOD_COHERENCE, Excitation, excitation, is_narrow, spectrum
 from flysid.ingest.excitation.share import Share, share_explained
 
 REMARKS = ("holes", "band")
@@ -28,12 +22,10 @@ REMARKS = ("holes", "band")
 class Doubt:
     """One reason.
 
-    Attributes
-    ----------
-    kind : "quiet", "slow", "short", "unexplained", "narrow", "holes", "pooled" or "band"; REMARKS are no
+    `kind`: "quiet", "slow", "short", "unexplained", "narrow", "holes", "pooled" or "band"; REMARKS are no
         faults. "kinematics" where instruments disagree (`flysid.ingest.kinematics`).
-    text : what is the matter, no full stop.
-    todo : what to log, to fly or to choose next time.
+    `text`: what is the matter, no full stop.
+    `todo`: what to log, to fly or to choose next time.
     """
 
     kind: str

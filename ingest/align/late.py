@@ -22,9 +22,7 @@ COUNTER = "loopIteration"
 def late_rows(log: Log, stream: str, *, longest_s: float = 0.25) -> IntArray:
     """(L,) times (ns) of rows whose next one came late, with no round missing between them.
 
-    Parameters
-    ----------
-    longest_s : a longer pause is a gap whatever the rounds say: the vehicle moved on unseen.
+    `longest_s`: a longer pause is a gap whatever the rounds say: the vehicle moved on unseen.
     """
     none = np.zeros(0, dtype=np.int64)
     if stream not in log.rows or COUNTER not in log.columns(stream):

@@ -91,15 +91,10 @@ def quick_recipe(
 ) -> str:
     """A recipe, in TOML: one channel per output, driven by all inputs.
 
-    Parameters
-    ----------
-    logs : where the fields are looked for; the first log that has a field tells its unit.
-    inputs, outputs : fields, as `FIELD` where one stream has it, else as `STREAM.FIELD`.
-    row_period_s : seconds from row to row, for tables that have no time column.
-
-    Raises
-    ------
-    RecipeError : no inputs or outputs; a field is nowhere, or in several streams.
+    `logs`: where the fields are looked for; the first log that has a field tells its unit.
+    `inputs`, `outputs`: fields, as `FIELD` where one stream has it, else as `STREAM.FIELD`.
+    `row_period_s`: seconds from row to row, for tables that have no time column.
+    Raises RecipeError: no inputs or outputs; a field is nowhere, or in several streams.
     """
     if not inputs or not outputs:
         lacking = f"no {'output' if inputs else 'input'} is named" if inputs or outputs else ""
@@ -129,9 +124,7 @@ def quick_recipe(
 def driven_by(recipe: Recipe, reference: Sequence[str], logs: Sequence[Log]) -> Recipe:
     """The recipe with these references in every channel: its own signals, or fields of the logs.
 
-    Raises
-    ------
-    RecipeError : no log has such a field.
+    Raises RecipeError: no log has such a field.
     """
     if not reference:
         return recipe

@@ -274,9 +274,7 @@ class Recipe:
 def shipped_recipes() -> tuple[str, ...]:
     """Names of the recipes that come with flysid, and with installed packages.
 
-    Raises
-    ------
-    UsageError : an installed package offers a recipe under a name that is taken.
+    Raises UsageError: an installed package offers a recipe under a name that is taken.
     """
     return tuple(sorted((*_own_recipes(), *_offered_recipes())))
 
@@ -300,9 +298,7 @@ def _offered_recipes() -> dict[str, Offer]:
 def load_recipe(name: str | Path) -> Recipe:
     """A shipped recipe by name, or a user's own by path (ends with .toml or holds a folder).
 
-    Raises
-    ------
-    RecipeError : no such recipe, not TOML, an unknown key, a wrong type, an inconsistent entry.
+    Raises RecipeError: no such recipe, not TOML, an unknown key, a wrong type, an inconsistent entry.
     """
     text, where = recipe_text(str(name))
     try:

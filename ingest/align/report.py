@@ -33,14 +33,12 @@ class SignalReport:
 class FlightReport:
     """What became of one flight.
 
-    Attributes
-    ----------
-    reason : why it was left out; '' where it was used.
-    segments, short_segments : kept, and dropped because they are shorter than a segment may be.
-    gaps : how often a pause in a source cut the flight.
-    used_s, total_s : seconds in segments, and seconds in which all sources were there.
-    filtered : ratio of the anti-alias filter; 1 where none was needed.
-    notes : conditions that could not be checked, and the like.
+    `reason`: why it was left out; '' where it was used.
+    `segments`, `short_segments`: kept, and dropped because they are shorter than a segment may be.
+    `gaps`: how often a pause in a source cut the flight.
+    `used_s`, `total_s`: seconds in segments, and seconds in which all sources were there.
+    `filtered`: ratio of the anti-alias filter; 1 where none was needed.
+    `notes`: conditions that could not be checked, and the like.
     """
 
     flight: str

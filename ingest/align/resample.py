@@ -234,9 +234,7 @@ def on_grid(
     mean over the step that follows. What passed the low-pass is no stair any more: of it, too, the mean over
     the step counts, which a model that holds its inputs takes for the stair it was.
 
-    Parameters
-    ----------
-    grid_ns : (N,) with `ratio` points to a step, to the end of the last one's.
+    `grid_ns`: (N,) with `ratio` points to a step, to the end of the last one's.
     """
     held = hold(series, grid_ns, tolerance_ns) if tolerance_ns else hold_mean(series, grid_ns, step_ns)
     if ratio == 1:

@@ -144,12 +144,10 @@ class Samples:
 class Loaded:
     """A signal of one flight.
 
-    Attributes
-    ----------
-    boots : boot number -> samples.
-    stream, field : where it was found.
-    resolution : smallest difference the source shows, in the signal's unit; 0 where it is not quantised.
-    notes : what a user should know, e.g. that a unit is not the log's own.
+    `boots`: boot number -> samples.
+    `stream`, `field`: where it was found.
+    `resolution`: smallest difference the source shows, in the signal's unit; 0 where it is not quantised.
+    `notes`: what a user should know, e.g. that a unit is not the log's own.
     """
 
     boots: Mapping[int, Samples]
@@ -234,9 +232,7 @@ def _has_fields(source: Source, columns: Sequence[str]) -> bool:
 def load_signal(name: str, spec: SignalSpec, log: Log) -> Loaded:
     """All samples of a signal in one log.
 
-    Raises
-    ------
-    RecipeError : no source is in the log; a unit is missing, unknown or of another kind.
+    Raises RecipeError: no source is in the log; a unit is missing, unknown or of another kind.
     """
     found = find_source(spec.sources, log)
     if found is None:

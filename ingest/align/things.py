@@ -55,11 +55,9 @@ def things_where(
 ) -> list[str]:
     """Those of several things of a message whose key has the values that are wanted.
 
-    Parameters
-    ----------
-    wanted : by field of the key.
-    keys : all fields of the key.
-    names : of a field's numbers, as text.
+    `wanted`: by field of the key.
+    `keys`: all fields of the key.
+    `names`: of a field's numbers, as text.
     """
 
     def fits(stream: str) -> bool:

@@ -24,15 +24,13 @@ Apply = Callable[[FloatArray, FloatArray, FloatArray], FloatArray]
 class Transform:
     """A transform and what it needs.
 
-    Attributes
-    ----------
-    apply : (columns (N, k), time_s (N,), yaw (N,) or empty) -> (N,).
-    field_counts : how many columns a recipe may name; one column may be a list of fixed size.
-    unit : unit of the result; None: that of the first column.
-    per_second : the result is a rate of the first column's unit.
-    needs_yaw : `yaw` must be given.
-    elementwise : the quantisation of the column is that of the result.
-    wraps : the result is an angle whose turns are to be counted on.
+    `apply`: (columns (N, k), time_s (N,), yaw (N,) or empty) -> (N,).
+    `field_counts`: how many columns a recipe may name; one column may be a list of fixed size.
+    `unit`: unit of the result; None: that of the first column.
+    `per_second`: the result is a rate of the first column's unit.
+    `needs_yaw`: `yaw` must be given.
+    `elementwise`: the quantisation of the column is that of the result.
+    `wraps`: the result is an angle whose turns are to be counted on.
     """
 
     apply: Apply

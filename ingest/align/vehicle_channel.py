@@ -38,14 +38,9 @@ class VehicleData:
 def vehicle_data(logs: Sequence[Log], recipe: Recipe) -> VehicleData:
     """All that the logs hold of a vehicle, on one grid.
 
-    Parameters
-    ----------
-    recipe : names signals as `sixdof` does.
-
-    Raises
-    ------
-    RecipeError : the recipe names no motors, or a log has no motor or no gyro.
-    DataError : no motor turns; motors of one log are not in another; a stretch is too short.
+    `recipe`: names signals as `sixdof` does.
+    Raises RecipeError: the recipe names no motors, or a log has no motor or no gyro. Raises DataError: no
+    motor turns; motors of one log are not in another; a stretch is too short.
     """
     _require_alike(logs, recipe)
     motors = [name for name in recipe.signals if name.startswith(MOTOR) and _in_all(logs, recipe, name)]

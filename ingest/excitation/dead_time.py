@@ -23,12 +23,10 @@ LATE = 2  # samples: the hold's own is 1
 class DeadTime:
     """The dead time of one pair of signals.
 
-    Attributes
-    ----------
-    input, output : names; `column` is the input's number.
-    delay : what was estimated; None where it cannot be.
-    dt_s : sample time.
-    reason : why there is none, or why it is not handed over; '' where it is.
+    `input`, `output`: names; `column` is the input's number.
+    `delay`: what was estimated; None where it cannot be.
+    `dt_s`: sample time.
+    `reason`: why there is none, or why it is not handed over; '' where it is.
     """
 
     input: str

@@ -1,4 +1,4 @@
-"""Dead time between input and output: cross-correlation, impulse response, and a search over `nk`.
+"""Dead time between input and output: cross-correlation, and a search over `nk`.
 
 A lag of the dynamics shifts the peak of the correlation too, so the peak alone overestimates the dead
 time. The search compares models with different dead times and takes the one that errs least (`delay_fits`):
@@ -26,16 +26,14 @@ from flysid.stretch import FloatArray
 class Delay:
     """Dead time from an input to an output.
 
-    Attributes
-    ----------
-    nk : samples until the output can answer: y[k] depends on u[k - nk] and earlier, so the dead time lies
+    `nk`: samples until the output can answer: y[k] depends on u[k - nk] and earlier, so the dead time lies
         between nk - 1 and nk samples; 0 where the log shows an answer within the same sample.
-    delay_s : dead time in seconds, between samples by interpolation of the error.
-    low_s, high_s : dead times whose error is not significantly larger.
-    sign : +1 where the output follows the input, -1 where it goes against it; 0 where a loop hides it: the
+    `delay_s`: dead time in seconds, between samples by interpolation of the error.
+    `low_s`, `high_s`: dead times whose error is not significantly larger.
+    `sign`: +1 where the output follows the input, -1 where it goes against it; 0 where a loop hides it: the
         model and the correlation at later times disagree.
-    correlation, peak_s : largest absolute correlation, and the lag where it lies.
-    feedback : the output leads the input; the dead time was then found by prediction error.
+    `correlation`, `peak_s`: largest absolute correlation, and the lag where it lies.
+    `feedback`: the output leads the input; the dead time was then found by prediction error.
     """
 
     nk: int
@@ -46,15 +44,6 @@ class Delay:
     correlation: float
     peak_s: float
     feedback: bool
-
-
-@dataclass(frozen=True, eq=False)
-class ImpulseResponse:
-    """(L,) lags, s; (L,) response of the output to a unit sample of the input; (L,) standard errors."""
-
-    lag_s: FloatArray
-    g: FloatArray
-    std: FloatArray
 
 
 def cross_correlation(
@@ -80,51 +69,6 @@ def cross_correlation(
     return lag_s, np.asarray(total / scale if scale > 0 else total)
 
 
-def impulse_response(
-    data: Dataset, column: int = 0, output: int = 0, length_s: float = 1.0, before_s: float = 0.2
-) -> ImpulseResponse:
-    """Finite impulse response by regularised least squares over all segments.
-
-    Taps at negative lags (`before_s`) are estimated too: where they differ from zero, the output acts on
-    the input (feedback), or the clocks of the two are not the same.
-
-    Raises
-    ------
-    DataError : the segments are too short.
-    """
-    before = round(before_s / data.dt_s)
-    after = max(2, round(length_s / data.dt_s))
-    taps = before + after + 1
-    gram = np.zeros((taps, taps))
-    right = np.zeros(taps)
-    squares = 0.0
-    rows = 0
-    for segment in data.segments:
-        if len(segment) <= 2 * taps:
-            continue
-        u = segment.u[:, column] - segment.u[:, column].mean()
-        y = segment.y[after : len(segment) - before, output] - segment.y[:, output].mean()
-        phi = np.lib.stride_tricks.sliding_window_view(u, taps)[:, ::-1]
-        gram += phi.T @ phi
-        right += phi.T @ y
-        squares = squares + float(y @ y)
-        rows = rows + len(y)
-    if rows <= taps:
-        raise DataError(
-            f"channel {data.name!r}: segments are too short for an impulse response of {taps} samples",
-            hint="a shorter response, or longer segments",
-        )
-    ridge = 1e-3 * np.trace(gram) / taps * np.eye(taps)
-    inverse = np.linalg.inv(gram + ridge)
-    g = inverse @ right
-    variance = max(0.0, squares - float(g @ right)) / (rows - taps)
-    return ImpulseResponse(
-        lag_s=np.asarray(np.arange(-before, after + 1) * data.dt_s, dtype=np.float64),
-        g=g,
-        std=np.sqrt(variance * np.diag(inverse)),
-    )
-
-
 def estimate_delay(
     data: Dataset, column: int = 0, output: int = 0, max_delay_s: float = 0.5, *, step_s: float = 0.5
 ) -> Delay:
@@ -132,9 +76,7 @@ def estimate_delay(
 
     `step_s`: the sign is that of the step response so long after the dead time.
 
-    Raises
-    ------
-    DataError : the segments are too short, or the input or output does not move.
+    Raises DataError: the segments are too short, or the input or output does not move.
     """
     last = max(2, round(max_delay_s / data.dt_s))
     pieces = _pieces(data, column, output, min_length=2 * (last + sum(ARX_ORDERS)))

@@ -31,14 +31,12 @@ QUIET = {
 class Spectrum:
     """Pooled spectra of one input and one output.
 
-    Attributes
-    ----------
-    frequency_hz : (F,) without 0.
-    coherence : (F,) in [0, 1]; biased upwards by about 1 / averages.
-    gain : (F,) magnitude of the frequency response S_uy / S_uu.
-    phase_rad : (F,) its phase.
-    output_power : (F,) S_yy, in no particular scale.
-    averages : number of windows, overlapping ones counted as independent ones are: 0.6 of them.
+    `frequency_hz`: (F,) without 0.
+    `coherence`: (F,) in [0, 1]; biased upwards by about 1 / averages.
+    `gain`: (F,) magnitude of the frequency response S_uy / S_uu.
+    `phase_rad`: (F,) its phase.
+    `output_power`: (F,) S_yy, in no particular scale.
+    `averages`: number of windows, overlapping ones counted as independent ones are: 0.6 of them.
     """
 
     frequency_hz: FloatArray
@@ -71,12 +69,10 @@ class Spectrum:
 class Excitation:
     """How an input moves, in its unit.
 
-    Attributes
-    ----------
-    rms : about the mean of each segment.
-    span : largest minus smallest value.
-    band_hz : the frequency below which 95 % of its power lies.
-    quiet : it moves less than sensors of its unit are noisy, or less than its own resolution.
+    `rms`: about the mean of each segment.
+    `span`: largest minus smallest value.
+    `band_hz`: the frequency below which 95 % of its power lies.
+    `quiet`: it moves less than sensors of its unit are noisy, or less than its own resolution.
     """
 
     rms: float

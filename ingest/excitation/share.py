@@ -33,8 +33,6 @@ TAIL = 0.025
 class Share:
     """A share from 0 to 1 with its 95 % interval.
 
-    Examples
-    --------
     >>> Share(0.5, 0.4, 0.6).words
     'at most 60 %'
     """
@@ -52,9 +50,7 @@ class Share:
 def share_explained(data: Dataset, moves: Excitation, column: int = 0, output: int = 0) -> Share:
     """The share of an output's power, in the band of an input, that a linear response to it explains.
 
-    Parameters
-    ----------
-    moves : `excitation` of that input. The interval is from 0 to 1 where all segments are too short.
+    `moves`: `excitation` of that input. The interval is from 0 to 1 where all segments are too short.
     """
     found = [_powers(s, data.dt_s, moves.band_hz, (column, output)) for s in data.segments]
     noise, whole = np.concatenate(found, axis=1) if found else np.zeros((2, 0))

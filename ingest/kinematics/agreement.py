@@ -38,13 +38,11 @@ ROUNDS = 8
 class MotionRecord:
     """One motion without a pause, at equal steps.
 
-    Attributes
-    ----------
-    dt_s : step.
-    measured, implied : (N, n) what the instrument reads, and what the others say that it should.
-    arm : (N, n, m) what one unit of each of m further parameters adds to `implied`; m may be 0.
-    noise : (n,) spectral density of the white noise whose derivative is in `implied`, units^2 s^2 / Hz.
-    flat : (n,) spectral density of the white noise that is in it as it is, units^2 / Hz.
+    `dt_s`: step.
+    `measured`, `implied`: (N, n) what the instrument reads, and what the others say that it should.
+    `arm`: (N, n, m) what one unit of each of m further parameters adds to `implied`; m may be 0.
+    `noise`: (n,) spectral density of the white noise whose derivative is in `implied`, units^2 s^2 / Hz.
+    `flat`: (n,) spectral density of the white noise that is in it as it is, units^2 / Hz.
     """
 
     dt_s: float
@@ -59,15 +57,13 @@ class MotionRecord:
 class Agreement:
     """What stands between an instrument and the others, with standard deviations.
 
-    Attributes
-    ----------
-    scale, bias : (n,) per axis, and `offset`: by how much the axis is off at its mean over the flight.
-    lag_s : of the instrument behind the others.
-    arm : (m,)
-    ..._sd : standard deviations of the same shapes.
-    mean, spread : (n,) of what is implied, mean and standard deviation.
-    moved : (n,) its standard deviation without noise, below the highest frequency.
-    lines : (n,) how many frequencies carry motion that both show.
+    `scale`, `bias`: (n,) per axis, and `offset`: by how much the axis is off at its mean over the flight.
+    `lag_s`: of the instrument behind the others.
+    `arm`: (m,)
+    `..._sd`: standard deviations of the same shapes.
+    `mean`, `spread`: (n,) of what is implied, mean and standard deviation.
+    `moved`: (n,) its standard deviation without noise, below the highest frequency.
+    `lines`: (n,) how many frequencies carry motion that both show.
     """
 
     scale: FloatArray
@@ -110,10 +106,8 @@ class _SpectralLines:
 def agreement(records: Sequence[MotionRecord], highest_hz: float, *, shifts: int = 3) -> Agreement:
     """Fit one instrument to what the others imply.
 
-    Parameters
-    ----------
-    records : all stretches of one flight, all with the same axes.
-    highest_hz : what is faster is not looked at.
+    `records`: all stretches of one flight, all with the same axes.
+    `highest_hz`: what is faster is not looked at.
     """
     implied = np.concatenate([r.implied for r in records])
     mean = implied.mean(axis=0)

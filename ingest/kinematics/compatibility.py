@@ -60,16 +60,14 @@ FLY: Mapping[str, str] = {
 class Parameter:
     """One number between an instrument and what the others say.
 
-    Attributes
-    ----------
-    instrument : a channel of `quantities.toml`.
-    signal : an axis of it; "" where the number is of all axes.
-    kind : "bias" and "offset" (of the reading, in `unit`; an offset is at the flight's mean), "scale",
-        "lag" (s) or "arm" (m; of the accelerometer forward, right and below what the velocity is of).
-    value, sd : estimate and standard deviation.
-    nominal : what it is where nothing is wrong. tolerance : what may pass for it.
-    unit : of value and sd.
-    found : it differs from its nominal value.
+    `instrument`: a channel of `quantities.toml`.
+    `signal`: an axis of it; "" where the number is of all axes.
+    `kind`: "bias" and "offset" (of the reading, in `unit`; an offset is at the flight's mean), "scale", "lag"
+        (s) or "arm" (m; of the accelerometer forward, right and below what the velocity is of).
+    `value`, `sd`: estimate and standard deviation.
+    `nominal`: what it is where nothing is wrong. `tolerance`: what may pass for it.
+    `unit`: of value and sd.
+    `found`: it differs from its nominal value.
     """
 
     instrument: str
@@ -101,17 +99,15 @@ class Parameter:
 
 
 @dataclass(frozen=True)
-class Comparison:
+class InstrumentCheck:
     """One instrument against the others.
 
-    Attributes
-    ----------
-    instrument : a channel of `quantities.toml`.
-    sources : signal -> stream and field.
-    seconds, cut_s : of flight that were compared, and that were left out around jumps of an estimator.
-    parameters : all that was estimated.
-    still : axes that did not move enough to show their scale.
-    reason : why nothing was compared; "" where it was.
+    `instrument`: a channel of `quantities.toml`.
+    `sources`: signal -> stream and field.
+    `seconds`, `cut_s`: of flight that were compared, and that were left out around jumps of an estimator.
+    `parameters`: all that was estimated.
+    `still`: axes that did not move enough to show their scale.
+    `reason`: why nothing was compared; "" where it was.
     """
 
     instrument: str
@@ -133,7 +129,7 @@ class Compatibility:
     """All that could be compared of one log."""
 
     name: str
-    comparisons: tuple[Comparison, ...]
+    comparisons: tuple[InstrumentCheck, ...]
 
     @property
     def findings(self) -> tuple[Parameter, ...]:
@@ -155,8 +151,6 @@ def compatibility(log: Log) -> Compatibility:
     with the velocity as it should be. Findings are those that remain at 5 % a flight (Holm 1979), beyond
     what splines lose, half a period of the slower source, and the range of gravity over the earth.
 
-    Examples
-    --------
     >>> from flysid.ingest.align.signals import FlightLog
     >>> found = compatibility(FlightLog(flysid.read("sample_logs/01-multisine-seed1.tlog")))
     >>> [c.instrument for c in found.comparisons if not c.reason]
@@ -203,18 +197,18 @@ def corrections_of(parameters: Sequence[Parameter]) -> dict[str, Correction]:
     return made
 
 
-def _compare(instrument: str, log: Log, corrections: Mapping[str, Correction]) -> Comparison:
+def _compare(instrument: str, log: Log, corrections: Mapping[str, Correction]) -> InstrumentCheck:
     recipe = quantities()
     names = recipe.signals_of(instrument)
     absent = [n for n in names if find_source(recipe.signals[n].sources, log) is None]
     if absent:
-        return Comparison(instrument, reason="not logged: " + ", ".join(absent))
+        return InstrumentCheck(instrument, reason="not logged: " + ", ".join(absent))
     try:
         clocks = align_clocks(recipe.clocks, log)
         loaded = {n: clocks.apply(load_signal(n, recipe.signals[n], log)) for n in names}
         spans = condition_spans(recipe.conditions, log)
     except FlysidError as error:
-        return Comparison(instrument, reason=error.message)
+        return InstrumentCheck(instrument, reason=error.message)
     sources = {n: (found.stream, found.field) for n, found in loaded.items()}
     records: list[MotionRecord] = []
     highest = np.inf
@@ -238,17 +232,17 @@ def _compare(instrument: str, log: Log, corrections: Mapping[str, Correction]) -
             highest = min(highest, highest_hz(series))
             slowest = max(slowest, source_s)
     if not records:
-        return Comparison(
+        return InstrumentCheck(
             instrument, sources, reason=f"no stretch of {MIN_SECONDS:g} s in which all of it was logged"
         )
     alive = np.max([np.ptp(r.measured, axis=0) for r in records], axis=0) > 0.0
     axes = [a for a, moves in zip(recipe.channels[instrument].outputs, alive, strict=True) if moves]
     if not axes:
-        return Comparison(instrument, sources, reason="its readings never change")
+        return InstrumentCheck(instrument, sources, reason="its readings never change")
     records = [_of_axes(r, alive) for r in records]
     found = agreement(records, highest)
     gravity = np.mean(upright, axis=0)[alive] * GRAVITY_RANGE if upright else np.zeros(len(axes))
-    return Comparison(
+    return InstrumentCheck(
         instrument,
         sources,
         seconds := sum(len(r.measured) * r.dt_s for r in records),
@@ -306,7 +300,7 @@ def _parameters(
         yield Parameter(instrument, "", f"arm {axis}", float(value), float(sd), 0.0, 0.0, "m")
 
 
-def _judge(comparisons: Sequence[Comparison], *, level: float = 0.05) -> list[Comparison]:
+def _judge(comparisons: Sequence[InstrumentCheck], *, level: float = 0.05) -> list[InstrumentCheck]:
     """Holm over all parameters; an axis that follows another motion has no other finding.
 
     `level`: chance of any finding at all in a flight whose instruments agree.

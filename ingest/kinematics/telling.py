@@ -17,9 +17,9 @@ from flysid.ingest.formats.common.units import factor
 from flysid.ingest.kinematics.compatibility import (
     AGAINST,
     FLY,
-    Comparison,
     Compatibility,
     Correction,
+    InstrumentCheck,
     Parameter,
     compatibility,
     corrections_of,
@@ -36,7 +36,7 @@ SIDES = {
 NEXT = "correct them at the source, or in the recipe: 'flysid doctor --kinematics' with --correct"
 
 
-def sentence(parameter: Parameter, comparison: Comparison) -> str:
+def sentence(parameter: Parameter, comparison: InstrumentCheck) -> str:
     """What a parameter means, with its interval, no full stop.
 
     >>> told = Parameter("velocity", "v_east", "scale", 1.05, 0.005, 1.0, 0.01, "", True)
@@ -183,9 +183,7 @@ def _places(recipe: Recipe, signal: str, log: Log) -> set[tuple[str, str]]:
 def corrected_recipe(name: str, log: Log, found: Compatibility) -> tuple[str, list[str]]:
     """A recipe's text with a log's findings taken out of its signals, and what was done, one line each.
 
-    Raises
-    ------
-    UsageError : none of the recipe's fields is at fault.
+    Raises UsageError: none of the recipe's fields is at fault.
     """
     text, _ = recipe_text(name)
     document = tomllib.loads(text)

@@ -37,11 +37,9 @@ NO_MEMORY = "not enough memory"
 class Result:
     """What became of one log.
 
-    Attributes
-    ----------
-    flight : the flight it became, or became earlier (`unchanged`); None where it was skipped.
-    reason : why it was skipped.
-    damage : what of it was lost, where it has been read.
+    `flight`: the flight it became, or became earlier (`unchanged`); None where it was skipped.
+    `reason`: why it was skipped.
+    `damage`: what of it was lost, where it has been read.
     """
 
     path: Path
@@ -84,21 +82,16 @@ def ingest_logs(
 ) -> Iterator[Result]:
     """Read logs into a folder; yields one result per log, as they finish.
 
-    Parameters
-    ----------
-    logs : from `finding.find_logs`.
-    data : the folder; made where it does not exist.
-    jobs : worker processes; 0 means one per core, one where there is little to read.
-    force : read again what is there unchanged.
-    limits : what readers hold to.
-    bounds : of memory and time for each log. None reads in this process, without bounds: for logs of
-        one's own making.
-    vehicle_in : a regular expression that finds the vehicle's name in a log's path; "" where it has none.
-
-    Raises
-    ------
-    WriteError : the folder cannot be written to; logs finished before stay.
-    UsageError : `data` is something else.
+    `logs`: from `finding.find_logs`.
+    `data`: the folder; made where it does not exist.
+    `jobs`: worker processes; 0 means one per core, one where there is little to read.
+    `force`: read again what is there unchanged.
+    `limits`: what readers hold to.
+    `bounds`: of memory and time for each log. None reads in this process, without bounds: for logs of one's
+        own making.
+    `vehicle_in`: a regular expression that finds the vehicle's name in a log's path; "" where it has none.
+    Raises WriteError: the folder cannot be written to; logs finished before stay. Raises UsageError: `data`
+    is something else.
     """
     is_new = not Path(data).exists()
     folder = create_data_folder(data)

@@ -32,13 +32,11 @@ OWN = (
 class Selection:
     """What a user says of the flights.
 
-    Attributes
-    ----------
-    flights : these alone, by id or the unambiguous beginning of it; empty: all.
-    exclude : not these, by id or the unambiguous beginning of it.
-    vehicle : those of this vehicle, by any part of its name that no other has; "": of all.
-    pool : flights of several vehicles may be put together.
-    stretches : what of every flight.
+    `flights`: these alone, by id or the unambiguous beginning of it; empty: all.
+    `exclude`: not these, by id or the unambiguous beginning of it.
+    `vehicle`: those of this vehicle, by any part of its name that no other has; "": of all.
+    `pool`: flights of several vehicles may be put together.
+    `stretches`: what of every flight.
     """
 
     flights: tuple[str, ...] = ()
@@ -62,9 +60,7 @@ class Selection:
 def select(lake: Lake, selection: Selection) -> Lake:
     """The flights that are meant.
 
-    Raises
-    ------
-    UsageError : a name is of no flight, or of several; so is a vehicle's; nothing is left.
+    Raises UsageError: a name is of no flight, or of several; so is a vehicle's; nothing is left.
     """
     chosen = _name_flights(lake, selection.flights) or [facts.id for facts in lake.facts]
     excluded = set(_name_flights(lake, selection.exclude))
@@ -103,13 +99,8 @@ def vehicle_words(lake: Lake) -> dict[str, str]:
 def of_one_vehicle(lake: Lake, recipe: str) -> Lake:
     """The flights, or those with the streams of a recipe where these alone are of one vehicle.
 
-    Parameters
-    ----------
-    recipe : "" for none.
-
-    Raises
-    ------
-    UsageError : as `require_one_vehicle`, of the flights that have the streams.
+    `recipe`: "" for none.
+    Raises UsageError: as `require_one_vehicle`, of the flights that have the streams.
     """
     able = _serving(lake, load_recipe(recipe)) if recipe and len(vehicles(lake)) > 1 else lake
     chosen = able if able.facts else lake

@@ -57,12 +57,10 @@ MOST = {
 class Column:
     """One field of a log over time, finite values only.
 
-    Attributes
-    ----------
-    address : `STREAM.FIELD`, where it was found.
-    unit : of the values; "" for a number.
-    time_s : (N,) on the log's clock, rising.
-    values : (N,)
+    `address`: `STREAM.FIELD`, where it was found.
+    `unit`: of the values; "" for a number.
+    `time_s`: (N,) on the log's clock, rising.
+    `values`: (N,)
     """
 
     address: str
@@ -116,8 +114,6 @@ class Column:
 def join_spans(spans: Iterable[tuple[float, float]], pause_s: float = 2.0) -> tuple[tuple[float, float], ...]:
     """Spans in their order, those as one between which the pause is shorter.
 
-    Examples
-    --------
     >>> join_spans([(0.0, 4.0), (5.0, 6.0), (8.5, 9.0)])
     ((0.0, 6.0), (8.5, 9.0))
     """
@@ -133,17 +129,13 @@ def join_spans(spans: Iterable[tuple[float, float]], pause_s: float = 2.0) -> tu
 class ClockedLog:
     """A log on its one clock.
 
-    Attributes
-    ----------
-    log : as alignment reads it.
-    damage : what could not be read of it, and what was lost before it was written.
-    file : name of the log, where it is not the flight's id.
-    read : every column that was read, by its address: what a page shows as evidence.
-    stamps : times of every stream as they were last read: its columns share them.
-    crashed_s : when it crashed by its sensors, on the log's clock: see `crash.end_at_crash`.
+    `log`: as alignment reads it.
+    `damage`: what could not be read of it, and what was lost before it was written.
+    `file`: name of the log, where it is not the flight's id.
+    `read`: every column that was read, by its address: what a page shows as evidence.
+    `stamps`: times of every stream as they were last read: its columns share them.
+    `crashed_s`: when it crashed by its sensors, on the log's clock: see `crash.end_at_crash`.
 
-    Examples
-    --------
     >>> import flysid
     >>> from flysid.ingest.align.signals import FlightLog
     >>> flight = ClockedLog(FlightLog(flysid.read("sample_logs/01-multisine-seed1.tlog")))
@@ -271,15 +263,10 @@ class ClockedLog:
     def column(self, *addresses: str, unit: str = "", stated: str = "") -> Column | None:
         """The first of several fields that the log holds; None where it holds none of them, or no value.
 
-        Parameters
-        ----------
-        addresses : `STREAM.FIELD`, an element of an array by `FIELD[i]`.
-        unit : wanted; "" takes the values as the log scales them.
-        stated : the unit where the log itself states none.
-
-        Raises
-        ------
-        RecipeError : the field's unit is of another kind than the one that is wanted.
+        `addresses`: `STREAM.FIELD`, an element of an array by `FIELD[i]`.
+        `unit`: wanted; "" takes the values as the log scales them.
+        `stated`: the unit where the log itself states none.
+        Raises RecipeError: the field's unit is of another kind than the one that is wanted.
         """
         for address in addresses:
             stream, name = split_address(address)

@@ -37,13 +37,11 @@ BEFORE_S = 5.0
 class Crash:
     """When a flight ended badly.
 
-    Attributes
-    ----------
-    begins_s : when it tipped over, else the impact: what follows says nothing of how it flies.
-    tipped_s : when it leant more than 60 deg; NaN where it did not, or the attitude is not logged.
-    impact_s, impact_m_s2 : of the hardest blow; NaN where none was logged.
-    field : of the accelerometer, or of the attitude where no blow was logged.
-    away_deg : from its commanded tilt, where that shows the crash; else NaN.
+    `begins_s`: when it tipped over, else the impact: what follows says nothing of how it flies.
+    `tipped_s`: when it leant more than 60 deg; NaN where it did not, or the attitude is not logged.
+    `impact_s`, `impact_m_s2`: of the hardest blow; NaN where none was logged.
+    `field`: of the accelerometer, or of the attitude where no blow was logged.
+    `away_deg`: from its commanded tilt, where that shows the crash; else NaN.
     """
 
     begins_s: float

@@ -31,11 +31,9 @@ PARAMETERS = (
 class Event:
     """Something that the log states at one moment.
 
-    Attributes
-    ----------
-    boot, time_ns : when, on the vehicle's clock.
-    kind : "mode", "message" or "parameter".
-    text : a mode's name, a message, or "NAME = value (was value)".
+    `boot`, `time_ns`: when, on the vehicle's clock.
+    `kind`: "mode", "message" or "parameter".
+    `text`: a mode's name, a message, or "NAME = value (was value)".
     """
 
     boot: int

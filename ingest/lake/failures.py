@@ -28,12 +28,10 @@ DISARMED = 15
 class Mishap:
     """Something that went wrong.
 
-    Attributes
-    ----------
-    boot, span : from when to when, on the vehicle's clock of one boot.
-    what : it was.
-    spoils : while it lasts, no model is fitted: another controller is at work, or a part is broken.
-    ends : the flight is over: it crashed, or a part is broken for good.
+    `boot`, `span`: from when to when, on the vehicle's clock of one boot.
+    `what`: it was.
+    `spoils`: while it lasts, no model is fitted: another controller is at work, or a part is broken.
+    `ends`: the flight is over: it crashed, or a part is broken for good.
     """
 
     boot: int
@@ -61,8 +59,6 @@ def failure_messages(log: Log) -> list[Event]:
 def plain_words(message: str) -> str:
     """A message without its sender, and without PX4's word for a check that also runs in the air.
 
-    Examples
-    --------
     >>> plain_words("[health_and_arming_checks] Preflight Fail: Attitude failure (roll)")
     'Attitude failure (roll)'
     """

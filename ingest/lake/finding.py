@@ -73,13 +73,8 @@ def find_logs(given: Sequence[str | Path], bounds: Bounds | None = None) -> Foun
 
     A member of an archive is a path as if the archive were a folder: `flights.zip/one.tlog`.
 
-    Parameters
-    ----------
-    bounds : of memory and time for looking into one file; a worker process does it. None does it here.
-
-    Raises
-    ------
-    UsageError : a path does not exist, a pattern matches nothing, there is no log at all.
+    `bounds`: of memory and time for looking into one file; a worker process does it. None does it here.
+    Raises UsageError: a path does not exist, a pattern matches nothing, there is no log at all.
     """
     with closing(_LogSearch(bounds)) as search:
         found = Found()

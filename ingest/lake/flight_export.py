@@ -52,13 +52,8 @@ def physical_tables(log: Log, streams: Sequence[str] = ()) -> dict[str, pa.Table
 
     Arrays of fixed size become a column per element, `q[0]`. The unit is in each column's metadata.
 
-    Parameters
-    ----------
-    streams : keys or message names; all where none is named.
-
-    Raises
-    ------
-    UsageError : no such stream.
+    `streams`: keys or message names; all where none is named.
+    Raises UsageError: no such stream.
     """
     keys = [resolve_stream(name, log.rows, log.name) for name in streams] or list(log.rows)
     clock = log_clock(log.clocks)
@@ -80,13 +75,8 @@ def gridded_table(tables: Mapping[str, pa.Table], rate_hz: float) -> pa.Table:
     Measurements are interpolated linearly, whole numbers and switches keep their last value. Where a stream
     pauses, its cells are empty. Boots follow one another in the rows; their clocks do not compare.
 
-    Parameters
-    ----------
-    rate_hz : rows a second.
-
-    Raises
-    ------
-    UsageError : the rate is not positive, or no table holds a number.
+    `rate_hz`: rows a second.
+    Raises UsageError: the rate is not positive, or no table holds a number.
     """
     if not rate_hz > 0.0:
         raise UsageError(f"a rate of {rate_hz:g} Hz", hint="--rate takes a positive number")
@@ -108,10 +98,8 @@ def gridded_table(tables: Mapping[str, pa.Table], rate_hz: float) -> pa.Table:
 def export_tables(tables: Mapping[str, pa.Table], kind: str, target: Path) -> Path:
     """Write tables; a kind of file that holds one table gives a folder for several. Returns what was written.
 
-    Raises
-    ------
-    UsageError : an unknown kind, a missing package, a table that the kind cannot hold.
-    WriteError : the target cannot be written.
+    Raises UsageError: an unknown kind, a missing package, a table that the kind cannot hold.
+    Raises WriteError: the target cannot be written.
     """
     if kind not in KINDS:
         raise UsageError(f"no kind of file {kind!r}", hint="one of " + ", ".join(KINDS))

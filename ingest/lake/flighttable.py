@@ -132,9 +132,7 @@ def facts_in(rows: pa.Table) -> tuple[FlightFacts, ...]:
 def select(place: Place, where: str = "", columns: Sequence[str] = ()) -> pa.Table:
     """Rows of a lake's table for which a condition in SQL holds: `vehicle = 'v017' and rows > 1000`.
 
-    Raises
-    ------
-    UsageError : the condition is not understood; the message says which columns there are.
+    Raises UsageError: the condition is not understood; the message says which columns there are.
     """
     chosen = ", ".join(f'"{name}"' for name in columns) or "*"
     return ask(place, f"select {chosen} from flights" + (f" where {where}" if where else ""))
@@ -143,9 +141,7 @@ def select(place: Place, where: str = "", columns: Sequence[str] = ()) -> pa.Tab
 def ask(place: Place, sql: str) -> pa.Table:
     """What a question in SQL about the table `flights` is answered.
 
-    Raises
-    ------
-    UsageError : not understood, or more than a question.
+    Raises UsageError: not understood, or more than a question.
     """
     table = open_table(place)
     if table is None:

@@ -56,10 +56,8 @@ def _asked_of(message: str) -> tuple[str, ...]:
 class Kept:
     """The rows at which a field changes that a condition asks for, as a `Log`.
 
-    Attributes
-    ----------
-    rows : of every stream of the log, also of those that are not kept.
-    tables : stream key -> what is kept of it.
+    `rows`: of every stream of the log, also of those that are not kept.
+    `tables`: stream key -> what is kept of it.
     """
 
     name: str
@@ -89,10 +87,8 @@ class Kept:
 class Flown:
     """When a log was flown.
 
-    Attributes
-    ----------
-    spans : boot -> when all conditions hold; None where the log states none of them.
-    never : of each condition that never holds, what the log has instead.
+    `spans`: boot -> when all conditions hold; None where the log states none of them.
+    `never`: of each condition that never holds, what the log has instead.
     """
 
     spans: Mapping[int, tuple[Span, ...]] | None = None
@@ -109,9 +105,7 @@ class Flown:
 def flown(log: Log, measured: Mapping[int, Span]) -> Flown:
     """When a log was flown.
 
-    Parameters
-    ----------
-    measured : boot -> from when to when anything was measured, ns; see `is_measured`.
+    `measured`: boot -> from when to when anything was measured, ns; see `is_measured`.
     """
     never = condition_spans(_conditions(), log).never
     stated = condition_spans([c for c in _conditions() if c.name in IN_THE_AIR], log).spans

@@ -32,13 +32,8 @@ def header_of(log: Log) -> dict[str, str]:
 def stated_numbers(settings: Mapping[str, str], *names: str, least: int = 1) -> tuple[float, ...]:
     """The numbers of the first of these settings that the header states; empty where it states none.
 
-    Parameters
-    ----------
-    least : so many numbers the setting has.
-
-    Raises
-    ------
-    DataError : its text is no number, or holds fewer.
+    `least`: so many numbers the setting has.
+    Raises DataError: its text is no number, or holds fewer.
     """
     name = next((name for name in names if settings.get(name)), None)
     if name is None:
@@ -53,9 +48,7 @@ def stated_numbers(settings: Mapping[str, str], *names: str, least: int = 1) -> 
 def needed_numbers(settings: Mapping[str, str], *names: str, least: int = 1) -> tuple[float, ...]:
     """The numbers of a setting that cannot be done without.
 
-    Raises
-    ------
-    DataError : the header does not state it, or see `stated_numbers`.
+    Raises DataError: the header does not state it, or see `stated_numbers`.
     """
     numbers = stated_numbers(settings, *names, least=least)
     if not numbers:
@@ -66,9 +59,7 @@ def needed_numbers(settings: Mapping[str, str], *names: str, least: int = 1) -> 
 def stated_number(settings: Mapping[str, str], *names: str, otherwise: float) -> float:
     """The first number of a setting, or another value where the header does not state it.
 
-    Raises
-    ------
-    DataError : see `stated_numbers`.
+    Raises DataError: see `stated_numbers`.
     """
     numbers = stated_numbers(settings, *names)
     return numbers[0] if numbers else otherwise

@@ -32,13 +32,11 @@ MOST = 12
 class Motor:
     """One motor.
 
-    Attributes
-    ----------
-    number : as its firmware counts, from 1.
-    command : share of the range, 0 to 1, over time.
-    place : forward and right, -1 to 1.
-    spin : 1 counter-clockwise seen from above, so that it turns the nose to the right; -1 clockwise.
-    speed : in rpm; None where it is not logged.
+    `number`: as its firmware counts, from 1.
+    `command`: share of the range, 0 to 1, over time.
+    `place`: forward and right, -1 to 1.
+    `spin`: 1 counter-clockwise seen from above, so that it turns the nose to the right; -1 clockwise.
+    `speed`: in rpm; None where it is not logged.
     """
 
     number: int
@@ -51,8 +49,6 @@ class Motor:
 def read_motors(flight: ClockedLog) -> tuple[Motor, ...]:
     """The motors of a multicopter's log; () where it holds no commands, or where the frame is not known.
 
-    Examples
-    --------
     >>> import flysid
     >>> from flysid.ingest.align.signals import FlightLog
     >>> read_motors(ClockedLog(FlightLog(flysid.read("sample_logs/01-multisine-seed1.tlog"))))

@@ -38,13 +38,8 @@ def check_shipped_channels(channels: Collection[str]) -> None:
 def choose_recipe(lake: Lake, channels: Collection[str] = ()) -> RecipeChoice:
     """The shipped recipe with the largest share of commands and responses among the channels it serves.
 
-    Parameters
-    ----------
-    channels : only recipes that serve these are looked at.
-
-    Raises
-    ------
-    UsageError : none fits; or several do, and none is of a command and the response to it.
+    `channels`: only recipes that serve these are looked at.
+    Raises UsageError: none fits; or several do, and none is of a command and the response to it.
     """
     served = {name: own for name, own in lake.recipes().items() if set(channels) <= set(own)}
     shares = {name: _share(load_recipe(name), own) for name, own in served.items()}

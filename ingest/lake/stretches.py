@@ -26,13 +26,11 @@ _CLOCK = re.compile(r"(?:(?:(\d+):)?(\d+):)?(\d+(?:\.\d*)?)")
 class Stretches:
     """What a user says of the time within flights.
 
-    Attributes
-    ----------
-    between : "12:30..14:00": minutes and seconds (or h:m:s, or seconds) since the beginning of a boot; either
-        end may be missing; "": all of it.
-    modes : names of flight modes, e.g. ("LOITER",); empty: all.
-    mishaps : keep what is a crash, a failsafe or a loss of control, and what follows it.
-    without : parts of single flights that are left out, as `parse_part` reads them, by whole ids.
+    `between`: "12:30..14:00": minutes and seconds (or h:m:s, or seconds) since the beginning of a boot;
+        either end may be missing; "": all of it.
+    `modes`: names of flight modes, e.g. ("LOITER",); empty: all.
+    `mishaps`: keep what is a crash, a failsafe or a loss of control, and what follows it.
+    `without`: parts of single flights that are left out, as `parse_part` reads them, by whole ids.
     """
 
     between: str = ""
@@ -71,11 +69,9 @@ class Stretches:
 class Part:
     """A flight, one boot of it, or a part of its time.
 
-    Attributes
-    ----------
-    flight : its id, or the unambiguous beginning of it.
-    boot : None: every one of the flight's.
-    between : as `Stretches.between`.
+    `flight`: its id, or the unambiguous beginning of it.
+    `boot`: None: every one of the flight's.
+    `between`: as `Stretches.between`.
     """
 
     flight: str
@@ -100,12 +96,7 @@ class Part:
 
 
 def parse_part(text: str) -> Part:
-    """ "0042", "0042#1" (its second boot), "0042@12:30..14:00".
-
-    Raises
-    ------
-    UsageError : none of these.
-    """
+    """ "0042", "0042#1" (its second boot), "0042@12:30..14:00". Raises UsageError: none of these."""
     named, at, between = text.partition("@")
     flight, mark, boot = named.partition("#")
     if not flight or (at and not between) or (mark and not boot.isdecimal()):
@@ -119,13 +110,8 @@ def parse_part(text: str) -> Part:
 def held_spans(logs: Iterable[Log], parts: Sequence[str]) -> dict[str, list[Span]]:
     """What is held out, by the name that alignment gives a flight: spans of vehicle time, ns.
 
-    Parameters
-    ----------
-    parts : of flights, as `parse_part` reads them, by whole ids.
-
-    Raises
-    ------
-    UsageError : a flight is not among the logs, or has no such boot.
+    `parts`: of flights, as `parse_part` reads them, by whole ids.
+    Raises UsageError: a flight is not among the logs, or has no such boot.
     """
     by_name = {log.name: log for log in logs}
     found: dict[str, list[Span]] = {}
@@ -146,9 +132,7 @@ def held_spans(logs: Iterable[Log], parts: Sequence[str]) -> dict[str, list[Span
 def parse_between(text: str) -> tuple[float, float]:
     """ "12:30..14:00" in seconds: (750.0, 840.0).
 
-    Raises
-    ------
-    UsageError : not two times with .. between them, or in the wrong order.
+    Raises UsageError: not two times with .. between them, or in the wrong order.
     """
     first, dots, last = text.partition("..")
     try:

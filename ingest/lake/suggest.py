@@ -18,13 +18,7 @@ from flysid.ingest.align.signals import Log, serves
 from flysid.ingest.excitation.dead_time import LONGEST_S
 from flysid.ingest.excitation.delay import Delay, estimate_delay
 from flysid.ingest.excitation.enough import MIN_DURATION_S, too_short_alone
-from flysid.ingest.excitation.excitation import (
-    GOOD_COHERENCE,
-    Excitation,
-    excitation,
-    is_narrow,
-    spectrum,
-)
+from flysid.ingest.excitation.excitation import GOOD_COHERENCE, Excitation, excitation, is_narrow, spectrum
 from flysid.ingest.excitation.share import Share, share_explained
 from flysid.progress import part, tell
 from flysid.sharing import sharing
@@ -37,18 +31,16 @@ ALONE = "fly steps or doublets on this axis alone, in calm air"
 class Suggestion:
     """One output of a channel of one flight, with the input that explains most of it.
 
-    Attributes
-    ----------
-    rate_hz, duration_s : of the dataset it gives; 0 where it gives none.
-    input_rms : of the input about its mean, in `input_unit`.
-    coherence : in the band that holds 95 % of the input's power, the share of the output's power that a
+    `rate_hz`, `duration_s`: of the dataset it gives; 0 where it gives none.
+    `input_rms`: of the input about its mean, in `input_unit`.
+    `coherence`: in the band that holds 95 % of the input's power, the share of the output's power that a
         linear model of this input can explain.
-    band_hz : where the coherence counts: outside, a model must not be trusted.
-    delay_s, delay_low_s, delay_high_s : dead time, and what looks like it; None where unknown.
-    sign : +1 where the output follows the input, -1 where it goes against it, 0 where unknown (see `Delay`).
-    feedback : inputs of the channel answer the output (a pilot or controller): open-loop methods are biased.
-    verdict, advice : in words; "closed loop" would be good, were it not the loop's: of a recipe that
-        knows what drives it, or where the output leads the input it is in a loop with.
+    `band_hz`: where the coherence counts: outside, a model must not be trusted.
+    `delay_s`, `delay_low_s`, `delay_high_s`: dead time, and what looks like it; None where unknown.
+    `sign`: +1 where the output follows the input, -1 where it goes against it, 0 where unknown (see `Delay`).
+    `feedback`: inputs of the channel answer the output (a pilot or controller): open-loop methods are biased.
+    `verdict`, `advice`: in words; "closed loop" would be good, were it not the loop's: of a recipe that knows
+        what drives it, or where the output leads the input it is in a loop with.
     """
 
     flight: str

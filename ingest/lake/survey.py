@@ -13,17 +13,7 @@ import numpy as np
 import pyarrow as pa
 
 from flysid.errors import FlysidError
-from flysid.flight import (
-    BOOT,
-    TIME,
-    ClockMap,
-    Damage,
-    Source,
-    field_scale,
-    field_unit,
-    message_of,
-    stem_of,
-)
+from flysid.flight import BOOT, TIME, ClockMap, Damage, Source, field_scale, field_unit, message_of, stem_of
 from flysid.flightwriter import float_values, int_values
 from flysid.ingest.align.resample import Span
 from flysid.ingest.excitation.enough import FLY_MORE, MIN_DURATION_S, least_hz, too_short_alone
@@ -112,9 +102,7 @@ class StreamCount:
 class Survey:
     """What `flysid doctor` says about a log.
 
-    Attributes
-    ----------
-    flown : when the vehicle was in the air, as far as the log tells.
+    `flown`: when the vehicle was in the air, as far as the log tells.
     """
 
     source: Source

@@ -51,12 +51,10 @@ Boots = Mapping[int, Samples]
 class Trace:
     """One field over time.
 
-    Attributes
-    ----------
-    name : `STREAM.FIELD`, or the name of a recipe's signal.
-    unit : as the log states it; "" where it does not.
-    time_s : (N,) seconds since the log began; see `facts.clock`.
-    values : (N,) in `unit`. A NaN stands inside every pause of the stream, and at the end of every boot.
+    `name`: `STREAM.FIELD`, or the name of a recipe's signal.
+    `unit`: as the log states it; "" where it does not.
+    `time_s`: (N,) seconds since the log began; see `facts.clock`.
+    `values`: (N,) in `unit`. A NaN stands inside every pause of the stream, and at the end of every boot.
     """
 
     name: str
@@ -78,13 +76,11 @@ class Moment:
 class Timeline:
     """Panels of traces of one log on one axis of time. Boots follow one another: their clocks do not compare.
 
-    Attributes
-    ----------
-    name : the log.
-    panels : traces that share an axis.
-    modes : (start, end, name) of the flight modes, in seconds.
-    moments : messages and parameter changes.
-    clock : which clock the seconds are of, in words.
+    `name`: the log.
+    `panels`: traces that share an axis.
+    `modes`: (start, end, name) of the flight modes, in seconds.
+    `moments`: messages and parameter changes.
+    `clock`: which clock the seconds are of, in words.
     """
 
     name: str
@@ -106,14 +102,9 @@ class Curve:
 def read_fields(log: Log, arguments: Sequence[str], *, most_lines: int = 8) -> list[list[Curve]]:
     """One panel per argument; fields of another unit, or too many to tell apart, go to panels of their own.
 
-    Parameters
-    ----------
-    arguments : patterns as `find_fields` takes them, several of one panel joined by commas.
-    most_lines : of one panel: as many as there are colours.
-
-    Raises
-    ------
-    UsageError : as `find_fields`.
+    `arguments`: patterns as `find_fields` takes them, several of one panel joined by commas.
+    `most_lines`: of one panel: as many as there are colours.
+    Raises UsageError: as `find_fields`.
     """
     panels: list[list[Curve]] = []
     for argument in arguments:
@@ -154,16 +145,12 @@ def read_channels(log: Log, recipe: Recipe) -> list[list[Curve]]:
 def find_fields(log: Log, patterns: Sequence[str]) -> list[tuple[str, str]]:
     """The (stream, field) pairs that patterns name, each once, in the order of the patterns.
 
-    Parameters
-    ----------
-    patterns : `STREAM.FIELD` with wildcards, e.g. `ATT.Des*`, `1.1/ATTITUDE.roll`, `vehicle_attitude.q[0]`. A
-        stream is named by its key or its message name, and one of several things by `IMU[0]`; `STREAM` alone
-        means all of its fields, `FIELD` alone that field of every stream, and an array all of its elements.
-
-    Raises
-    ------
-    UsageError : a pattern names no numeric field of this log, or a message of several things; the hint has
-        what is near.
+    `patterns`: `STREAM.FIELD` with wildcards, e.g. `ATT.Des*`, `1.1/ATTITUDE.roll`, `vehicle_attitude.q[0]`.
+        A stream is named by its key or its message name, and one of several things by `IMU[0]`; `STREAM`
+        alone means all of its fields, `FIELD` alone that field of every stream, and an array all of its
+        elements.
+    Raises UsageError: a pattern names no numeric field of this log, or a message of several things; the hint
+    has what is near.
     """
     found: dict[tuple[str, str], None] = {}
     for pattern in patterns:
@@ -180,9 +167,7 @@ def find_fields(log: Log, patterns: Sequence[str]) -> list[tuple[str, str]]:
 def _fields_named(log: Log, pattern: str) -> list[tuple[str, str]]:
     """The (stream, field) pairs that a pattern names: in full, else without the thing where there is but one.
 
-    Raises
-    ------
-    UsageError : the pattern names no thing, and its message is of several.
+    Raises UsageError: the pattern names no thing, and its message is of several.
     """
     columns = _columns(log)
     hits = _hits(columns, pattern, message_of)
@@ -218,10 +203,7 @@ def lay_out(log: Log, panels: Sequence[Sequence[Curve]], allowed: Allowed = Allo
     """Curves on one axis of time, with the modes, messages and parameter changes of the log.
 
     Where `allowed` leaves out samples there is a gap; times are still those of the whole flight.
-
-    Raises
-    ------
-    UsageError : nothing of the curves lies in it.
+    Raises UsageError: nothing of the curves lies in it.
     """
     if allowed.never:
         raise UsageError(allowed.never[0], path=log.name, hint=CHOOSE_AGAIN)

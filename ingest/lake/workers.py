@@ -60,10 +60,8 @@ Outcome = TypeVar("Outcome")
 class Bounds:
     """What one task may take; None lifts a bound.
 
-    Attributes
-    ----------
-    memory_bytes : anonymous memory of the process.
-    seconds : wall time.
+    `memory_bytes`: anonymous memory of the process.
+    `seconds`: wall time.
     """
 
     memory_bytes: int | None = 4 * 10**9
@@ -89,11 +87,9 @@ def read_bounded(
 ) -> Generator[tuple[Task, Outcome | Lost], None, None]:
     """`run_bounded` for tasks of one file each: what makes a task fail is that file's fault, and ends no run.
 
-    Parameters
-    ----------
-    function : as `run_bounded` takes it. Of what it raises, only errors that concern no single file end the
+    `function`: as `run_bounded` takes it. Of what it raises, only errors that concern no single file end the
         run (see `blaming`).
-    bounds : None does the tasks one after another in this process.
+    `bounds`: None does the tasks one after another in this process.
     """
     attempt = partial(_attempt, function)
     if bounds is not None:
@@ -124,16 +120,11 @@ def run_bounded(
 ) -> Generator[tuple[Task, Outcome | Lost], None, None]:
     """Do tasks in worker processes; yields each with its outcome, or `Lost`, as they finish.
 
-    Parameters
-    ----------
-    function : does one task; importable, as are its tasks and outcomes picklable. What it raises is raised
+    `function`: does one task; importable, as are its tasks and outcomes picklable. What it raises is raised
         here and ends the run.
-    tasks : in the order in which they are begun. A deque is emptied; what is added to it is done too.
-    workers : processes at a time.
-
-    Raises
-    ------
-    UsageError : a worker could not be started.
+    `tasks`: in the order in which they are begun. A deque is emptied; what is added to it is done too.
+    `workers`: processes at a time.
+    Raises UsageError: a worker could not be started.
     """
     waiting = tasks if isinstance(tasks, deque) else deque(tasks)
     crew: list[_Worker[Task, Outcome]] = []

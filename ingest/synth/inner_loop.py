@@ -21,12 +21,10 @@ from dataclasses import dataclass, field
 class Axis:
     """One tilt axis.
 
-    Attributes
-    ----------
-    gain : tilt reference per commanded tilt.
-    lag_s : of the command shaping.
-    kp : assist per velocity, rad per m/s.
-    ki, leak_1_s : slow assist, rad per m; its leak.
+    `gain`: tilt reference per commanded tilt.
+    `lag_s`: of the command shaping.
+    `kp`: assist per velocity, rad per m/s.
+    `ki`, `leak_1_s`: slow assist, rad per m; its leak.
     """
 
     gain: float

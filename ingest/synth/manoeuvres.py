@@ -58,16 +58,11 @@ def random_phase_multisine(
     From random phases the signal is clipped and its amplitude spectrum restored, again and again, until the
     crest factor is reached (Van der Ouderaa et al., 1988), 200 times at most; a few lines may stay above it.
 
-    Parameters
-    ----------
-    time_s : (N,) equally spaced times; the record's length is the period.
-    band_hz : lowest and highest frequency.
-    peak : largest absolute value.
-    crest : crest factor aimed at; a large number keeps the phases as drawn.
-
-    Raises
-    ------
-    UsageError : no harmonic of the record lies in the band.
+    `time_s`: (N,) equally spaced times; the record's length is the period.
+    `band_hz`: lowest and highest frequency.
+    `peak`: largest absolute value.
+    `crest`: crest factor aimed at; a large number keeps the phases as drawn.
+    Raises UsageError: no harmonic of the record lies in the band.
     """
     t = np.asarray(time_s, dtype=np.float64)
     n = len(t)

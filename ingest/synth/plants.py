@@ -31,11 +31,9 @@ Hold = Literal["zero", "first"]
 class Loop:
     """One inner loop: output over input as polynomials in s, highest power first.
 
-    Attributes
-    ----------
-    numerator, denominator : coefficients as the paper prints them.
-    input, output : names of the signals.
-    input_unit, output_unit : their units.
+    `numerator`, `denominator`: coefficients as the paper prints them.
+    `input`, `output`: names of the signals.
+    `input_unit`, `output_unit`: their units.
     """
 
     numerator: tuple[float, ...]
@@ -73,27 +71,6 @@ LOOPS: Mapping[str, Loop] = {
     ),  # (12)
 }
 
-
-def longitudinal() -> control.TransferFunction:
-    """Equation (10): vx over theta_in, m/s per degree; natural frequency 2.67 rad/s."""
-    return LOOPS["longitudinal"].transfer_function()
-
-
-def lateral() -> control.TransferFunction:
-    """Equation (11): vy over phi_in, m/s per degree; natural frequency 0.549 rad/s."""
-    return LOOPS["lateral"].transfer_function()
-
-
-def vertical() -> control.TransferFunction:
-    """Equation (12): vz over vz_in, m/s per m/s; natural frequencies 5.78 and 4.54 rad/s."""
-    return LOOPS["vertical"].transfer_function()
-
-
-PLANTS: Mapping[str, Callable[[], control.TransferFunction]] = {
-    "longitudinal": longitudinal,
-    "lateral": lateral,
-    "vertical": vertical,
-}
 
 SIGNALS: Mapping[str, Callable[[npt.ArrayLike], FloatArray]] = {
     "training": paper_training,

@@ -28,24 +28,23 @@ INPUTS = 7
 class Physics(NamedTuple):
     """Every number of the equations. Compiled code takes `packed()`: a record compiles four times faster.
 
-    Attributes
-    ----------
-    m, g, l : mass, gravity, arm.
-    load, lift, rotor_1 : true mass over m; thrust of all rotors, and of the front one beside, over what their
-        speed should give. The inner loop knows of none.
-    ixx, iyy, izz : moments of inertia. k_f, k_m : thrust and torque per squared rotor speed.
-    drag_x, drag_y, drag_z : linear (blade) drag per mass, 1/s. quad_xy, quad_z : quadratic, 1/m.
-    gyro : 1 with gyroscopic torques. j_rotor : inertia of one rotor.
-    ground_radius : rotor radius of the ground effect, 0 for none.
-    motor_tau : motor lag, 0 for none. rotor_min, rotor_max : rotor speeds.
-    drain : charge used per second of hover. sag, droop : voltage lost with charge and with load.
-    rotor_hover : rotor speed of hover.
-    tilt_max, climb_max : limits of the commands.
-    tilt_hold : 1 when thrust is raised against tilt.
-    pitch_gain, pitch_tau, pitch_kp, pitch_ki, pitch_leak : longitudinal loop; roll_... : lateral loop.
-    assist_max : largest tilt of the velocity assist.
-    att_w, att_z, yaw_k : attitude loop. climb_kp, climb_ki, climb_i_max, climb_lead : climb loop.
-    c0, c1, c2, a0, a1, a2, a3 : equation (12), numerator and denominator from the constant up.
+    `m`, `g`, `l`: mass, gravity, arm.
+    `load`, `lift`, `rotor_1`: true mass over m; thrust of all rotors, and of the front one beside, over what
+        their speed should give. The inner loop knows of none.
+    `ixx`, `iyy`, `izz`: moments of inertia. `k_f`, `k_m`: thrust and torque per squared rotor speed.
+    `drag_x`, `drag_y`, `drag_z`: linear (blade) drag per mass, 1/s. `quad_xy`, `quad_z`: quadratic, 1/m.
+    `gyro`: 1 with gyroscopic torques. `j_rotor`: inertia of one rotor.
+    `ground_radius`: rotor radius of the ground effect, 0 for none.
+    `motor_tau`: motor lag, 0 for none. `rotor_min`, `rotor_max`: rotor speeds.
+    `drain`: charge used per second of hover. `sag`, `droop`: voltage lost with charge and with load.
+    `rotor_hover`: rotor speed of hover.
+    `tilt_max`, `climb_max`: limits of the commands.
+    `tilt_hold`: 1 when thrust is raised against tilt.
+    `pitch_gain`, `pitch_tau`, `pitch_kp`, `pitch_ki`, `pitch_leak`: longitudinal loop; roll_... : lateral
+        loop.
+    `assist_max`: largest tilt of the velocity assist.
+    `att_w`, `att_z`, `yaw_k`: attitude loop. `climb_kp`, `climb_ki`, `climb_i_max`, `climb_lead`: climb loop.
+    `c0`, `c1`, `c2`, `a0`, `a1`, `a2`, `a3`: equation (12), numerator and denominator from the constant up.
     """
 
     m: float

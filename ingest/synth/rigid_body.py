@@ -84,7 +84,7 @@ PAPER = Effects(**{f.name: False for f in fields(Effects)})
 
 
 @dataclass(frozen=True)
-class Vehicle:
+class SimulatedVehicle:
     """An airframe, its inner loop and the effects that act on it.
 
     `delay_s` is the age of a command when it acts (`Effects.delay`).
@@ -191,30 +191,25 @@ class Trajectory:
 
 
 def fly_vehicle(
-    vehicle: Vehicle,
+    vehicle: SimulatedVehicle,
     commands: npt.ArrayLike,
     *,
     period_s: float = 0.02,
     record_s: float = 0.02,
     wind_m_s: npt.ArrayLike | None = None,
     start: FloatArray | None = None,
-    fault: tuple[float, Vehicle] | None = None,
+    fault: tuple[float, SimulatedVehicle] | None = None,
     step_s: float = STEP_S,
 ) -> Trajectory:
     """Fly commands that are held for `period_s` each.
 
-    Parameters
-    ----------
-    commands : (N, 3) or (N, 4) theta_in, phi_in (deg), vz_in (m/s), and yaw rate (deg/s, to the right).
-    period_s, record_s : whole steps; the record must divide the flight.
-    wind_m_s : (N, 3) of the air, world axes x forward, y left, z up; held alike. Still air when None.
-    start : (26,) first state; hover at 20 m when None.
-    fault : a time in seconds, a whole number of records, and the vehicle that this one is from then on.
-    step_s : of the integration; four times as long is four times as fast, for fleets.
-
-    Raises
-    ------
-    UsageError : shapes or periods do not fit. DataError : the flight hit the ground or was lost.
+    `commands`: (N, 3) or (N, 4) theta_in, phi_in (deg), vz_in (m/s), and yaw rate (deg/s, to the right).
+    `period_s`, `record_s`: whole steps; the record must divide the flight.
+    `wind_m_s`: (N, 3) of the air, world axes x forward, y left, z up; held alike. Still air when None.
+    `start`: (26,) first state; hover at 20 m when None.
+    `fault`: a time in seconds, a whole number of records, and the vehicle that this one is from then on.
+    `step_s`: of the integration; four times as long is four times as fast, for fleets.
+    Raises UsageError: shapes or periods do not fit. Raises DataError: the flight hit the ground or was lost.
     """
     inputs = _inputs(vehicle, np.asarray(commands, dtype=np.float64), wind_m_s, period_s)
     hold = round(period_s / step_s)
@@ -235,7 +230,7 @@ def fly_vehicle(
 
 
 def _inputs(
-    vehicle: Vehicle, commands: FloatArray, wind_m_s: npt.ArrayLike | None, period_s: float
+    vehicle: SimulatedVehicle, commands: FloatArray, wind_m_s: npt.ArrayLike | None, period_s: float
 ) -> FloatArray:
     """(N, 7) inputs in SI units and world signs, the commands as late as the link makes them."""
     if commands.ndim != 2 or commands.shape[1] not in (3, 4) or not np.isfinite(commands).all():

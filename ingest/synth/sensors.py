@@ -22,14 +22,12 @@ from flysid.ingest.synth.telemetry import IntArray, Telemetry
 class Sensor:
     """What stands between a quantity and its log.
 
-    Attributes
-    ----------
-    rate_hz : samples per second; their times are whole milliseconds, as most formats have them.
-    noise : standard deviation of white noise, per quantity.
-    bias : standard deviation of a constant offset, drawn per flight, per quantity.
-    resolution : smallest step shown, per quantity; 0 for none.
-    latency_s : age of a value when it is stamped.
-    loss : share of samples that never arrive.
+    `rate_hz`: samples per second; their times are whole milliseconds, as most formats have them.
+    `noise`: standard deviation of white noise, per quantity.
+    `bias`: standard deviation of a constant offset, drawn per flight, per quantity.
+    `resolution`: smallest step shown, per quantity; 0 for none.
+    `latency_s`: age of a value when it is stamped.
+    `loss`: share of samples that never arrive.
     """
 
     rate_hz: float

@@ -56,11 +56,9 @@ WRITERS: Mapping[str, tuple[str, Callable[[Recording], bytes]]] = {
 class Change:
     """Something of a vehicle is `factor` times what it was, from a flight on.
 
-    Attributes
-    ----------
-    vehicle, flight : counted from 1, in the fleet and in the plan.
-    name : of `vehicles.CHANGES`.
-    factor : above 0.
+    `vehicle`, `flight`: counted from 1, in the fleet and in the plan.
+    `name`: of `vehicles.CHANGES`.
+    `factor`: above 0.
     """
 
     vehicle: int
@@ -79,23 +77,21 @@ class Change:
 class Order:
     """What is to be flown.
 
-    Attributes
-    ----------
-    plant : a name of `vehicles.VEHICLES`.
-    plan : a name of `plans.PLANS`.
-    duration_s : of each flight.
-    noise : standard deviation of the velocities' noise, m/s, of the sensor "telemetry".
-    seed : fixes signals, noise, wind, dispersion and jitter.
-    amplitude : multiplies the plan's amplitudes (the paper's own signals keep theirs).
-    dropouts_s : (start, length) of silent stretches of the link, seconds from the first sample.
-    sensor : a name of `sensors.SENSORS`.
-    wind_m_s : steady wind with its turbulence, for plants that feel it.
-    fleet : number of vehicles; from the second on their parameters are dispersed.
-    gusts : for plants that feel wind.
-    altitude_m : above ground at the start, for plants that have a ground.
-    without : effects to switch off, names of `rigidbody.Effects`, for plants that have them.
-    changes : what happens to vehicles, for plants that have effects.
-    step_s : of the integration, for plants that are integrated.
+    `plant`: a name of `vehicles.VEHICLES`.
+    `plan`: a name of `plans.PLANS`.
+    `duration_s`: of each flight.
+    `noise`: standard deviation of the velocities' noise, m/s, of the sensor "telemetry".
+    `seed`: fixes signals, noise, wind, dispersion and jitter.
+    `amplitude`: multiplies the plan's amplitudes (the paper's own signals keep theirs).
+    `dropouts_s`: (start, length) of silent stretches of the link, seconds from the first sample.
+    `sensor`: a name of `sensors.SENSORS`.
+    `wind_m_s`: steady wind with its turbulence, for plants that feel it.
+    `fleet`: number of vehicles; from the second on their parameters are dispersed.
+    `gusts`: for plants that feel wind.
+    `altitude_m`: above ground at the start, for plants that have a ground.
+    `without`: effects to switch off, names of `rigidbody.Effects`, for plants that have them.
+    `changes`: what happens to vehicles, for plants that have effects.
+    `step_s`: of the integration, for plants that are integrated.
     """
 
     plant: str = "ardrone-linear"

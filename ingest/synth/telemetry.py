@@ -41,18 +41,16 @@ class Telemetry:
 class Recording:
     """What a flight left behind before any format writes it down.
 
-    Attributes
-    ----------
-    name : of the flight; the log's file name without its suffix.
-    boot_utc_ns : UTC of vehicle time zero.
-    command : theta_in, phi_in (deg), vz_in (m/s), as sent.
-    state : measured vx, vy, vz (m/s), x, y, z (m), theta, phi, psi (deg); and, where the vehicle has rotors,
+    `name`: of the flight; the log's file name without its suffix.
+    `boot_utc_ns`: UTC of vehicle time zero.
+    `command`: theta_in, phi_in (deg), vz_in (m/s), as sent.
+    `state`: measured vx, vy, vz (m/s), x, y, z (m), theta, phi, psi (deg); and, where the vehicle has rotors,
         p, q, r (deg/s), thrust (lift over the lift of hover) and the efforts of `rigid_body.Trajectory`.
-    truth : the same without sensor errors.
-    seed : of the link's jitter.
-    lost : [start, end) vehicle times in nanoseconds during which nothing reached the recorder.
-    system : the vehicle's number in its fleet.
-    start_height_m : height of z = 0 above the ground.
+    `truth`: the same without sensor errors.
+    `seed`: of the link's jitter.
+    `lost`: [start, end) vehicle times in nanoseconds during which nothing reached the recorder.
+    `system`: the vehicle's number in its fleet.
+    `start_height_m`: height of z = 0 above the ground.
     """
 
     name: str

@@ -17,7 +17,7 @@ from flysid.dataset import FloatArray
 from flysid.ingest.synth.inner_loop import Axis, InnerLoop
 from flysid.ingest.synth.plants import LOOPS
 from flysid.ingest.synth.quadrotor import INPUTS, STATES
-from flysid.ingest.synth.rigid_body import Vehicle, closed_loop_rates
+from flysid.ingest.synth.rigid_body import SimulatedVehicle, closed_loop_rates
 
 ComplexArray = npt.NDArray[np.complex128]
 
@@ -41,7 +41,9 @@ class Linear:
         return np.asarray(self.c @ np.linalg.solve(systems, self.b.astype(np.complex128)))
 
 
-def linearise(vehicle: Vehicle, altitude_m: float = 20.0, around: FloatArray | None = None) -> Linear:
+def linearise(
+    vehicle: SimulatedVehicle, altitude_m: float = 20.0, around: FloatArray | None = None
+) -> Linear:
     """Vehicle and inner loop about hover, in still air, on a full battery, without the link's delay.
 
     `around` is another state (26,): a vehicle heavier than its inner loop believes hovers elsewhere.
@@ -82,7 +84,7 @@ class Bode:
     relative: FloatArray
 
 
-def compare_loop(vehicle: Vehicle, loop: str, omega_rad_s: npt.ArrayLike | None = None) -> Bode:
+def compare_loop(vehicle: SimulatedVehicle, loop: str, omega_rad_s: npt.ArrayLike | None = None) -> Bode:
     """The Bode comparison of one loop, from 0.1 rad/s to its bandwidth unless frequencies are given."""
     omega = _band(loop) if omega_rad_s is None else np.asarray(omega_rad_s, dtype=np.float64)
     index = list(LOOPS).index(loop)
@@ -98,7 +100,7 @@ def _with_axis(loop: InnerLoop, axis: str, gains: Axis) -> InnerLoop:
     return replace(loop, pitch=gains) if axis == "pitch" else replace(loop, roll=gains)
 
 
-def tune(vehicle: Vehicle) -> InnerLoop:
+def tune(vehicle: SimulatedVehicle) -> InnerLoop:
     """Inner-loop gains whose small motions come nearest to (10) and (11); the climb loop needs none.
 
     The search starts at the vehicle's own gains and stays at positive ones. The roll axis keeps its lag: (11)

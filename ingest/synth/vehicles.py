@@ -13,7 +13,7 @@ from flysid.ingest.synth.dryden import Wind, wind_field
 from flysid.ingest.synth.plants import LOOPS, fly
 
 if TYPE_CHECKING:
-    from flysid.ingest.synth.rigid_body import Vehicle
+    from flysid.ingest.synth.rigid_body import SimulatedVehicle
 
 CHANGES = ("mass", "thrust", "drag", "lag")
 # Spread of a fleet, as standard deviations of the logarithm.
@@ -24,14 +24,12 @@ SPREAD = {"mass_kg": 0.03, "thrust_factor": 0.03, "motor_lag_s": 0.1, "sag": 0.1
 class Air:
     """What a flight meets.
 
-    Attributes
-    ----------
-    wind, rng : the wind, and the generator of its direction and turbulence.
-    vehicle, seed : which of a fleet flies; the first is the nominal one, `seed` disperses the others.
-    altitude_m : at the start.
-    without : names of the effects that are switched off.
-    changes : what has changed on this vehicle: a name of `CHANGES` and a factor.
-    step_s : of the integration.
+    `wind`, `rng`: the wind, and the generator of its direction and turbulence.
+    `vehicle`, `seed`: which of a fleet flies; the first is the nominal one, `seed` disperses the others.
+    `altitude_m`: at the start.
+    `without`: names of the effects that are switched off.
+    `changes`: what has changed on this vehicle: a name of `CHANGES` and a factor.
+    `step_s`: of the integration.
     """
 
     wind: Wind
@@ -76,9 +74,9 @@ def fly_linear(command: FloatArray, dt_s: float, _: Air, *, attitude_lag_s: floa
 
 def fly_rigid_body(command: FloatArray, dt_s: float, air: Air) -> Truth:
     """The nonlinear AR.Drone, from hover; z is counted from there."""
-    from flysid.ingest.synth.rigid_body import ALL, Vehicle, fly_vehicle
+    from flysid.ingest.synth.rigid_body import ALL, SimulatedVehicle, fly_vehicle
 
-    vehicle = Vehicle(effects=replace(ALL, **dict.fromkeys(air.without, False)))
+    vehicle = SimulatedVehicle(effects=replace(ALL, **dict.fromkeys(air.without, False)))
     if air.vehicle:
         vehicle = disperse(vehicle, np.random.default_rng([air.seed, air.vehicle, 2]))
     for name, factor in air.changes:
@@ -92,7 +90,7 @@ def fly_rigid_body(command: FloatArray, dt_s: float, air: Air) -> Truth:
     return {**flown.series(), "z": flown.states[:, 2] - air.altitude_m}
 
 
-def disperse(vehicle: Vehicle, rng: np.random.Generator) -> Vehicle:
+def disperse(vehicle: SimulatedVehicle, rng: np.random.Generator) -> SimulatedVehicle:
     """The same type, another specimen: parameters spread by `SPREAD`, drag by 10 %, inertias by 3 %."""
     a = vehicle.airframe
     numbers = {
@@ -112,7 +110,7 @@ def disperse(vehicle: Vehicle, rng: np.random.Generator) -> Vehicle:
     return replace(vehicle, airframe=airframe)
 
 
-def change(vehicle: Vehicle, name: str, factor: float) -> Vehicle:
+def change(vehicle: SimulatedVehicle, name: str, factor: float) -> SimulatedVehicle:
     """The vehicle after something, a name of `CHANGES`, of which its inner loop knows nothing."""
     a = vehicle.airframe
     drag = {"mass": 1.0 / factor, "drag": factor}.get(name, 1.0)  # drag is per mass

@@ -25,9 +25,7 @@ from flysid.model.noise import coloured_covariance, noise_model
 class OneTransfer:
     """The transfer functions of one output in scaled deviations.
 
-    Attributes
-    ----------
-    covariance : of theta where it does not come from the simulation error (fits to the frequency response
+    `covariance`: of theta where it does not come from the simulation error (fits to the frequency response
         alone), else None.
     """
 

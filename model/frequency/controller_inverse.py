@@ -23,11 +23,9 @@ from flysid.model.polynomials import ComplexArray
 class LoopView:
     """Whose the measured response of a single input is, where a loop may be closed.
 
-    Attributes
-    ----------
-    plants : (F,) it is the plant's, as far as the regressions tell.
-    controllers : (F,) it is -1 / controller, and nearer to that than to the plant; never both.
-    beyond_doubt : (F,) that, and not near the plant: without noise, open loops are near both.
+    `plants`: (F,) it is the plant's, as far as the regressions tell.
+    `controllers`: (F,) it is -1 / controller, and nearer to that than to the plant; never both.
+    `beyond_doubt`: (F,) that, and not near the plant: without noise, open loops are near both.
     """
 
     plants: npt.NDArray[np.bool_]
@@ -53,8 +51,6 @@ def view_loop(
 
     `near`: in ln: 4.3 dB, or 29 degrees.
 
-    Example
-    -------
     >>> measured = measure_response(data)  # doctest: +SKIP
     >>> view_loop(data, 0, measured).follows(measured)  # doctest: +SKIP
     [(0.6, 3.3), (80.8, 1005.3)]

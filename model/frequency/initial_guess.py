@@ -67,11 +67,9 @@ class GuessSettings(Protocol):
 class Starts:
     """What the search for one output's transfer functions starts from.
 
-    Attributes
-    ----------
-    measured : the frequency response of the training data, None where it cannot be measured.
-    fits : transfer functions fitted to it.
-    why : the reason where there are none.
+    `measured`: the frequency response of the training data, None where it cannot be measured.
+    `fits`: transfer functions fitted to it.
+    `why`: the reason where there are none.
     """
 
     settings: GuessSettings
@@ -120,12 +118,7 @@ class Starts:
                 yield found
 
     def unrefined(self) -> tuple[OneTransfer, str]:
-        """The best fit to the measured response as it is.
-
-        Raises
-        ------
-        DataError, FitError : there is none.
-        """
+        """The best fit to the measured response as it is. Raises DataError, FitError: there is none."""
         if not self.fits:
             raise self.why or FitError("no transfer function could be fitted", hint="choose other orders")
         best, words = best_fit(self.fits)
@@ -136,10 +129,8 @@ class Starts:
 
         It has where BIC on the measured response is strongly against it and the eye would see it, too.
 
-        Parameters
-        ----------
-        most : times the least cost J on the measured response.
-        seen : and this much above it: 0.3 dB or 2.4 degrees over the whole band.
+        `most`: times the least cost J on the measured response.
+        `seen`: and this much above it: 0.3 dB or 2.4 degrees over the whole band.
         """
         if self.measured is None or not self.fits:
             return ""

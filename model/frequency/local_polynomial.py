@@ -91,9 +91,8 @@ def local_response(
     """Measure; records are (N, references + n_u + 1): references, inputs, the output, in units of their
     standard deviations.
 
-    Raises
-    ------
-    DataError : no frequency has lines enough. UsageError : the band holds none of the frequencies.
+    Raises DataError: no frequency has lines enough. Raises UsageError: the band holds none of the
+    frequencies.
     """
     n_u = references or records[0].shape[1] - 1
     lines = _transform(records, dt_s, n_u)
@@ -168,9 +167,7 @@ def _best_point(lines: Sequence[_Lines], omega: float, n_u: int) -> _LocalPoint 
 def _fit(lines: Sequence[_Lines], place: tuple[float, float, int], n_u: int) -> _LocalPoint | None:
     """Local least squares; None where the inputs have no power there.
 
-    Parameters
-    ----------
-    place : frequency, half width of the band as a share of it, degree of the transients.
+    `place`: frequency, half width of the band as a share of it, degree of the transients.
     """
     omega, width, degree = place
     blocks = []

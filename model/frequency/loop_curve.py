@@ -32,10 +32,8 @@ Stretch = tuple[int, int]
 class LoopCurve:
     """Trusted points of ln G, its phase without jumps.
 
-    Attributes
-    ----------
-    x : (M,) ln omega.
-    every : (2 + D, M) the smooth curve, the one with one more power, and the draws.
+    `x`: (M,) ln omega.
+    `every`: (2 + D, M) the smooth curve, the one with one more power, and the draws.
     """
 
     x: FloatArray

@@ -57,11 +57,9 @@ _FLEW = (
 class LoopFigure:
     """One figure.
 
-    Attributes
-    ----------
-    name : e.g. "phase_margin_deg"; the unit is its last word.
-    value, low, high : estimate and 95 % interval; None where the record cannot tell.
-    why : then, why not.
+    `name`: e.g. "phase_margin_deg"; the unit is its last word.
+    `value`, `low`, `high`: estimate and 95 % interval; None where the record cannot tell.
+    `why`: then, why not.
     """
 
     name: str
@@ -90,17 +88,12 @@ def broken_loop(
 ) -> MeasuredResponse:
     """The response of the loop cut open, L, as measured while it was closed.
 
-    Parameters
-    ----------
-    reference : input of the dataset that drives the loop.
-    at : where it enters. "input": it is added to what the controller gives, and the one other input is their
+    `reference`: input of the dataset that drives the loop.
+    `at`: where it enters. "input": it is added to what the controller gives, and the one other input is their
         sum u; then L = (r - u) / u, whatever the controller does. "setpoint": the controller sees r - y
         alone; then L = y / (r - y).
-
-    Raises
-    ------
-    UsageError : no such place, or more than one input where `at` is "input".
-    DataError : as `measure_response`.
+    Raises UsageError: no such place, or more than one input where `at` is "input". Raises DataError: as
+    `measure_response`.
     """
     names = [s.name for s in data.inputs]
     if reference not in names:

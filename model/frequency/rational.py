@@ -20,10 +20,8 @@ Hold = Literal["zero", "first", "none"]
 class Form:
     """Orders of one output: poles, zeros of every input, which dead times are free and their fixed values.
 
-    Attributes
-    ----------
-    dead_time_s : per input; None is estimated.
-    stable : poles must lie in the left half plane.
+    `dead_time_s`: per input; None is estimated.
+    `stable`: poles must lie in the left half plane.
     """
 
     poles: int
@@ -137,10 +135,8 @@ def is_determined(rational: Rational, covariance: FloatArray, seen: tuple[float,
     A pole slower than the lowest frequency seen counts as an integrator and needs to be known to half of that
     only.
 
-    Parameters
-    ----------
-    seen : lowest and highest frequency that the data show, rad/s.
-    covariance : (n, n) of the denominator's coefficients in falling powers, without the leading 1.
+    `seen`: lowest and highest frequency that the data show, rad/s.
+    `covariance`: (n, n) of the denominator's coefficients in falling powers, without the leading 1.
     """
     poles = np.roots(rational.denominator)
     n = len(poles)
@@ -187,10 +183,7 @@ def forms(
     """All orders that settings leave open, fewest parameters first.
 
     Free zeros are fewer than the poles; a free dead time is tried as none and as estimated.
-
-    Raises
-    ------
-    UsageError : orders that cannot be.
+    Raises UsageError: orders that cannot be.
     """
     delays: list[tuple[float | None, ...]]
     if dead_time_s == "auto":

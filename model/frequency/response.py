@@ -40,19 +40,17 @@ METHODS: tuple[Method, ...] = ("local", "welch", "multitaper")
 class MeasuredResponse:
     """Response from every input to one output, as measured.
 
-    Attributes
-    ----------
-    omega : (F,) rad/s, rising.
-    response : (F, n_u) complex gain, output unit per input unit, the other inputs' part taken out.
-    coherence : (F, n_u) 0 to 1; partial (the others conditioned out) where there are several inputs; through
+    `omega`: (F,) rad/s, rising.
+    `response`: (F, n_u) complex gain, output unit per input unit, the other inputs' part taken out.
+    `coherence`: (F, n_u) 0 to 1; partial (the others conditioned out) where there are several inputs; through
         references the least of theirs with the inputs, with the output, and of that.
-    error : (F, n_u) eps: standard error of ln |G| and of the phase in rad; inf where nothing coheres.
-    averages : (F, n_u) n_d, independent averages.
-    freedom : (F,) degrees of freedom of the noise estimate (real numbers: two per complex one).
-    correlation : (n_u, F, F) correlation of the points' errors: neighbours share data.
-    shared : largest coherence between two inputs, averaged over the frequencies; 0 for one input.
-    reference : signals that drive a loop from outside, through which the response was measured.
-    late_s : standard error of a delay that all points share, which the stamps of the record leave open.
+    `error`: (F, n_u) eps: standard error of ln |G| and of the phase in rad; inf where nothing coheres.
+    `averages`: (F, n_u) n_d, independent averages.
+    `freedom`: (F,) degrees of freedom of the noise estimate (real numbers: two per complex one).
+    `correlation`: (n_u, F, F) correlation of the points' errors: neighbours share data.
+    `shared`: largest coherence between two inputs, averaged over the frequencies; 0 for one input.
+    `reference`: signals that drive a loop from outside, through which the response was measured.
+    `late_s`: standard error of a delay that all points share, which the stamps of the record leave open.
     """
 
     omega: FloatArray
@@ -209,9 +207,7 @@ def measure_response(
 def split_references(data: Dataset, reference: Sequence[str]) -> tuple[Dataset, tuple[int, ...]]:
     """The dataset without the inputs that are references, and which of its inputs those were.
 
-    Raises
-    ------
-    UsageError : no such input; no input is left; fewer references than inputs.
+    Raises UsageError: no such input; no input is left; fewer references than inputs.
     """
     names = [s.name for s in data.inputs]
     for name in reference:
@@ -260,12 +256,7 @@ def _check_motion(records: Sequence[FloatArray], data: Dataset, order: Sequence[
 
 
 def _check_apart(records: Sequence[FloatArray], names: Sequence[str]) -> float:
-    """The largest squared correlation between two inputs.
-
-    Raises
-    ------
-    DataError : two inputs are one signal.
-    """
+    """The largest squared correlation between two inputs. Raises DataError: two inputs are one signal."""
     gram = np.asarray(sum(r.T @ r for r in records))
     size = np.sqrt(np.maximum(np.diag(gram), 1e-300))
     squared = (gram / np.outer(size, size)) ** 2

@@ -18,9 +18,7 @@ from flysid.model.polynomials import ComplexArray
 def sample(rational: Rational, dt_s: float, hold: Hold) -> tuple[FloatArray, list[FloatArray]]:
     """a (n + 1,) monic and one b per input, in rising powers of q⁻¹, from lag 0.
 
-    Parameters
-    ----------
-    hold : "zero" or "first"; "none" (band-limited) is sampled like "first".
+    `hold`: "zero" or "first"; "none" (band-limited) is sampled like "first".
     """
     n = len(rational.denominator) - 1
     power = dt_s ** np.arange(n + 1, dtype=np.float64)

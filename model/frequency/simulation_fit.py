@@ -52,13 +52,11 @@ Weighting = Literal["coherence", "likelihood"]
 class ResponseFit:
     """A transfer function fitted to a measured response.
 
-    Attributes
-    ----------
-    covariance : (p, p) of [denominator without its leading 1, numerators, free dead times].
-    cost : Tischler's J per input.
-    chi2 : squared log errors in units of the measured errors, every point by what it tells alone.
-    points : independent points (real numbers) behind it.
-    determined : every pole is known well enough to be one; see `is_determined`.
+    `covariance`: (p, p) of [denominator without its leading 1, numerators, free dead times].
+    `cost`: Tischler's J per input.
+    `chi2`: squared log errors in units of the measured errors, every point by what it tells alone.
+    `points`: independent points (real numbers) behind it.
+    `determined`: every pole is known well enough to be one; see `is_determined`.
     """
 
     form: Form
@@ -222,16 +220,10 @@ def fit_response(
 ) -> ResponseFit:
     """Fit a transfer function of given orders to the trustworthy points of a measured response.
 
-    Parameters
-    ----------
-    bands : per input, lowest and highest frequency to fit, rad/s; default: where the coherence counts.
-    hold : what the input does between samples.
-
-    Raises
-    ------
-    UsageError : orders that cannot be.
-    DataError : an input without trustworthy frequencies, or fewer points than parameters.
-    FitError : no start led anywhere.
+    `bands`: per input, lowest and highest frequency to fit, rad/s; default: where the coherence counts.
+    `hold`: what the input does between samples.
+    Raises UsageError: orders that cannot be. Raises DataError: an input without trustworthy frequencies, or
+    fewer points than parameters. Raises FitError: no start led anywhere.
     """
     check_form(form, len(measured.inputs))
     problem = _problem(measured, form, (weighting, hold, bands))
@@ -286,9 +278,7 @@ def response_cost(
 def response_bic(measured: MeasuredResponse, response: ComplexArray, parameters: int) -> float:
     """BIC of a response (F, n_u) with so many parameters on the trustworthy points of a measured one.
 
-    Raises
-    ------
-    DataError : an input without trustworthy frequencies.
+    Raises DataError: an input without trustworthy frequencies.
     """
     n_u = len(measured.inputs)
     problem = _problem(measured, Form(0, (0,) * n_u, (0.0,) * n_u), ("coherence", "none", None))

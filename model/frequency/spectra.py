@@ -33,9 +33,7 @@ def welch_response(
 ) -> Spectral:
     """Composite of Hann windows (Welch, 1967); records are (N, n_u + 1), the output last.
 
-    Raises
-    ------
-    DataError : too short for two windows. UsageError : the band holds none of the frequencies.
+    Raises DataError: too short for two windows. Raises UsageError: the band holds none of the frequencies.
     """
     lengths = _lengths(records)
     if not lengths:
@@ -54,9 +52,7 @@ def multitaper_response(
 ) -> Spectral:
     """Whole segments under seven Slepian windows (Thomson, 1982, Proc. IEEE 70).
 
-    Raises
-    ------
-    DataError : every segment is too short. UsageError : the band holds none of the frequencies.
+    Raises DataError: every segment is too short. Raises UsageError: the band holds none of the frequencies.
     """
     longest = max(map(len, records))
     if longest < SHORTEST:

@@ -35,9 +35,7 @@ def highest_frequency(dt_s: float) -> float:
 def grid(lowest: float, dt_s: float, points: int, band: tuple[float, float] | None) -> FloatArray:
     """(points,) frequencies in rad/s, equally spaced in log omega, within what the data tell and `band`.
 
-    Raises
-    ------
-    UsageError : the band holds none of them.
+    Raises UsageError: the band holds none of them.
     """
     highest = highest_frequency(dt_s)
     low, high = (lowest, highest) if band is None else (max(lowest, band[0]), min(highest, band[1]))

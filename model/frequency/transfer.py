@@ -23,14 +23,9 @@ def continuous(
 ) -> ContinuousTransfer:
     """The continuous transfer function behind a fitted model.
 
-    Parameters
-    ----------
-    output, source : which output and which input.
-
-    Raises
-    ------
-    UsageError : coupled outputs; feed-through with a delay structure that no proper transfer function has.
-    FitError : a pole on the negative real axis of z or at zero: faster than the sampling can show.
+    `output`, `source`: which output and which input.
+    Raises UsageError: coupled outputs; feed-through with a delay structure that no proper transfer function
+    has. Raises FitError: a pole on the negative real axis of z or at zero: faster than the sampling can show.
     """
     if not model.system.is_diagonal:
         raise UsageError("coupled outputs have no transfer functions", hint="fit with refine=True")
@@ -85,10 +80,8 @@ def _delay(model: FittedLinear, output: int, source: int) -> int:
 def inverse_hold(b: FloatArray, a: FloatArray, delay: int, dt_s: float) -> tuple[FloatArray, FloatArray]:
     """Numerator and monic denominator in s whose step-invariant samples are b / a (delay taken out).
 
-    Raises
-    ------
-    UsageError : more coefficients in b than a transfer function of this order has samples.
-    FitError : a pole is faster than the sampling can show.
+    Raises UsageError: more coefficients in b than a transfer function of this order has samples.
+    Raises FitError: a pole is faster than the sampling can show.
     """
     from scipy.linalg import logm
 

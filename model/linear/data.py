@@ -43,9 +43,7 @@ class Scaling:
     def of(cls, data: Source, *, centred: bool = True) -> Scaling:
         """Of all samples of a dataset, in memory or on disk; the origins are zero unless `centred`.
 
-        Raises
-        ------
-        DataError : an input or output never changes.
+        Raises DataError: an input or output never changes.
         """
         mean, size, low, high = _moments(blocks_of(data)())
         n_y = len(data.outputs)
@@ -103,12 +101,10 @@ def _moments(blocks: Iterable[Block]) -> tuple[FloatArray, FloatArray, FloatArra
 class Parts:
     """Training data, and what choices need: a part to fit candidates on and a part that judges them.
 
-    Attributes
-    ----------
-    train : all of it, as given.
-    validation : the judging part, or None: blocks of the training part are held out.
-    scaling : of the training data.
-    seed : which blocks are held out.
+    `train`: all of it, as given.
+    `validation`: the judging part, or None: blocks of the training part are held out.
+    `scaling`: of the training data.
+    `seed`: which blocks are held out.
     """
 
     train: Dataset
@@ -130,9 +126,7 @@ class Parts:
     def on_disk(cls, data: OnDisk, *, centred: bool = True) -> Parts:
         """The first samples, measured by all of them: for what a fit from disk takes from memory.
 
-        Raises
-        ------
-        DataError : no samples, or a signal that never changes.
+        Raises DataError: no samples, or a signal that never changes.
         """
         head = data.head(SEARCH_ROWS)
         if not len(head):
@@ -141,12 +135,7 @@ class Parts:
 
     @classmethod
     def of(cls, train: Dataset, validation: Dataset | None, *, centred: bool = True) -> Parts:
-        """Check and measure the data.
-
-        Raises
-        ------
-        DataError : no samples, or a signal that never changes.
-        """
+        """Check and measure the data. Raises DataError: no samples, or a signal that never changes."""
         if not len(train):
             raise no_samples()
         return cls(train, validation, Scaling.of(train, centred=centred))
@@ -155,9 +144,7 @@ class Parts:
     def measured(cls, data: Source, *, centred: bool = True) -> Parts:
         """For what needs no choices: the data, in memory or on disk, as they are.
 
-        Raises
-        ------
-        DataError : no samples, or a signal that never changes.
+        Raises DataError: no samples, or a signal that never changes.
         """
         if isinstance(data, OnDisk):
             return cls.on_disk(data, centred=centred)

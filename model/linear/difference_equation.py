@@ -25,13 +25,7 @@ from flysid.model.arguments import as_columns, check_start
 from flysid.model.base import write_document
 from flysid.model.capabilities import Coefficient, FrequencyResponse
 from flysid.model.control_form import ControlForm, control_of_difference
-from flysid.model.documents import (
-    array_of,
-    head_of,
-    monic,
-    signals_of,
-    with_null,
-)
+from flysid.model.documents import array_of, head_of, monic, signals_of, with_null
 from flysid.model.freerun import Difference, far, saturate
 from flysid.model.linear.laws import LinearLaws
 from flysid.model.linear.text import conclusion, describe

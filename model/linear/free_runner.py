@@ -15,11 +15,9 @@ def free_runner(
 ) -> FittedLinear:
     """The model of a system found: its noise is white, its covariance unknown.
 
-    Parameters
-    ----------
-    system : in the units of `parts.scaling`.
-    starts : see `FittedLinear`; None: the lags are taken as measured.
-    free : indices of the estimated parameters in `FittedLinear.flat` order.
+    `system`: in the units of `parts.scaling`.
+    `starts`: see `FittedLinear`; None: the lags are taken as measured.
+    `free`: indices of the estimated parameters in `FittedLinear.flat` order.
     """
     return FittedLinear(
         structure=structure,

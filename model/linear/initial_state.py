@@ -24,11 +24,9 @@ from flysid.model.start import most_start_rows, settled_start_rows
 class Past:
     """One output's equation, the states it went through in training, and the noise on top.
 
-    Attributes
-    ----------
-    single : the equation of this output alone.
-    states : (M, L) states along the free run that fits the training segments best.
-    sigma : standard deviation of the measured minus that free run.
+    `single`: the equation of this output alone.
+    `states`: (M, L) states along the free run that fits the training segments best.
+    `sigma`: standard deviation of the measured minus that free run.
     """
 
     single: Difference

@@ -114,13 +114,8 @@ def fitted_by_iv(
 ) -> FittedLinear:
     """Every output's estimate, as one model.
 
-    Parameters
-    ----------
-    blocks : outputs, then inputs, in scaled deviations.
-
-    Raises
-    ------
-    FitError : the instruments are blind. DataError : no segment is long enough.
+    `blocks`: outputs, then inputs, in scaled deviations.
+    Raises FitError: the instruments are blind. Raises DataError: no segment is long enough.
     """
     driven = driven_by(blocks, len(orders), columns)
     found = [estimated_by_iv(parts, blocks, (i, own), columns, driven) for i, own in enumerate(orders)]
@@ -161,9 +156,7 @@ class _Signals:
     def gram(self, depth: int, image: Path | None, prefilter: FloatArray) -> FloatArray:
         """Of all lags of (y, x, u, images of u), all filtered.
 
-        Raises
-        ------
-        DataError : no segment is long enough.
+        Raises DataError: no segment is long enough.
         """
         full = lagged_gram(windows(self._rows(image, prefilter), depth), depth)
         if len(full) == 1:
@@ -296,12 +289,7 @@ def _root(gram: FloatArray) -> FloatArray:
 
 
 def _solve(matrix: FloatArray, right: FloatArray) -> FloatArray:
-    """matrix⁻¹ right, rows and columns scaled first.
-
-    Raises
-    ------
-    FitError : singular.
-    """
+    """matrix⁻¹ right, rows and columns scaled first. Raises FitError: singular."""
     rows = np.linalg.norm(matrix, axis=1)
     columns = np.linalg.norm(matrix, axis=0)
     if not (rows > 0).all() or not (columns > 0).all():

@@ -50,14 +50,9 @@ def search(
 ) -> Refined:
     """Delays, then orders, on the simulation error.
 
-    Parameters
-    ----------
-    known_nk : delays found by other means; used where there are so many inputs that a search of their own
+    `known_nk`: delays found by other means; used where there are so many inputs that a search of their own
         would be slow and unsure.
-
-    Raises
-    ------
-    FitError : no stable model was found.
+    Raises FitError: no stable model was found.
     """
     fits, note = _search(settings, parts, known_nk if len(parts.train.inputs) > FEW_INPUTS else None)
     return Refined(structure, settings, parts, fits, note)

@@ -82,9 +82,7 @@ class Grid:
 def grid_triangle(data: Source, lags: LagTerms, transform: RegressorTransform | None = None) -> Triangle:
     """The triangle of [Phi Y 1] for the lags of a Grid, from memory or from disk.
 
-    Raises
-    ------
-    DataError : no segment is longer than the deepest lag.
+    Raises DataError: no segment is longer than the deepest lag.
     """
     origin, scale = _units(lags, transform)
     return lagged_triangle(blocks_of(data, origin), lags.depth, scale, _columns(lags), len(lags.y))
@@ -93,9 +91,7 @@ def grid_triangle(data: Source, lags: LagTerms, transform: RegressorTransform | 
 def grid_gram(data: Source, lags: LagTerms, transform: RegressorTransform | None = None) -> FloatArray:
     """The Gram of [Phi Y 1]; see `grid_triangle`.
 
-    Raises
-    ------
-    DataError : no segment is longer than the deepest lag.
+    Raises DataError: no segment is longer than the deepest lag.
     """
     origin, scale = _units(lags, transform)
     full = lagged_gram(windows(blocks_of(data, origin)(), lags.depth), lags.depth)
@@ -135,11 +131,9 @@ def best_per_order(
 ) -> list[OrderChoice]:
     """For every na the best nb and nk by BIC, simplest first.
 
-    Parameters
-    ----------
-    nbs : coefficients per input, every combination to try; those beyond na + 1 are passed over, because a
+    `nbs`: coefficients per input, every combination to try; those beyond na + 1 are passed over, because a
         long B on a short A fits an input's spectrum, not the plant.
-    nks : delays to try, per input. Delays of several inputs are searched one input at a time.
+    `nks`: delays to try, per input. Delays of several inputs are searched one input at a time.
     """
     found = []
     for na in nas:

@@ -81,10 +81,7 @@ def widen(options: Sequence[int], delay: int, most: int) -> list[int]:
 def fit_output(problem: OutputError) -> OneOutput:
     """Start and refine; of long records first a part, from which all of them need a step or two.
 
-    Raises
-    ------
-    FitError : no stable start was found.
-    DataError : no segment is long enough.
+    Raises FitError: no stable start was found. Raises DataError: no segment is long enough.
     """
     if not any(True for _ in problem.usable()):
         raise DataError(
@@ -105,9 +102,7 @@ def find_delays(data: Dataset, output: int, probe: OutputOrders) -> tuple[int, .
     One sample, the delay of any plant behind a zero-order hold, holds unless another lowers the cost by more
     than chance would (a BIC step).
 
-    Parameters
-    ----------
-    probe : the orders to try delays with. Its own delays are tried too, with their neighbours.
+    `probe`: the orders to try delays with. Its own delays are tried too, with their neighbours.
     """
     parts = OutputError(records(data, output), probe).thinned(SEARCH_ROWS, least=1.0).records
     rows = sum(len(r.y) for r in parts)
@@ -242,13 +237,8 @@ def choose_orders(parts: Parts, candidates: Sequence[Sequence[OutputOrders]]) ->
     What a lower order may cost is bounded by `ORDER_LOSS`, but not where a zero nearly cancels a pole: that
     pole describes nothing, and goes unless the free run notices beyond doubt.
 
-    Parameters
-    ----------
-    candidates : simplest first; each gives the orders of every output.
-
-    Raises
-    ------
-    FitError : no candidate could be fitted.
+    `candidates`: simplest first; each gives the orders of every output.
+    Raises FitError: no candidate could be fitted.
     """
     deepest = max(o.depth for orders in candidates for o in orders)
     folds = parts.folds if len(candidates) > 1 else (parts,)

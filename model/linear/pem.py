@@ -24,14 +24,7 @@ from flysid.model.compiled_filters import differences, is_stable
 from flysid.model.noise import burg
 from flysid.model.polynomials import stabilise
 from flysid.model.refine import Refinement, levenberg_marquardt
-from flysid.model.simulation_error import (
-    OutputOrders,
-    Record,
-    Transfer,
-    delayed,
-    free_space,
-    to_transfer,
-)
+from flysid.model.simulation_error import OutputOrders, Record, Transfer, delayed, free_space, to_transfer
 
 Kind = Literal["armax", "bj"]
 LONG_ORDER = 30

@@ -53,16 +53,10 @@ def fit_prediction_error(
 ) -> FittedLinear:
     """Dynamics' orders by the simulation error, noise orders by BIC, all parameters by prediction error.
 
-    Parameters
-    ----------
-    data : training part, and validation part or None.
-    noises : (nc, nd) to try.
-
-    Raises
-    ------
-    UsageError : settings that cannot be.
-    DataError : too few samples for these orders.
-    FitError : no stable start was found.
+    `data`: training part, and validation part or None.
+    `noises`: (nc, nd) to try.
+    Raises UsageError: settings that cannot be. Raises DataError: too few samples for these orders.
+    Raises FitError: no stable start was found.
     """
     settings.check(data[0])
     train, validation = settings.detrended(*data)

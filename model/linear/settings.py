@@ -24,19 +24,17 @@ Auto: TypeAlias = Literal["auto"]
 class PolynomialSettings(Settings):
     """The settings that ARX, OE, ARMAX, BJ and IV share; the defaults choose by themselves.
 
-    Parameters
-    ----------
-    na : order of the denominator (A, or F of OE and BJ), or "auto": the simplest within one standard error
+    `na`: order of the denominator (A, or F of OE and BJ), or "auto": the simplest within one standard error
         of the best free run on validation data.
-    nb : coefficients of every B, one number or one per input, or "auto" (as many as na).
-    nk : delay in samples from input to output, one number or one per input, or "auto". 0 is feed-through.
-    offset : estimate a constant.
-    n_init : measured samples that start a simulation; None chooses.
-    nk_hint : delays that "auto" tries besides its own, one per input: the dead time the log shows
+    `nb`: coefficients of every B, one number or one per input, or "auto" (as many as na).
+    `nk`: delay in samples from input to output, one number or one per input, or "auto". 0 is feed-through.
+    `offset`: estimate a constant.
+    `n_init`: measured samples that start a simulation; None chooses.
+    `nk_hint`: delays that "auto" tries besides its own, one per input: the dead time the log shows
         (`flysid.ingest.excitation.dead_time`).
-    trend : "remove" takes a straight line out of every segment's signals first; see `detrend`.
-    stable : poles outside the unit circle are mirrored into it and B is fitted again; see `stability`.
-    flight_offsets : a constant of every flight beside the model, see `flysid.model.flight_offsets`: "auto"
+    `trend`: "remove" takes a straight line out of every segment's signals first; see `detrend`.
+    `stable`: poles outside the unit circle are mirrored into it and B is fitted again; see `stability`.
+    `flight_offsets`: a constant of every flight beside the model, see `flysid.model.flight_offsets`: "auto"
         where flights differ beyond chance, True or False to force.
     """
 

@@ -23,9 +23,7 @@ from flysid.model.polynomials import NEARLY_ONE, stabilise
 def keep_stable(model: FittedLinear, data: Dataset, *, stable: bool) -> FittedLinear:
     """The model itself where it is stable; else with a note, or made stable where `stable` asks for it.
 
-    Raises
-    ------
-    FitError : no segment is long enough to fit the rest of a model made stable.
+    Raises FitError: no segment is long enough to fit the rest of a model made stable.
     """
     if model.is_stable:
         return model
@@ -48,9 +46,7 @@ def unstable_words(radius: float, dt_s: float) -> str:
 def made_stable(model: FittedLinear, data: Dataset) -> FittedLinear:
     """The model with its poles inside the circle and B and c fitted again.
 
-    Raises
-    ------
-    FitError : no segment is long enough.
+    Raises FitError: no segment is long enough.
     """
     radius = float(np.abs(model.poles).max())
     system = _inside(model.system)

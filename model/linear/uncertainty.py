@@ -39,12 +39,7 @@ class DifferenceModel(Protocol):
 
 
 def below_nyquist(omega: FloatArray, dt_s: float) -> FloatArray:
-    """(M,) the frequencies, rad/s.
-
-    Raises
-    ------
-    UsageError : one is negative, or beyond the Nyquist frequency.
-    """
+    """(M,) the frequencies, rad/s. Raises UsageError: one is negative, or beyond the Nyquist frequency."""
     omega = np.atleast_1d(np.asarray(omega, dtype=np.float64))
     nyquist = np.pi / dt_s
     if (omega > nyquist * (1 + 1e-9)).any() or (omega < 0).any():
@@ -55,9 +50,7 @@ def below_nyquist(omega: FloatArray, dt_s: float) -> FloatArray:
 def response_of(model: DifferenceModel, omega: FloatArray) -> FrequencyResponse:
     """G(e^(i omega dt)) with first-order standard errors (Ljung, 1999, 9.6); NaN errors where none are known.
 
-    Raises
-    ------
-    UsageError : a frequency beyond the Nyquist frequency.
+    Raises UsageError: a frequency beyond the Nyquist frequency.
     """
     omega = below_nyquist(omega, model.dt_s)
     s = model.system
@@ -125,9 +118,7 @@ def free_run_band(
     Whole draws of a slow pole drift away or are unstable, however well its response is known in the band of
     the data; a small step in each drawn direction, scaled up, tells what the numbers' uncertainty does here.
 
-    Parameters
-    ----------
-    moved : gives the model with a step added to its parameters.
+    `moved`: gives the model with a step added to its parameters.
     """
     nominal = model.simulate(u, y0)
     steps = draw_steps(covariance, draws, seed)

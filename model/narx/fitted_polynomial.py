@@ -344,12 +344,7 @@ def from_dict(document: Mapping[str, Any]) -> FittedPolyNARX:
 
 
 def _seen(document: Mapping[str, Any], signals: int) -> SeenRange | None:
-    """None of a file that is older than these ranges.
-
-    Raises
-    ------
-    ValueError : a range that zero is not in.
-    """
+    """None of a file that is older than these ranges. Raises ValueError: a range that zero is not in."""
     if "seen" not in document:
         return None
     values, changes = array_of(document, "seen", 2, 2, signals)
@@ -361,9 +356,7 @@ def _seen(document: Mapping[str, Any], signals: int) -> SeenRange | None:
 def _term(row: Mapping[str, Any], n_y: int, n_u: int) -> Term:
     """A term whose factors can be read before the row that they help to compute.
 
-    Raises
-    ------
-    ValueError : a factor cannot be read, or there is no such equation.
+    Raises ValueError: a factor cannot be read, or there is no such equation.
     """
     factors = tuple(Factor(int(c), int(lag), bool(change), form) for c, lag, change, form in row["factors"])
     for f in factors:

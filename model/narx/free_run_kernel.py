@@ -33,14 +33,12 @@ PLAIN, MAGNITUDE, SIGN = range(3)
 class TermTable(NamedTuple):
     """T terms as compiled code takes them.
 
-    Attributes
-    ----------
-    equation : (T,) output whose equation a term stands in.
-    column, lag : (T, 3) of every factor; column -1: none. A term without factors is the constant 1.
-    change : (T, 3) 1: the difference to the sample before.
-    form : (T, 3) 0 as it is, 1 magnitude, 2 sign.
-    low, high : (T, 3) a factor's signal is held inside; a sign is that of the signal itself.
-    excess : (T, 3) 1: the factor is what its signal has beyond what is held, 0 inside the range.
+    `equation`: (T,) output whose equation a term stands in.
+    `column`, `lag`: (T, 3) of every factor; column -1: none. A term without factors is the constant 1.
+    `change`: (T, 3) 1: the difference to the sample before.
+    `form`: (T, 3) 0 as it is, 1 magnitude, 2 sign.
+    `low`, `high`: (T, 3) a factor's signal is held inside; a sign is that of the signal itself.
+    `excess`: (T, 3) 1: the factor is what its signal has beyond what is held, 0 inside the range.
     """
 
     equation: IntArray
@@ -57,9 +55,7 @@ class TermTable(NamedTuple):
 def sweep(W, rows, terms, theta, limits, S):  # type: ignore[no-untyped-def]
     """Free run of rows[0] <= k < rows[1] of W in place; how many of them were held at a limit.
 
-    Parameters
-    ----------
-    S : (D + rows, n_y, P) sensitivities, D at least the deepest lag; those of the D rows before are given.
+    `S`: (D + rows, n_y, P) sensitivities, D at least the deepest lag; those of the D rows before are given.
         The first T columns are the coefficients', the others only propagate. Without columns: the run alone.
     """
     n_y = limits.shape[1]

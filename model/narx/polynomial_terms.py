@@ -32,11 +32,9 @@ FORMS: tuple[Form, ...] = get_args(Form)
 class Factor:
     """A signal at a lag.
 
-    Attributes
-    ----------
-    column : outputs first, then inputs.
-    change : its difference to the sample before, instead of itself.
-    excess : what it has beyond the range of training, instead of what it has inside; see `continued`.
+    `column`: outputs first, then inputs.
+    `change`: its difference to the sample before, instead of itself.
+    `excess`: what it has beyond the range of training, instead of what it has inside; see `continued`.
     """
 
     column: int
@@ -68,9 +66,7 @@ class Term:
 class SeenRange:
     """What the signals were in training, normalised; zero, about which terms are written, is always inside.
 
-    Attributes
-    ----------
-    values, changes : (2, n) lowest and highest value, and change from sample to sample, of every signal.
+    `values`, `changes`: (2, n) lowest and highest value, and change from sample to sample, of every signal.
     """
 
     values: FloatArray
@@ -101,9 +97,7 @@ def _ends(runs: Sequence[FloatArray]) -> FloatArray:
 def table_of(terms: Sequence[Term], seen: SeenRange | None = None) -> TermTable:
     """The terms as compiled code takes them.
 
-    Parameters
-    ----------
-    seen : factors of nonlinear terms are held inside; None: they are not.
+    `seen`: factors of nonlinear terms are held inside; None: they are not.
     """
     shape = (len(terms), MOST_FACTORS)
     column = np.full(shape, -1, dtype=np.int64)

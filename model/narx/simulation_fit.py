@@ -27,12 +27,10 @@ _ALIKE = 1e-6
 class TermFit:
     """Runs, terms, and what does not move.
 
-    Attributes
-    ----------
-    runs : normalised W (N, n_y + n_u) of every run, longer than `depth`.
-    limits : (2, n_y) normalised limits of outputs.
-    depth : first row that is computed.
-    memory : rows before it whose outputs are looked back at.
+    `runs`: normalised W (N, n_y + n_u) of every run, longer than `depth`.
+    `limits`: (2, n_y) normalised limits of outputs.
+    `depth`: first row that is computed.
+    `memory`: rows before it whose outputs are looked back at.
     """
 
     runs: tuple[FloatArray, ...]

@@ -50,10 +50,8 @@ _LAST_ITERATIONS = 50
 class RefinedTerms:
     """Terms, refined in every fold.
 
-    Attributes
-    ----------
-    unknowns : of every fold, coefficients and starts.
-    errors : mean squared free-run errors of blocks of all held-out parts, in variances of the outputs.
+    `unknowns`: of every fold, coefficients and starts.
+    `errors`: mean squared free-run errors of blocks of all held-out parts, in variances of the outputs.
     """
 
     terms: tuple[Term, ...]
@@ -70,11 +68,9 @@ class RefinedTerms:
 class TermSearch:
     """The data of a search, and what it starts from.
 
-    Attributes
-    ----------
-    parts : training data, and what judges.
-    start, theta : terms and coefficients of the linear model.
-    depth : rows that start every run of the search, at least the deepest lag.
+    `parts`: training data, and what judges.
+    `start`, `theta`: terms and coefficients of the linear model.
+    `depth`: rows that start every run of the search, at least the deepest lag.
     """
 
     parts: Parts

@@ -37,11 +37,9 @@ POWER = (-1.0, 4.0)
 class FittedAxis:
     """A fitted axis, in the units of its records.
 
-    Attributes
-    ----------
-    theta : parameters, see `rotor_axis`.
-    free : which of them were estimated and stand away from the ends of their range.
-    covariance : (P, P); 0 for what is not free.
+    `theta`: parameters, see `rotor_axis`.
+    `free`: which of them were estimated and stand away from the ends of their range.
+    `covariance`: (P, P); 0 for what is not free.
     """
 
     theta: FloatArray
@@ -52,14 +50,9 @@ class FittedAxis:
 def fit_axis(records: Sequence[Record], dt: float, integrates: bool, curved: bool) -> FittedAxis:
     """The parameters that predict one step ahead best.
 
-    Parameters
-    ----------
-    integrates : the output is a rate; otherwise an acceleration.
-    curved : the thrust curve is sought, too (commands of single motors, which are never negative).
-
-    Raises
-    ------
-    FitError : no start predicts anything finite.
+    `integrates`: the output is a rate; otherwise an acceleration.
+    `curved`: the thrust curve is sought, too (commands of single motors, which are never negative).
+    Raises FitError: no start predicts anything finite.
     """
     count = records[0][0].shape[1] + _sags(records)
     low, high = _range(dt, count, integrates)

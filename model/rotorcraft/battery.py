@@ -11,12 +11,7 @@ from flysid.errors import UsageError
 
 
 def find_battery(inputs: Sequence[Signal]) -> int | None:
-    """Which input is in volts.
-
-    Raises
-    ------
-    UsageError : several are, or nothing else is there.
-    """
+    """Which input is in volts. Raises UsageError: several are, or nothing else is there."""
     found = [j for j, signal in enumerate(inputs) if is_voltage(signal)]
     if len(found) > 1 or (found and len(inputs) == 1):
         raise UsageError(

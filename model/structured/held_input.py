@@ -53,10 +53,8 @@ def held(
 ) -> Held:
     """Sample F, G, H, D with their delays.
 
-    Parameters
-    ----------
-    registers : inputs whose delay may be no whole number of samples.
-    late : whole samples of delay; the rest, of a register from 0 up to and with 1, is what `matrices` say
+    `registers`: inputs whose delay may be no whole number of samples.
+    `late`: whole samples of delay; the rest, of a register from 0 up to and with 1, is what `matrices` say
         beyond them.
     """
     from scipy.linalg import expm

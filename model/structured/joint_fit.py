@@ -46,10 +46,8 @@ IntArray = npt.NDArray[np.int64]
 class Response:
     """The points of one input and one output.
 
-    Attributes
-    ----------
-    omega, g, spread, trust : (M,) frequency, response, standard error of its logarithm, Tischler's W.
-    correlation : (M, M) of the errors.
+    `omega`, `g`, `spread`, `trust`: (M,) frequency, response, standard error of its logarithm, Tischler's W.
+    `correlation`: (M, M) of the errors.
     """
 
     output: int
@@ -71,13 +69,11 @@ class Response:
 class JointFit:
     """Terms as they were fitted.
 
-    Attributes
-    ----------
-    theta : (p,) values; 0 where a term is not among `free`.
-    free : indices of the estimated terms.
-    covariance : (p, p), zero for the others. insensitivity : (p,) standard error if all others were known.
-    price : (p,) by how much the cost rises, on average, for a superfluous term that is left out.
-    cost : J of every response. freedom : of the noise.
+    `theta`: (p,) values; 0 where a term is not among `free`.
+    `free`: indices of the estimated terms.
+    `covariance`: (p, p), zero for the others. `insensitivity`: (p,) standard error if all others were known.
+    `price`: (p,) by how much the cost rises, on average, for a superfluous term that is left out.
+    `cost`: J of every response. `freedom`: of the noise.
     """
 
     theta: FloatArray
@@ -110,9 +106,7 @@ class JointProblem:
     def fit(self, theta: FloatArray, free: Sequence[int], *, iterations: int = 100) -> JointFit:
         """The best values of the free terms from a start; the others are 0.
 
-        Raises
-        ------
-        FitError : the start has no finite cost.
+        Raises FitError: the start has no finite cost.
         """
         free = list(free)
         at = np.zeros(len(theta))
@@ -275,9 +269,7 @@ def coherent_responses(
 ) -> tuple[tuple[Response, ...], tuple[str, ...]]:
     """The responses with frequencies enough where the coherence counts, and words on the others.
 
-    Raises
-    ------
-    DataError : there is none.
+    Raises DataError: there is none.
     """
     found = []
     without: list[str] = []
@@ -319,9 +311,7 @@ def identifiable(problem: JointProblem, *, lost_below: float = 1e-9) -> tuple[in
 
     `lost_below`: smallest singular value of a Jacobian of unit columns that is no rounding.
 
-    Raises
-    ------
-    DataError : terms that only show together, or more of them than the points can tell.
+    Raises DataError: terms that only show together, or more of them than the points can tell.
     """
     terms = problem.layout.terms
     points = 2 * sum(len(r.omega) for r in problem.responses)
@@ -357,9 +347,7 @@ def _anywhere(layout: PlanLayout) -> FloatArray:
 def starts(problem: JointProblem, free: Sequence[int]) -> FloatArray:
     """(p,) starts of the free terms: as given, else by equation error.
 
-    Raises
-    ------
-    UsageError : a term has no start, and states that are not measured keep it from being found.
+    Raises UsageError: a term has no start, and states that are not measured keep it from being found.
     """
     layout = problem.layout
     theta = np.array([t.start or 0.0 for t in layout.terms])

@@ -68,9 +68,7 @@ class FreeNumber:
 class PlanLayout:
     """A plan for given signals: matrices with the fixed numbers, and the terms that are free.
 
-    Attributes
-    ----------
-    fixed : "F" (n, n), "G" (n, n_u), "H" (n_y, n), "D" (n_y, n_u), "delay" (1, n_u).
+    `fixed`: "F" (n, n), "G" (n, n_u), "H" (n_y, n), "D" (n_y, n_u), "delay" (1, n_u).
     """
 
     states: tuple[str, ...]
@@ -110,12 +108,7 @@ class Plan:
 
     @classmethod
     def read(cls, path: str | Path) -> Plan:
-        """Read a file.
-
-        Raises
-        ------
-        UsageError : it cannot be read, or says what cannot be.
-        """
+        """Read a file. Raises UsageError: it cannot be read, or says what cannot be."""
         try:
             text = Path(path).read_text("utf-8")
         except (OSError, UnicodeDecodeError) as error:
@@ -126,12 +119,7 @@ class Plan:
 
     @classmethod
     def parse(cls, text: str, path: str = "") -> Plan:
-        """The plan that a TOML text holds.
-
-        Raises
-        ------
-        UsageError : it is not TOML, or says what cannot be.
-        """
+        """The plan that a TOML text holds. Raises UsageError: it is not TOML, or says what cannot be."""
         try:
             document = tomllib.loads(text)
         except tomllib.TOMLDecodeError as error:
@@ -168,9 +156,7 @@ class Plan:
     def layout(self, inputs: Sequence[Signal], outputs: Sequence[Signal]) -> PlanLayout:
         """For these signals, of which the inputs are without references.
 
-        Raises
-        ------
-        UsageError : a name that does not exist, an output without a row, an entry that cannot be.
+        Raises UsageError: a name that does not exist, an output without a row, an entry that cannot be.
         """
         us = tuple(s.name for s in inputs)
         ys = tuple(s.name for s in outputs)
@@ -265,9 +251,7 @@ class _Terms:
     def found(self) -> tuple[FreeNumber, ...]:
         """All terms, in the order of the file.
 
-        Raises
-        ------
-        UsageError : a tie to a term that is not there; nothing is free.
+        Raises UsageError: a tie to a term that is not there; nothing is free.
         """
         for name in self.places:
             if name not in self.starts:

@@ -150,9 +150,7 @@ class StructuredStateSpace(Settings):
 def _without_negative_delays(problem: JointProblem, fit: JointFit) -> tuple[JointFit, tuple[Dropped, ...]]:
     """The fit without delays below zero, the most negative one first, and those that went.
 
-    Raises
-    ------
-    DataError : nothing else is free.
+    Raises DataError: nothing else is free.
     """
     terms = problem.layout.terms
     dropped: list[Dropped] = []

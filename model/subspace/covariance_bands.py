@@ -35,9 +35,7 @@ class StateModel(Protocol):
 def response_of(model: StateModel, omega: FloatArray) -> FrequencyResponse:
     """G(e^(i omega dt)) with first-order standard errors; NaN errors where the model carries no covariance.
 
-    Raises
-    ------
-    UsageError : a frequency beyond the Nyquist frequency.
+    Raises UsageError: a frequency beyond the Nyquist frequency.
     """
     omega = below_nyquist(omega, model.dt_s)
     s = model.realisation

@@ -24,12 +24,7 @@ from flysid.model.arguments import as_columns, check_start
 from flysid.model.base import write_document
 from flysid.model.capabilities import FrequencyResponse
 from flysid.model.control_form import ControlForm, control_of_states, with_registers
-from flysid.model.documents import (
-    array_of,
-    head_of,
-    monic,
-    signals_of,
-)
+from flysid.model.documents import array_of, head_of, monic, signals_of
 from flysid.model.freerun import far, saturate
 from flysid.model.linear.laws import LinearLaws
 from flysid.model.linear.text import gains_text
@@ -285,9 +280,7 @@ def resting(
 ) -> FittedStateSpace:
     """A model of given (A, B, C, D) that was not fitted: no noise, no offsets, starts at rest.
 
-    Parameters
-    ----------
-    signals : inputs, outputs.
+    `signals`: inputs, outputs.
     """
     a, b, c, d = (np.array(m, dtype=np.float64) for m in matrices)
     n = len(a)

@@ -53,9 +53,7 @@ def gains_of(system: Realisation, most: int) -> FloatArray:
 def _recursion(system: Realisation, noise: FloatArray, most: int) -> tuple[FloatArray, list[FloatArray]]:
     """Gains, and the roots of the state's covariance before every sample until the filter is stationary.
 
-    Parameters
-    ----------
-    noise : (n_y, n_y) root of the innovation's covariance.
+    `noise`: (n_y, n_y) root of the innovation's covariance.
     """
     parts = (system.a, system.c, root_of(system.state), noise.T, (system.k @ noise).T)
     gains, roots, count = _gains_kernel()(*(np.ascontiguousarray(p) for p in parts), most)
@@ -89,9 +87,7 @@ def free_states(system: Realisation, u: FloatArray, x: FloatArray) -> FloatArray
 def filtered_states(system: Realisation, u: FloatArray, y: FloatArray, gains: FloatArray) -> FloatArray:
     """(N + 1, n) predicted state before every sample and after the last, from zero on.
 
-    Parameters
-    ----------
-    gains : (m, n, n_y) of the first m samples; K after them.
+    `gains`: (m, n, n_y) of the first m samples; K after them.
     """
     miss = y - u @ system.d.T - system.level
     every = np.concatenate([gains, system.k[None]])
@@ -124,9 +120,7 @@ def output_of(system: Realisation, states: FloatArray, u: FloatArray) -> FloatAr
 def ahead(system: Realisation, states: FloatArray, u: FloatArray, k: int) -> FloatArray:
     """(N, n_y) prediction of every output from the state k - 1 samples before; NaN in the first k - 1 rows.
 
-    Parameters
-    ----------
-    states : (N, n) predicted state before every sample.
+    `states`: (N, n) predicted state before every sample.
     """
     out = np.full((len(u), len(system.c)), np.nan)
     if len(u) < k:

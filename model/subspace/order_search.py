@@ -109,9 +109,7 @@ def _pasts(settings: SubspaceSettings, data: Dataset) -> list[int]:
 def search(settings: SubspaceSettings, parts: Parts) -> tuple[Choice, str, float]:
     """The best of methods, horizons and orders by the validation free run.
 
-    Raises
-    ------
-    FitError : none could be fitted.
+    Raises FitError: none could be fitted.
     """
     methods = TRIED_METHODS if settings.method == "auto" else (settings.method,)
     pasts = _pasts(settings, parts.fit)

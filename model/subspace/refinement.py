@@ -29,9 +29,7 @@ from flysid.model.subspace.triangle import Realisation
 class SystemFit:
     """The least-squares problem: segments in scaled deviations, and the system to begin with.
 
-    Attributes
-    ----------
-    feedthrough : D is free; else it stays zero.
+    `feedthrough`: D is free; else it stays zero.
     """
 
     segments: Sequence[Segment]
@@ -69,12 +67,7 @@ class SystemFit:
         return noise_models([e for e, _ in self.runs(theta)])
 
     def refine(self, max_iterations: int) -> Refinement:
-        """Levenberg-Marquardt from the start.
-
-        Raises
-        ------
-        FitError : the start's simulation is not finite.
-        """
+        """Levenberg-Marquardt from the start. Raises FitError: the start's simulation is not finite."""
         return levenberg_marquardt(
             self.normal_equations,
             self.theta0,

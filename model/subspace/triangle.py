@@ -37,12 +37,10 @@ METHODS: tuple[Method, ...] = ("pbsid", "n4sid", "moesp", "cva")
 class Realisation:
     """A linear system in innovation form, of order n.
 
-    Attributes
-    ----------
-    a, b, c, d, k : (n, n), (n, n_u), (n_y, n), (n_y, n_u), (n, n_y).
-    drift, level : (n,), (n_y,) constants of the state and of the output.
-    innovation : (n_y, n_y) covariance of e.
-    state : (n, n) covariance of the states seen.
+    `a`, `b`, `c`, `d`, `k`: (n, n), (n, n_u), (n_y, n), (n_y, n_u), (n, n_y).
+    `drift`, `level`: (n,), (n_y,) constants of the state and of the output.
+    `innovation`: (n_y, n_y) covariance of e.
+    `state`: (n, n) covariance of the states seen.
     """
 
     a: FloatArray
@@ -150,9 +148,7 @@ class Columns:
     ) -> Columns:
         """For a triangle of all lags 0..depth, depth at least `window(past, method)`; signals (n_y, n_u).
 
-        Raises
-        ------
-        UsageError : an unknown method.
+        Raises UsageError: an unknown method.
         """
         if method not in METHODS:
             raise UsageError(f"there is no subspace method {method!r}", hint=f"one of {', '.join(METHODS)}")
@@ -213,9 +209,7 @@ class Columns:
 class Projection:
     """The singular value decomposition behind a method: every order is read off it.
 
-    Attributes
-    ----------
-    singular_values : of the weighted map from the past to the future, largest first.
+    `singular_values`: of the weighted map from the past to the future, largest first.
     """
 
     columns: Columns
@@ -235,9 +229,7 @@ class Projection:
     def realise(self, order: int) -> Realisation:
         """The system of that order, for scaled deviations.
 
-        Raises
-        ------
-        UsageError : the order is not positive. FitError : it exceeds `most`.
+        Raises UsageError: the order is not positive. Raises FitError: it exceeds `most`.
         """
         if order < 1:
             raise UsageError(f"a state-space model has an order of at least 1, not {order}")
@@ -263,9 +255,7 @@ class Projection:
 def project(columns: Columns, method: Method) -> Projection:
     """The map from the past to the future, weighted as the method says, and its singular values.
 
-    Raises
-    ------
-    DataError : fewer samples than unknowns.
+    Raises DataError: fewer samples than unknowns.
     """
     n_y = columns.n_y
     n_u = columns.n_u

@@ -59,11 +59,8 @@ Path = tuple[str, ...]
 def matching_channels(expression: str, document: Mapping[str, Any]) -> dict[str, str]:
     """The channels of a `to_json` document on which the condition holds; all where it names its channels.
 
-    With each stands why it could not be judged, or "".
-
-    Raises
-    ------
-    UsageError : the expression is not understood, or names what the document does not hold.
+    With each stands why it could not be judged, or "". Raises UsageError: the expression is not understood,
+    or names what the document does not hold.
     """
     terms: list[_Term] = []
     try:
@@ -81,8 +78,6 @@ def matching_channels(expression: str, document: Mapping[str, Any]) -> dict[str,
 def check_grammar(expression: str) -> None:
     """Raise UsageError where a condition is no comparison, whatever the document will hold.
 
-    Examples
-    --------
     >>> check_grammar("power.sag > 0.5 and not vibration.clips == 0")
     """
     try:
@@ -96,9 +91,7 @@ def check_grammar(expression: str) -> None:
 def check_condition(expression: str, expected: Mapping[str, Any]) -> None:
     """Raise UsageError where a condition cannot be understood, before there is a document.
 
-    Parameters
-    ----------
-    expected : channels and fields that the document will have, with values of their types.
+    `expected`: channels and fields that the document will have, with values of their types.
     """
     matching_channels(expression, expected)
 

@@ -129,13 +129,11 @@ def change(
 ) -> ErrorChange:
     """The change from the errors of a baseline (ea) to those of a model (eb), one array per segment.
 
-    Parameters
-    ----------
-    flights : of every segment.
-    seen : flights that the models were trained on; of those that are here, other parts than these.
-    apart : every flight was left out once and judged by models of the others: how far these are from the
+    `flights`: of every segment.
+    `seen`: flights that the models were trained on; of those that are here, other parts than these.
+    `apart`: every flight was left out once and judged by models of the others: how far these are from the
         compared models (`distance`), by flight.
-    began : when flights began, seconds of UTC; without it they were flown in the order they stand in.
+    `began`: when flights began, seconds of UTC; without it they were flown in the order they stand in.
     """
     ea, eb = _scale(ea, eb)
     rotated = apart is not None
@@ -205,9 +203,7 @@ def distance(
 ) -> tuple[float, float]:
     """How far a pair of models is from another: mean differences of `flight_logs` and of `flight_sides`.
 
-    Parameters
-    ----------
-    one, other : errors of a baseline and of a model, as `change` takes them.
+    `one`, `other`: errors of a baseline and of a model, as `change` takes them.
     """
     logs, sides = (
         [float(np.mean(list(of(*_scale(*pair), flights).values()))) for pair in (one, other)]
@@ -243,9 +239,7 @@ def _claim(
 def across_days(logs: Sequence[float], sides: Sequence[float], near: Interval) -> Interval:
     """The interval `near` of `across_flights`, widened by what neighbours and odd flights leave open.
 
-    Parameters
-    ----------
-    logs, sides : as `flight_logs` and `flight_sides` have them, of KINDS flights or more, in their order.
+    `logs`, `sides`: as `flight_logs` and `flight_sides` have them, of KINDS flights or more, in their order.
     """
     mean = float(np.mean(logs))
     half, p_log = mean_of_neighbours(logs)
@@ -263,10 +257,8 @@ def across_days(logs: Sequence[float], sides: Sequence[float], near: Interval) -
 def across_flights(logs: Sequence[float], sides: Sequence[float], *, rotated: bool = False) -> Interval:
     """The mean of log ratios of flights, as a change in percent: a typical flight (the geometric mean).
 
-    Parameters
-    ----------
-    logs, sides : as `flight_logs` and `flight_sides` have them, of two flights and more.
-    rotated : the intervals are stretched, as folds share training flights.
+    `logs`, `sides`: as `flight_logs` and `flight_sides` have them, of two flights and more.
+    `rotated`: the intervals are stretched, as folds share training flights.
     """
     stretch = STRETCH if rotated else 1.0
     mean, half, p = _students(logs, stretch)
@@ -313,9 +305,7 @@ class _Lengths:
 def within_flights(a: FloatArray, b: FloatArray, blocks: int, tau: _Lengths) -> Interval:
     """The change of the RMSE over these very samples' process, from blocks of time.
 
-    Parameters
-    ----------
-    a, b : (N,) squared errors of baseline and model, in the order of time, flight after flight.
+    `a`, `b`: (N,) squared errors of baseline and model, in the order of time, flight after flight.
     """
     from scipy.special import stdtr, stdtrit
 

@@ -310,9 +310,7 @@ def _entries(here: Judged, turns: Sequence[_Turned], horizon: str, sides: Sides)
 class _Rotation:
     """One output at one horizon: every flight by models that have not seen it; and the turns one by one.
 
-    Attributes
-    ----------
-    turns : of every turn the flights left out, and the errors on those that both have seen.
+    `turns`: of every turn the flights left out, and the errors on those that both have seen.
     """
 
     panel: _Panel

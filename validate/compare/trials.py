@@ -15,14 +15,7 @@ import numpy as np
 from flysid.dataset import Dataset, FloatArray, Segment
 from flysid.errors import DataError, UsageError
 from flysid.model.base import Fitted
-from flysid.model.start import (
-    drifting_of,
-    own_part,
-    plain_run,
-    run_from_window,
-    start_window,
-    without,
-)
+from flysid.model.start import drifting_of, own_part, plain_run, run_from_window, start_window, without
 
 FREE_RUN = "free_run"
 MIN_SCORED = 10
@@ -49,12 +42,7 @@ class StructureTrial:
 
 
 def horizon_name(horizon: str | int) -> str:
-    """ "free_run", or the number of steps as a string.
-
-    Raises
-    ------
-    UsageError : neither.
-    """
+    """ "free_run", or the number of steps as a string. Raises UsageError: neither."""
     name = str(horizon)
     if name == FREE_RUN or (name.isdecimal() and int(name) >= 1):
         return name if name == FREE_RUN else str(int(name))
@@ -71,9 +59,7 @@ def start_of(models: Mapping[str, Fitted]) -> int:
 def check_models(models: Mapping[str, Fitted], test: Dataset) -> None:
     """Same sample time, inputs and outputs as the data.
 
-    Raises
-    ------
-    UsageError : a model was fitted for other signals or another sample time.
+    Raises UsageError: a model was fitted for other signals or another sample time.
     """
     if not models:
         raise UsageError("nothing to compare: no model given")
@@ -109,9 +95,7 @@ class Plan:
 def run_trials(models: Mapping[str, Fitted], test: Dataset, horizon: str) -> tuple[StructureTrial, ...]:
     """A trial for every segment long enough to score at least 10 samples; the others are left out.
 
-    Raises
-    ------
-    DataError : no segment is long enough.
+    Raises DataError: no segment is long enough.
     """
     plan = Plan(horizon, start_of(models), test.dt_s)
     trials = tuple(

@@ -160,9 +160,7 @@ def horizon_words(horizon: str, dt_s: float) -> str:
 def physics_words(comparison: Comparison, only: str | None = None) -> list[str]:
     """Whether a physical model is enough, for every output and every such model that was compared.
 
-    Parameters
-    ----------
-    only : of this output alone, which is then not named.
+    `only`: of this output alone, which is then not named.
     """
     said = []
     for entry in comparison.entries:

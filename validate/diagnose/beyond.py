@@ -26,9 +26,7 @@ def beyond(
 
     Strongly is with half the power of its largest answer where the input explains the output.
 
-    Parameters
-    ----------
-    seen : measured responses of every input to the output.
+    `seen`: measured responses of every input to the output.
     """
     for j, measured in enumerate(seen):
         end = None if measured is None else measured.explained_to_hz

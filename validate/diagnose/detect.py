@@ -30,7 +30,6 @@ from flysid.dataset import FloatArray, Segment
 from flysid.errors import DataError
 from flysid.model.base import Fitted
 
-BoolArray = npt.NDArray[np.bool_]
 DETECTORS = ("cusum", "glr", "level")
 HALF_STEP = 0.5  # the CUSUM is quickest on steps of one standard deviation beyond what wanders anyway
 GLR_S = 20.0
@@ -46,10 +45,8 @@ ENOUGH_BLOCKS = 20
 class Sums:
     """CUSUM and GLR of one output while its errors come in; `feed` goes on where it stopped.
 
-    Parameters
-    ----------
-    drift : of the CUSUM, in standard deviations.
-    longest : samples of the longest GLR window.
+    `drift`: of the CUSUM, in standard deviations.
+    `longest`: samples of the longest GLR window.
     """
 
     drift: float
@@ -116,14 +113,12 @@ def _feed(  # type: ignore[no-untyped-def]
 class Thresholds:
     """What an output's statistics may reach, and what they are measured in.
 
-    Attributes
-    ----------
-    sigma : standard deviation of the one-step error, in the output's unit.
-    drift : of the CUSUM, in sigma.
-    cusum, glr, level : thresholds; the level's is in the output's unit.
-    band : half width around the free run that holds 99.5 % of nominal samples, in the output's unit.
-    typical : mean of the output's absolute value, for shares.
-    hours : of held-out flight that they rest on.
+    `sigma`: standard deviation of the one-step error, in the output's unit.
+    `drift`: of the CUSUM, in sigma.
+    `cusum`, `glr`, `level`: thresholds; the level's is in the output's unit.
+    `band`: half width around the free run that holds 99.5 % of nominal samples, in the output's unit.
+    `typical`: mean of the output's absolute value, for shares.
+    `hours`: of held-out flight that they rest on.
     """
 
     sigma: float
@@ -139,13 +134,8 @@ class Thresholds:
 def calibrate(model: Fitted, segments: Sequence[Segment], false_alarms_1_h: float) -> tuple[Thresholds, ...]:
     """Thresholds for each output of a model from flights that it has not seen.
 
-    Parameters
-    ----------
-    false_alarms_1_h : false alarms an hour that one detector of one output may raise.
-
-    Raises
-    ------
-    DataError : too little held-out flight.
+    `false_alarms_1_h`: false alarms an hour that one detector of one output may raise.
+    Raises DataError: too little held-out flight.
     """
     usable = [s for s in segments if len(s) * model.dt_s > RUN_S + SHORT_BLOCK_S]
     hours = sum(map(len, usable)) * model.dt_s / 3600.0
@@ -193,9 +183,7 @@ def block_maxima(values: FloatArray, block: int) -> list[float]:
 def threshold(maxima: Sequence[Sequence[float]], block_s: float, per_hour: float) -> float:
     """What blocks of so many seconds exceed so often in an hour, by an exponential tail.
 
-    Parameters
-    ----------
-    maxima : of each flight, the largest value of each of its blocks.
+    `maxima`: of each flight, the largest value of each of its blocks.
     """
     every = np.concatenate([np.asarray(flight, dtype=np.float64) for flight in maxima])
     edge = float(np.quantile(every, 0.75))
@@ -217,11 +205,9 @@ def one_step(model: Fitted, u: FloatArray, y: FloatArray) -> FloatArray:
 class Levels:
     """Free runs begun `RUN_S` ago, or where the segment begins, ended every `LEVEL_EVERY_S`.
 
-    Attributes
-    ----------
-    at : (m,) index of the last sample of each.
-    level : (m, n_y) mean over `LEVEL_S` of measured less free run.
-    last : (m, n_y) the same at the last sample.
+    `at`: (m,) index of the last sample of each.
+    `level`: (m, n_y) mean over `LEVEL_S` of measured less free run.
+    `last`: (m, n_y) the same at the last sample.
     """
 
     at: npt.NDArray[np.int64]

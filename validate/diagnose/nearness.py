@@ -43,9 +43,7 @@ class Nearness:
 def nearness(train: Dataset, test: Dataset, lag: int) -> Nearness | None:
     """Distances of `test` to `train`; None where there is too little to tell.
 
-    Parameters
-    ----------
-    lag : samples between now and a moment ago.
+    `lag`: samples between now and a moment ago.
     """
     from scipy.spatial import cKDTree
 
@@ -88,9 +86,7 @@ def _points(
 ) -> list[FloatArray]:
     """Per segment (N, 2 n) its signals now and `lag` samples ago, in spreads; thinned where many.
 
-    Parameters
-    ----------
-    most : samples of either part.
+    `most`: samples of either part.
     """
     found = []
     step = max(1, len(data) // most)

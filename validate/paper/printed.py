@@ -25,12 +25,10 @@ class PaperRule:
 class PaperLoop:
     """One loop of the paper.
 
-    Attributes
-    ----------
-    equation : number of its transfer function.
-    rmse_text, rmse_summary : m/s, as section 4's text and its summary print them (they differ).
-    vaf_claim_pct : the summary claims more than this for all three loops.
-    rules : tables 1 and 2, 3 and 4, or 5 and 6.
+    `equation`: number of its transfer function.
+    `rmse_text`, `rmse_summary`: m/s, as section 4's text and its summary print them (they differ).
+    `vaf_claim_pct`: the summary claims more than this for all three loops.
+    `rules`: tables 1 and 2, 3 and 4, or 5 and 6.
     """
 
     name: str

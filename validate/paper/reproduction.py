@@ -31,11 +31,9 @@ DURATION_S = 400.0
 class LoopResult:
     """One loop, reproduced.
 
-    Attributes
-    ----------
-    models : label -> model fitted without noise: static_ts_7, static_ts_3, line, arx, dynamic_ts_3.
-    comparison : the same models on the validation signal, arx as baseline.
-    noisy_rmse : label -> RMSE in m/s, against the noise-free truth, of models fitted to noisy data.
+    `models`: label -> model fitted without noise: static_ts_7, static_ts_3, line, arx, dynamic_ts_3.
+    `comparison`: the same models on the validation signal, arx as baseline.
+    `noisy_rmse`: label -> RMSE in m/s, against the noise-free truth, of models fitted to noisy data.
     """
 
     paper: PaperLoop
@@ -90,10 +88,7 @@ def _estimators() -> dict[str, Estimator]:
 def draw_figures(results: list[LoopResult], folder: Path) -> list[Path]:
     """The paper's figures 4, 5 and 6, panels a to h, of the static model with seven rules, on signal (14).
 
-    Raises
-    ------
-    UsageError : matplotlib is not installed.
-    StoreError : a file cannot be written.
+    Raises UsageError: matplotlib is not installed. Raises StoreError: a file cannot be written.
     """
     from flysid.model.static_ts import FittedStaticTS
     from flysid.validate.show.rulesfigure import write_rules_figure

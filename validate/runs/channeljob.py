@@ -47,13 +47,11 @@ class Fits:
 class ChannelJob(Generic[D]):
     """One channel to fit.
 
-    Attributes
-    ----------
-    data : the whole channel.
-    folder : the run's; models go into a folder of the channel's name in it.
-    lines, doubts : how the channel was aligned, and reasons in the data not to trust any model of it.
-    held : flight -> spans of vehicle time, ns, that are held out; a share by chance where there are none.
-    missing : sentences on extras of the data that could not be given.
+    `data`: the whole channel.
+    `folder`: the run's; models go into a folder of the channel's name in it.
+    `lines`, `doubts`: how the channel was aligned, and reasons in the data not to trust any model of it.
+    `held`: flight -> spans of vehicle time, ns, that are held out; a share by chance where there are none.
+    `missing`: sentences on extras of the data that could not be given.
     """
 
     data: D
@@ -87,9 +85,7 @@ class ChannelJob(Generic[D]):
     ) -> None:
         """Fit and save a model; one that cannot be fitted leaves a reason.
 
-        Parameters
-        ----------
-        beside : labels of linear models that it is compared with, as far as they are fitted.
+        `beside`: labels of linear models that it is compared with, as far as they are fitted.
         """
         tell("fitting", share=0.0)
         started = time.perf_counter()
@@ -110,11 +106,9 @@ class ChannelJob(Generic[D]):
     ) -> ChannelRun:
         """What the run remembers of the channel.
 
-        Parameters
-        ----------
-        choice : of the baseline, one of `fits.models`.
-        seen : training samples, in which a loop is looked for.
-        late : dead times found in training.
+        `choice`: of the baseline, one of `fits.models`.
+        `seen`: training samples, in which a loop is looked for.
+        `late`: dead times found in training.
         """
         baseline = fits.models[choice.label]
         return ChannelRun(

@@ -49,17 +49,12 @@ def judge_runs(
 ) -> Judgement:
     """Compare every channel that two runs share.
 
-    Parameters
-    ----------
-    label : the model the headline speaks of, in both runs; the fuzzy one where both have it, else run B's
+    `label`: the model the headline speaks of, in both runs; the fuzzy one where both have it, else run B's
         baseline.
-    only : compare on these of run B's held-out flights and stretches alone; flights of several vehicles are
+    `only`: compare on these of run B's held-out flights and stretches alone; flights of several vehicles are
         put together only where it says `pool`.
-
-    Raises
-    ------
-    DataError : no channel can be compared, or it cannot be ruled out that A was trained on B's held-out part.
-    StoreError, UsageError : a run or a data folder cannot be read.
+    Raises DataError: no channel can be compared, or it cannot be ruled out that A was trained on B's held-out
+    part. Raises StoreError, UsageError: a run or a data folder cannot be read.
     """
     tell("aligning the data of both runs", share=0.0)
     chosen = None if only is None else chosen_lake(b.run, b.data, only)  # from the catalogue: before tables
@@ -141,9 +136,7 @@ def expected_of_runs(a: Run, b: Run, label: str | None = None) -> dict[str, Any]
 def unseen(a: HeldOut, b: HeldOut) -> Dataset:
     """The held-out part of `b` without what `a` was trained on.
 
-    Raises
-    ------
-    DataError : nothing is left, the signals differ, or a flight repeats a training flight of `a`.
+    Raises DataError: nothing is left, the signals differ, or a flight repeats a training flight of `a`.
     """
     _check_alike(a.train, b.test)
     if _same_split(a, b):

@@ -42,9 +42,7 @@ COPY_HEAD = 20_000
 class FilePart:
     """Pieces of the segments of a dataset file, every one a segment of its own; read block by block.
 
-    Attributes
-    ----------
-    pieces : in the order of the file; `Piece.segment` counts the file's `entries`.
+    `pieces`: in the order of the file; `Piece.segment` counts the file's `entries`.
     """
 
     file: DatasetFile
@@ -131,11 +129,8 @@ def whole(file: DatasetFile) -> FilePart:
 def plan_on_disk(file: DatasetFile, *, holdout: float, by: By = "auto", seed: int = 0) -> Split:
     """Choose the held-out part as `flysid.split.plan_split` does, with at most `MOST_HELD` samples.
 
-    By flight, what a held-out flight has beyond that serves neither part.
-
-    Raises
-    ------
-    DataError : too few flights or samples; one flight is a copy of another, on the other side.
+    By flight, what a held-out flight has beyond that serves neither part. Raises DataError: too few flights
+    or samples; one flight is a copy of another, on the other side.
     """
     entries = file.entries
     size: dict[str, int] = {}
@@ -175,9 +170,7 @@ def plan_held_on_disk(
 ) -> Split:
     """Hold out what is named as `flysid.split.plan_held` does, with at most `MOST_HELD` samples.
 
-    Raises
-    ------
-    DataError : nothing lies in the spans, or nothing beside them; a copy is held out.
+    Raises DataError: nothing lies in the spans, or nothing beside them; a copy is held out.
     """
     guard = default_guard(file.dt_s)
     rows = [(e.flight, e.t0_ns, e.rows) for e in file.entries]
@@ -198,12 +191,7 @@ def plan_held_on_disk(
 
 
 def parts_of(split: Split, file: DatasetFile) -> tuple[FilePart, FilePart]:
-    """(train, test) of the file that was split.
-
-    Raises
-    ------
-    DataError : `file` does not hold what was split.
-    """
+    """(train, test) of the file that was split. Raises DataError: `file` does not hold what was split."""
     if whole(file).content_hash() != split.data_sha256:
         raise DataError(
             "the data are not those that were split: their hash differs",
@@ -270,9 +258,7 @@ def _bound(pieces: Sequence[Piece]) -> list[Piece]:
 def _refuse_copies(file: DatasetFile, train: Sequence[Piece], test: Sequence[Piece]) -> None:
     """Refuse a held-out flight whose beginning repeats that of a training flight.
 
-    Raises
-    ------
-    DataError : names the two.
+    Raises DataError: names the two.
     """
     seen: dict[tuple[bool, str], int] = {}
     heads: tuple[list[Piece], list[Piece]] = ([], [])

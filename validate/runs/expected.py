@@ -28,9 +28,7 @@ SCORE = ModelScore(Scores(1, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0), ())
 def expected_of_run(run: Run, beside: Beside = MappingProxyType({})) -> dict[str, Any]:
     """The fields of what `judge_run` will find; arguments as there.
 
-    Raises
-    ------
-    StoreError : a model file is damaged.
+    Raises StoreError: a model file is damaged.
     """
     channels = {}
     for channel in run.channels:

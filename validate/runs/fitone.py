@@ -57,10 +57,8 @@ def fault(error: Exception, package: str = "") -> str:
 def nothing_done(recipe: str, done: str, why: Mapping[str, str]) -> DataError:
     """No channel of a recipe could be `done`: every reason and every advice stands once.
 
-    Parameters
-    ----------
-    recipe : its name; "" where there is none.
-    why : channel -> the reason, as the text of an error: its advice goes into the hint.
+    `recipe`: its name; "" where there is none.
+    `why`: channel -> the reason, as the text of an error: its advice goes into the hint.
     """
     said: dict[str, list[str]] = {}
     hints: dict[str, None] = {}
@@ -82,13 +80,10 @@ class FitsTo(Protocol[S]):
 def fitted(estimator: FitsTo[S], train: S, beside: Mapping[str, Fitted]) -> Fitted:
     """A model that passes the last gates (`flysid.model.last_gates`).
 
-    With a memory it may not err more on its training data than the linear models `beside`, by their labels:
-    a linear one by `MARGIN`, any other by `LEVEL`. Equations of a vehicle, whose form the user knows, may
-    (`flysid.model.structures.Structure.gate`).
-
-    Raises
-    ------
-    FitError : it does, or nothing could be fitted. DataError, MemoryError : nothing could be fitted.
+    With a memory it may not err more on its training data than the linear models `beside`, by their labels: a
+    linear one by `MARGIN`, any other by `LEVEL`. Equations of a vehicle, whose form the user knows, may
+    (`flysid.model.structures.Structure.gate`). Raises FitError: it does, or nothing could be fitted.
+    Raises DataError, MemoryError: nothing could be fitted.
     """
     model = estimator.fit(train)
     if model.structure not in all_structures():

@@ -18,10 +18,8 @@ COST_OF_CHOICE = 8.0
 class FitPlan:
     """The work on one channel: the choice of the baseline, the models, and these again for every fold.
 
-    Attributes
-    ----------
-    labels : of the models, in the order in which they are fitted.
-    folds : how often all models are fitted again.
+    `labels`: of the models, in the order in which they are fitted.
+    `folds`: how often all models are fitted again.
     """
 
     labels: Sequence[str]

@@ -166,18 +166,12 @@ def fit_run(
     be in memory is fitted from disk, by the models that can. Where KeyboardInterrupt ends it after the linear
     models of a channel, the run holds what was finished, and `Run.interrupted` is set.
 
-    Parameters
-    ----------
-    recipe_name : a shipped recipe, or the path of one.
-    out : the run's folder; what is there is replaced once the run is complete.
-    jobs : channels fitted at a time, each in a process of its own where more than one.
-
-    Raises
-    ------
-    DataError : no channel could be fitted; the message gives each channel's reason.
-    RecipeError : the recipe names what the data does not hold.
-    UsageError : `settings.channels` names a channel that the recipe does not have; `settings.held` a flight
-        that is not among the chosen ones.
+    `recipe_name`: a shipped recipe, or the path of one.
+    `out`: the run's folder; what is there is replaced once the run is complete.
+    `jobs`: channels fitted at a time, each in a process of its own where more than one.
+    Raises DataError: no channel could be fitted; the message gives each channel's reason. Raises RecipeError:
+    the recipe names what the data does not hold. Raises UsageError: `settings.channels` names a channel that
+    the recipe does not have; `settings.held` a flight that is not among the chosen ones.
     """
     check_settings(settings)
     settings = replace(
@@ -233,12 +227,9 @@ def fit_run(
 def fit_file(path: Path, out: Path, settings: FitSettings) -> Run:
     """Fit the one channel that a dataset file holds (`flysid.datasetfile`) and write the run folder.
 
-    Tells of its progress, and may be interrupted, as `fit_run`.
-
-    Raises
-    ------
-    DataError : nothing can be fitted. StoreError : not a dataset file, or damaged.
-    UsageError : `settings` names a channel or a model that is not there.
+    Tells of its progress, and may be interrupted, as `fit_run`. Raises DataError: nothing can be fitted.
+    Raises StoreError: not a dataset file, or damaged. Raises UsageError: `settings` names a channel or a
+    model that is not there.
     """
     check_settings(settings)
     if settings.held:

@@ -46,12 +46,10 @@ def fitted_in_turn(
 ) -> tuple[FoldRun, ...]:
     """Leave every flight out once, fit to the others, save; a model that a fold cannot fit is left out of it.
 
-    Parameters
-    ----------
-    estimators : what to fit to the training part of a fold, by label.
-    folder : the run's, with the channel's own in it.
-    plan : of the channel's work, of which this is a part.
-    compared : labels of linear models, which come first; see `fitone.fitted`.
+    `estimators`: what to fit to the training part of a fold, by label.
+    `folder`: the run's, with the channel's own in it.
+    `plan`: of the channel's work, of which this is a part.
+    `compared`: labels of linear models, which come first; see `fitone.fitted`.
     """
     found = []
     for number, split in enumerate(plan_folds(data, FOLDS, seed=seed), start=1):

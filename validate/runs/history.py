@@ -32,15 +32,13 @@ NOT_JUDGED = "not judged"
 class RunChannel:
     """One channel (and output) of a run.
 
-    Attributes
-    ----------
-    folder : the run's.
-    fitted_at : when run.json was written, ISO 8601 in UTC.
-    rmse : label -> free-run RMSE on the held-out part, in `unit`; empty where the run was not judged.
-    verdict : of the contender against the baseline in free run, or NOT_JUDGED.
-    held_out : hash of the held-out part, "" where the run was not judged.
-    baseline : label of the linear model that the verdict is against, "" where the run was not judged.
-    rank : 1 for the smallest error on this held-out part (best model of each run); None where not judged.
+    `folder`: the run's.
+    `fitted_at`: when run.json was written, ISO 8601 in UTC.
+    `rmse`: label -> free-run RMSE on the held-out part, in `unit`; empty where the run was not judged.
+    `verdict`: of the contender against the baseline in free run, or NOT_JUDGED.
+    `held_out`: hash of the held-out part, "" where the run was not judged.
+    `baseline`: label of the linear model that the verdict is against, "" where the run was not judged.
+    `rank`: 1 for the smallest error on this held-out part (best model of each run); None where not judged.
     """
 
     folder: str
@@ -73,9 +71,7 @@ class RunChannel:
 def find_runs(folders: Sequence[str | Path]) -> list[Path]:
     """Run folders in and below `folders`, sorted; ingested folders and hidden ones are not entered.
 
-    Raises
-    ------
-    UsageError : one of `folders` does not exist, or no run was found.
+    Raises UsageError: one of `folders` does not exist, or no run was found.
     """
     found: dict[Path, None] = {}
     for folder in map(Path, folders):
@@ -105,9 +101,7 @@ def walk(folder: Path, *, depth: int = 4) -> Iterator[Path]:
 def run_channels(folder: str | Path) -> list[RunChannel]:
     """The channels of one run, with the verdict of the report in its folder where there is one.
 
-    Raises
-    ------
-    UsageError, StoreError : the run or its report is damaged or of another version.
+    Raises UsageError, StoreError: the run or its report is damaged or of another version.
     """
     run = open_run(folder)
     judged = _judge(run)

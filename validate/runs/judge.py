@@ -26,14 +26,7 @@ from flysid.validate.diagnose.document import plain, to_json
 from flysid.validate.runs.fitone import nothing_done
 from flysid.validate.runs.judgedparts import chosen_lake, restrict
 from flysid.validate.runs.provenance import FIT_TIME, fit_command, provenance_of
-from flysid.validate.runs.run import (
-    Beside,
-    HeldOut,
-    Run,
-    held_out,
-    requested_model,
-    with_models,
-)
+from flysid.validate.runs.run import Beside, HeldOut, Run, held_out, requested_model, with_models
 
 
 @dataclass(frozen=True)
@@ -85,16 +78,11 @@ def judge_run(
 ) -> Judgement:
     """Compare every channel of a run on its held-out part; tells of its progress (`flysid.progress`).
 
-    Parameters
-    ----------
-    data : the ingested folder, where it moved since the fit.
-    only : judge on these of the held-out flights and stretches alone.
-    beside : further models, by channel and label, that are judged on the same flights as the run's.
-
-    Raises
-    ------
-    DataError : no channel can be judged, or the data differs from what was fitted.
-    StoreError, UsageError : the run or the data folder cannot be read.
+    `data`: the ingested folder, where it moved since the fit.
+    `only`: judge on these of the held-out flights and stretches alone.
+    `beside`: further models, by channel and label, that are judged on the same flights as the run's.
+    Raises DataError: no channel can be judged, or the data differs from what was fitted.
+    Raises StoreError, UsageError: the run or the data folder cannot be read.
     """
     chosen = None if only is None else chosen_lake(run, data, only)  # from the catalogue: before tables
     missing = Missing(*run.missing)
@@ -117,9 +105,7 @@ def _compare(
 ) -> tuple[Mapping[str, Comparison], dict[str, DataError]]:
     """The comparisons by channel, corrected over channels; and why others could not be judged.
 
-    Raises
-    ------
-    DataError : no channel can be judged.
+    Raises DataError: no channel can be judged.
     """
     comparisons: dict[str, Comparison] = {}
     failed: dict[str, DataError] = {}

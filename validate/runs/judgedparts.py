@@ -21,9 +21,7 @@ from flysid.validate.runs.run import HeldOut, Run
 def chosen_lake(run: Run, data: str | Path | None, selection: Selection) -> Lake:
     """The flights of a run that are meant.
 
-    Raises
-    ------
-    UsageError : the run was fitted to a dataset file; or as `select`.
+    Raises UsageError: the run was fitted to a dataset file; or as `select`.
     """
     if not run.recipe:
         raise UsageError("a dataset file has no flights to choose from", path=run.data)
@@ -33,9 +31,7 @@ def chosen_lake(run: Run, data: str | Path | None, selection: Selection) -> Lake
 def restrict(held: HeldOut, lake: Lake) -> HeldOut:
     """Only what of the held-out part lies in the flights and stretches of a folder.
 
-    Raises
-    ------
-    DataError : nothing of it does.
+    Raises DataError: nothing of it does.
     """
     turns = tuple(replace(turn, test=_within(turn.test, lake)) for turn in held.turns)
     test = _within(held.test, lake)

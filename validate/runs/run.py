@@ -198,10 +198,8 @@ class Run:
 class HeldOut:
     """One channel of a run, ready to be judged.
 
-    Attributes
-    ----------
-    seen : flights that the models were trained on.
-    turns : the models of every fold, beside the flights that these have not seen.
+    `seen`: flights that the models were trained on.
+    `turns`: the models of every fold, beside the flights that these have not seen.
     """
 
     channel: ChannelRun
@@ -258,9 +256,7 @@ def _channel_document(channel: ChannelRun) -> dict[str, Any]:
 def open_run(folder: str | Path) -> Run:
     """Read a run folder back.
 
-    Raises
-    ------
-    UsageError : no such folder. StoreError : not a run, damaged, or of another version.
+    Raises UsageError: no such folder. Raises StoreError: not a run, damaged, or of another version.
     """
     folder = Path(folder)
     if not folder.is_dir():
@@ -300,14 +296,9 @@ def held_out(run: Run, data: str | Path | None = None) -> list[HeldOut]:
 
     Of the training part of a channel that was fitted from disk, only the beginning is given.
 
-    Parameters
-    ----------
-    data : the ingested folder or the dataset file, where it moved since the fit.
-
-    Raises
-    ------
-    UsageError : the data is not where it was. StoreError : a model file is missing or damaged.
-    DataError : the data differs from what was fitted.
+    `data`: the ingested folder or the dataset file, where it moved since the fit.
+    Raises UsageError: the data is not where it was. Raises StoreError: a model file is missing or damaged.
+    Raises DataError: the data differs from what was fitted.
     """
     place = run.data if data is None else data
     if data is None and not is_address(place) and not Path(place).exists():
@@ -377,8 +368,6 @@ def _load(folder: Path, file: str) -> Fitted:
 def run_file(folder: Path, name: object) -> Path:
     """A file of a run, whose name stands in its document, or is usual. A run may be a stranger's.
 
-    Raises
-    ------
-    StoreError : it is not in the folder (`flysid.foreign.inner_path`).
+    Raises StoreError: it is not in the folder (`flysid.foreign.inner_path`).
     """
     return inner_path(folder, name, folder / RUN_FILE)

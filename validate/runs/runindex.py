@@ -32,9 +32,7 @@ Indexed = dict[str, tuple[Stamp, list[RunChannel]]]
 def list_runs(folders: Sequence[str | Path]) -> tuple[list[RunChannel], list[StoreError]]:
     """Every channel of every run in and below `folders`, and why runs were left out.
 
-    Raises
-    ------
-    UsageError : one of `folders` does not exist, or no run was found.
+    Raises UsageError: one of `folders` does not exist, or no run was found.
     """
     find_runs(folders)
     channels: dict[tuple[str, str], RunChannel] = {}

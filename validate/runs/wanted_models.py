@@ -31,9 +31,7 @@ def estimators(
 ) -> dict[str, Estimator]:
     """What a run fits in memory, by name, in the order of the table.
 
-    Raises
-    ------
-    UsageError : `settings.models` names what is not there, or what the other settings leave out.
+    Raises UsageError: `settings.models` names what is not there, or what the other settings leave out.
     """
     _check_names(settings)
     rows = [row for row in _fittable() if row.name == baseline or _is_wanted(row, settings)]
@@ -122,9 +120,7 @@ def refused_antecedents(
 ) -> dict[str, UsageError]:
     """Channels whose signals these antecedents are not of, with the reason.
 
-    Raises
-    ------
-    UsageError : they are of none of the channels.
+    Raises UsageError: they are of none of the channels.
     """
     refused = {name: error for name in channels if (error := _refusal(antecedents, recipe, name)) is not None}
     if refused and len(refused) == len(channels):

@@ -34,15 +34,13 @@ from flysid.validate.show.terminal import summary, table
 class Finished:
     """A judgement as people and programs read it.
 
-    Attributes
-    ----------
-    found : the JSON document, but for what is missing.
-    paragraphs : the comparison for a terminal, but for what is missing.
-    forms : the comparison as "markdown" and "csv".
-    page : the page; None where none was wanted, or where it broke as a whole.
-    figures : files of figures for a paper, by name.
-    missing : sentences on what could not be given beside the comparison.
-    unjudged : channels that were fitted, and should have been judged.
+    `found`: the JSON document, but for what is missing.
+    `paragraphs`: the comparison for a terminal, but for what is missing.
+    `forms`: the comparison as "markdown" and "csv".
+    `page`: the page; None where none was wanted, or where it broke as a whole.
+    `figures`: files of figures for a paper, by name.
+    `missing`: sentences on what could not be given beside the comparison.
+    `unjudged`: channels that were fitted, and should have been judged.
     """
 
     found: Mapping[str, Any]
@@ -70,9 +68,7 @@ class Finished:
     def text(self, form: str = "table") -> str:
         """The comparison as "table", "json", "markdown" or "csv", without a line break at the end.
 
-        Raises
-        ------
-        UsageError : another form.
+        Raises UsageError: another form.
         """
         if form == "table":
             return self.table.rstrip("\n")
@@ -94,14 +90,9 @@ class Finished:
 def finish(judgement: Judgement, *, page: bool = False, figures: str | None = None) -> Finished:
     """The finished document of a judgement, which needs its models no more.
 
-    Parameters
-    ----------
-    page : whether the page is described and its pictures are drawn.
-    figures : "pdf", "svg" or "png": figures for a paper, one per channel and output of the page.
-
-    Raises
-    ------
-    UsageError : matplotlib is needed and not installed.
+    `page`: whether the page is described and its pictures are drawn.
+    `figures`: "pdf", "svg" or "png": figures for a paper, one per channel and output of the page.
+    Raises UsageError: matplotlib is needed and not installed.
     """
     context = judgement.context
     found = judgement.document
@@ -129,11 +120,8 @@ def finish(judgement: Judgement, *, page: bool = False, figures: str | None = No
 def write_finished(finished: Finished, folder: Path) -> Path:
     """Write report.html, report.json and figures; returns the page's path. The folder appears whole.
 
-    Where the page breaks as a whole, it is the comparison as it is printed.
-
-    Raises
-    ------
-    WriteError : nothing can be written there.
+    Where the page breaks as a whole, it is the comparison as it is printed. Raises WriteError: nothing can be
+    written there.
     """
     with replacing_folder(folder) as incoming:
         for name, content in finished.figures.items():

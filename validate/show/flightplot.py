@@ -22,10 +22,8 @@ SHADE = "#efefec"
 def draw_flights(timelines: Sequence[Timeline], path: str | Path, title: str = "") -> None:
     """One column of panels, flight below flight, into a PNG, SVG or PDF file.
 
-    Raises
-    ------
-    UsageError : matplotlib is missing, or the file's ending is not known.
-    WriteError : the file cannot be written.
+    Raises UsageError: matplotlib is missing, or the file's ending is not known. Raises WriteError: the file
+    cannot be written.
     """
     check_picture(path)
     from matplotlib.figure import Figure
@@ -48,12 +46,7 @@ def draw_flights(timelines: Sequence[Timeline], path: str | Path, title: str = "
 
 
 def flights_as_text(timelines: Sequence[Timeline], width: int) -> str:
-    """Every panel in characters, `width` columns wide.
-
-    Raises
-    ------
-    UsageError : plotext is missing.
-    """
+    """Every panel in characters, `width` columns wide. Raises UsageError: plotext is missing."""
     if importlib.util.find_spec("plotext") is None:
         raise UsageError("plotext is not installed", hint='pip install "flysid[plot]"')
     import plotext

@@ -35,9 +35,7 @@ WIDTH_IN = 6.7
 def figure_files(page: Page, kind: str = "pdf") -> dict[str, bytes]:
     """Name -> content of one figure per channel and output of a page; equal pages give equal bytes.
 
-    Raises
-    ------
-    UsageError : an unknown kind, or matplotlib is not installed.
+    Raises UsageError: an unknown kind, or matplotlib is not installed.
     """
     suffix = f".{kind}"
     check_picture(f"figures{suffix}")
@@ -81,9 +79,7 @@ def axis_label(name: str, unit: str = "") -> str:
 def plot_free_run(comparison: Comparison, output: str | None, ax: Any) -> Any:
     """The longest held-out segment, measured and in free run of the models of the headline; the axes.
 
-    Raises
-    ------
-    UsageError : matplotlib is not installed; no such output.
+    Raises UsageError: matplotlib is not installed; no such output.
     """
     require_matplotlib()
     import matplotlib.pyplot as plt

@@ -79,10 +79,8 @@ def draw_rules(model: OfRules, segment: Segment, output: int = 0, signal: int = 
 def write_rules_figure(path: str | Path, model: OfRules, segment: Segment) -> Path:
     """The figure as a file, of the kind that its name ends with; equal input gives equal bytes.
 
-    Raises
-    ------
-    UsageError : another kind than pdf, svg, png; as `draw_rules`.
-    WriteError : the file cannot be written.
+    Raises UsageError: another kind than pdf, svg, png; as `draw_rules`. Raises WriteError: the file cannot be
+    written.
     """
     path = Path(path)
     check_picture(path)

@@ -44,8 +44,6 @@ def _stylesheet() -> tuple[tuple[frozenset[str], dict[str, str]], ...]:
 def style_of(css: str) -> dict[str, str]:
     """What the stylesheet sets for a line or area of these classes.
 
-    Examples
-    --------
     >>> style_of("measured")["stroke-width"]
     '1.3'
     """
@@ -60,8 +58,6 @@ def style_of(css: str) -> dict[str, str]:
 def stroke_of(css: str, points: float = POINTS_OF_PIXEL) -> dict[str, Any]:
     """How matplotlib draws a line of these classes; `points` are what a pixel of the page becomes.
 
-    Examples
-    --------
     >>> stroke_of("arx")["color"]
     '#c2570c'
     """
@@ -90,10 +86,8 @@ def height_of(picture: Markup) -> float:
 class Sheet:
     """A matplotlib figure on which pictures lie, each where it is laid, in pixels of the page.
 
-    Parameters
-    ----------
-    width, height : of the sheet, in pixels.
-    width_in : inches that the width becomes.
+    `width`, `height`: of the sheet, in pixels.
+    `width_in`: inches that the width becomes.
     """
 
     def __init__(self, width: float, height: float, width_in: float) -> None:

@@ -37,9 +37,7 @@ CELL_V = 4.2
 def frame_model(vehicle: FittedVehicle, mass_kg: float = MASS_KG, arm_m: float = ARM_M) -> dict[str, Any]:
     """Keys and values as ArduPilot names them.
 
-    Raises
-    ------
-    UsageError : mass or arm is not above zero; a vehicle that cannot hover.
+    Raises UsageError: mass or arm is not above zero; a vehicle that cannot hover.
     """
     body = body_of(vehicle, mass_kg, arm_m)
     hover = hover_of(vehicle)

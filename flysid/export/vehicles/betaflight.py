@@ -101,9 +101,7 @@ int main(int count, char **word) {
 def betaflight_source(vehicle: FittedVehicle) -> str:
     """The program, as text.
 
-    Raises
-    ------
-    UsageError : the vehicle has not four motors, which is what the firmware sends.
+    Raises UsageError: the vehicle has not four motors, which is what the firmware sends.
     """
     if vehicle.motors != MOTORS:
         raise UsageError(f"Betaflight's SITL sends commands of {MOTORS} motors, not of {vehicle.motors}")

@@ -25,15 +25,13 @@ ARM_M = 0.1
 class Body:
     """A vehicle in SI units; axes forward, left, up.
 
-    Attributes
-    ----------
-    thrust_n : of a motor at full command.
-    inertia : (3,) kg m^2.
-    places : (motors, 2) m, forward and left of the centre of mass.
-    yaw_nm : (motors,) N m about z at full command.
-    rotor_drag : (3,) N s/m a motor at full speed; body_drag : (3,) N s^2/m^2.
-    lean : (2,) N s a motor at full speed: roll from speed to the left, pitch from speed forward.
-    trim_nm : (3,) N m that acts always.
+    `thrust_n`: of a motor at full command.
+    `inertia`: (3,) kg m^2.
+    `places`: (motors, 2) m, forward and left of the centre of mass.
+    `yaw_nm`: (motors,) N m about z at full command.
+    `rotor_drag`: (3,) N s/m a motor at full speed; `body_drag`: (3,) N s^2/m^2.
+    `lean`: (2,) N s a motor at full speed: roll from speed to the left, pitch from speed forward.
+    `trim_nm`: (3,) N m that acts always.
     """
 
     mass_kg: float
@@ -50,14 +48,9 @@ class Body:
 def body_of(vehicle: FittedVehicle, mass_kg: float = MASS_KG, arm_m: float = ARM_M) -> Body:
     """The body that moves as the vehicle does.
 
-    Parameters
-    ----------
-    mass_kg : as weighed.
-    arm_m : mean distance of motors from the centre of mass, seen from above.
-
-    Raises
-    ------
-    UsageError : mass or arm is not above zero; the motors have no effect about roll or pitch.
+    `mass_kg`: as weighed.
+    `arm_m`: mean distance of motors from the centre of mass, seen from above.
+    Raises UsageError: mass or arm is not above zero; the motors have no effect about roll or pitch.
     """
     if not (mass_kg > 0.0 and arm_m > 0.0):
         raise UsageError(f"mass {mass_kg:g} kg and arm {arm_m:g} m must be above zero")

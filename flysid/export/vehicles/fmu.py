@@ -121,13 +121,8 @@ void vehicle_fmu_advance(vehicle_fmu_state *s) {
 def vehicle_fmu(vehicle: FittedVehicle, *, version: FMIVersion = 2, binary: bool = True) -> bytes:
     """The archive; the same bytes each time by the same compiler.
 
-    Parameters
-    ----------
-    binary : compile it for this machine where it is a 64-bit Linux with a C compiler.
-
-    Raises
-    ------
-    FitError : the compiler refuses its sources.
+    `binary`: compile it for this machine where it is a 64-bit Linux with a C compiler.
+    Raises FitError: the compiler refuses its sources.
     """
     sources = {
         f"{NAME}.c": Template(_SOURCE).substitute(_values(vehicle)),

@@ -17,11 +17,9 @@ from flysid.stretch import FloatArray
 class Hover:
     """All motors alike, neither climbing nor sinking.
 
-    Attributes
-    ----------
-    command : of every motor, as a share of full scale; share : of full thrust.
-    slope : of the share by the command there.
-    damping : (3,) 1/s of roll, pitch and yaw, by their own damping and by the air that hubs meet.
+    `command`: of every motor, as a share of full scale; `share`: of full thrust.
+    `slope`: of the share by the command there.
+    `damping`: (3,) 1/s of roll, pitch and yaw, by their own damping and by the air that hubs meet.
     """
 
     command: float
@@ -31,12 +29,7 @@ class Hover:
 
 
 def hover_of(vehicle: FittedVehicle) -> Hover:
-    """The hover of a vehicle.
-
-    Raises
-    ------
-    UsageError : it cannot hover.
-    """
+    """The hover of a vehicle. Raises UsageError: it cannot hover."""
     theta = vehicle.theta
     curve = float(theta[CURVE])
     share = hover_share(vehicle) if theta[THRUST] > 0.0 else np.inf

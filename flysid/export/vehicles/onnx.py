@@ -19,9 +19,7 @@ from flysid.sixdof.rigid_body import STATES
 def vehicle_onnx(vehicle: FittedVehicle) -> bytes:
     """The file: `x` and `u` become `x_next` after the vehicle's sample time.
 
-    Raises
-    ------
-    UsageError : the package onnx is not installed.
+    Raises UsageError: the package onnx is not installed.
     """
     graph = Graph()
     size = STATES + vehicle.motors

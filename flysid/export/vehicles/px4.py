@@ -43,10 +43,8 @@ def sih_parameters(
 ) -> dict[str, float]:
     """Name -> value, as PX4 documents them.
 
-    Raises
-    ------
-    UsageError : mass or arm is not above zero; a number or an order of motors that PX4 does not simulate; a
-        vehicle that cannot hover.
+    Raises UsageError: mass or arm is not above zero; a number or an order of motors that PX4 does not
+    simulate; a vehicle that cannot hover.
     """
     body = body_of(vehicle, mass_kg, arm_m)
     hover = hover_of(vehicle)

@@ -19,10 +19,8 @@ ComplexArray = npt.NDArray[np.complex128]
 class Band:
     """Frequencies in rad/s, and the coherence at each of the spectra's frequencies.
 
-    Attributes
-    ----------
-    low, high : its ends.
-    omega, coherence : (F,) of the spectra.
+    `low`, `high`: its ends.
+    `omega`, `coherence`: (F,) of the spectra.
     """
 
     low: float
@@ -52,9 +50,7 @@ def band_of(
 
     `least_cycles`: in a window: a lower frequency looks like a drift.
 
-    Raises
-    ------
-    DataError : there is none.
+    Raises DataError: there is none.
     """
     coherence = coherence_of(spectra, source, target)
     good = coherence >= GOOD_COHERENCE

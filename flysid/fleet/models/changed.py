@@ -14,7 +14,7 @@ from flysid.errors import DataError
 from flysid.facts.vehicle import vehicle_of
 from flysid.fleet.models.common_grid import Sampling
 from flysid.fleet.models.differences import FlightPart, JudgedChannel, Test, judge, judge_channel
-from flysid.fleet.models.flag_words import Finding, Smallest, finding, short_names, sizes, smallest
+from flysid.fleet.models.flag_words import Flag, Smallest, finding, short_names, sizes, smallest
 from flysid.fleet.models.gather import Gathered
 from flysid.ingest.align.recipe import Recipe
 from flysid.model.threads import on_one_thread
@@ -25,26 +25,24 @@ FORMAT_VERSION = 1
 
 
 @dataclass(frozen=True, eq=False)
-class Comparison:
+class FleetComparison:
     """A fleet, compared.
 
-    Attributes
-    ----------
-    recipe : by which.
-    rate : of false discoveries.
-    before_ns : flights that began before (UTC, ns) are early; None: the first half of each vehicle's.
-    channels : that were compared.
-    findings : what was flagged, the surest first.
-    smallest : by channel, what would have been flagged.
-    skipped : channels that were not compared, and why.
-    flights : of the fleet.
+    `recipe`: by which.
+    `rate`: of false discoveries.
+    `before_ns`: flights that began before (UTC, ns) are early; None: the first half of each vehicle's.
+    `channels`: that were compared.
+    `findings`: what was flagged, the surest first.
+    `smallest`: by channel, what would have been flagged.
+    `skipped`: channels that were not compared, and why.
+    `flights`: of the fleet.
     """
 
     recipe: Recipe
     rate: float
     before_ns: int | None
     channels: tuple[JudgedChannel, ...]
-    findings: tuple[Finding, ...]
+    findings: tuple[Flag, ...]
     smallest: Mapping[str, Smallest]
     skipped: Mapping[str, str]
     flights: tuple[FlightFacts, ...]
@@ -128,7 +126,7 @@ def compare(
     flights: Sequence[FlightFacts],
     rate: float = 0.05,
     before_ns: int | None = None,
-) -> Comparison:
+) -> FleetComparison:
     """Compare a fleet's vehicles with themselves and with each other.
 
     Parameters
@@ -136,7 +134,7 @@ def compare(
     gathered : what `gather` keeps of the fleet.
     flights : of the fleet.
     rate : of false ones among the flagged, at most.
-    before_ns : see `Comparison`.
+    before_ns : see `FleetComparison`.
 
     Raises
     ------
@@ -154,7 +152,7 @@ def compare(
     tests = sum(len(j.tests) for j in channels)
     flags = sorted(((t, j) for j in channels for t in j.tests if t.flagged), key=lambda flag: flag[0].p)
     names = short_names({vehicle_of(facts.info) for facts in flights})
-    return Comparison(
+    return FleetComparison(
         recipe=recipe,
         rate=rate,
         before_ns=before_ns,

@@ -11,9 +11,9 @@ import numpy as np
 from markupsafe import Markup
 
 from flysid.escaping import one_line
-from flysid.fleet.models.changed import Comparison
+from flysid.fleet.models.changed import FleetComparison
 from flysid.fleet.models.differences import JudgedChannel, Test
-from flysid.fleet.models.flag_words import Finding, date_of
+from flysid.fleet.models.flag_words import Flag, date_of
 from flysid.model.polynomials import Z95
 from flysid.showing import first_of, rough_duration
 from flysid.validate.show.page.html import environment, load_asset, security_policy, write_page
@@ -26,24 +26,19 @@ SHOWN = 8
 
 
 def write_fleet_page(
-    path: Path, compared: Comparison, command: str, reports: Mapping[str, Path] | None = None
+    path: Path, compared: FleetComparison, command: str, reports: Mapping[str, Path] | None = None
 ) -> Path:
     """Write the page whole or not at all; returns its path.
 
-    Parameters
-    ----------
-    command : that makes it again.
-    reports : vehicle -> the page of its own run.
-
-    Raises
-    ------
-    StoreError : the file cannot be written.
+    `command`: that makes it again.
+    `reports`: vehicle -> the page of its own run.
+    Raises StoreError: the file cannot be written.
     """
     links = {v: os.path.relpath(page, path.parent) for v, page in (reports or {}).items()}
     return write_page(path, render(compared, command, links))
 
 
-def render(compared: Comparison, command: str, links: Mapping[str, str] | None = None) -> str:
+def render(compared: FleetComparison, command: str, links: Mapping[str, str] | None = None) -> str:
     """The page; equal comparisons give equal pages."""
     styles = load_asset("page.css")
     title, lead = headline(compared)
@@ -72,7 +67,7 @@ def render(compared: Comparison, command: str, links: Mapping[str, str] | None =
     )
 
 
-def headline(compared: Comparison) -> tuple[str, str]:
+def headline(compared: FleetComparison) -> tuple[str, str]:
     """How many vehicles have changed, and how many differ from the others."""
     changed = {f.vehicle for f in compared.findings if f.question == "changed"}
     unlike = {f.vehicle for f in compared.findings} - changed
@@ -86,7 +81,7 @@ def headline(compared: Comparison) -> tuple[str, str]:
     return title, lead
 
 
-def _basis(compared: Comparison) -> str:
+def _basis(compared: FleetComparison) -> str:
     when = "the first half of each vehicle's flights with the second"
     if compared.before_ns is not None:
         when = f"flights before {date_of(compared.before_ns)} with those from then on"
@@ -97,7 +92,7 @@ def _basis(compared: Comparison) -> str:
     )
 
 
-def _masthead(compared: Comparison) -> list[str]:
+def _masthead(compared: FleetComparison) -> list[str]:
     flights = compared.flights
     firmwares = sorted({f.info["firmware"] for f in flights if f.info.get("firmware")})
     facts = [
@@ -110,9 +105,9 @@ def _masthead(compared: Comparison) -> list[str]:
     return [one_line(fact) for fact in facts if fact]
 
 
-def _vehicles(compared: Comparison, links: Mapping[str, str]) -> list[dict[str, Any]]:
+def _vehicles(compared: FleetComparison, links: Mapping[str, str]) -> list[dict[str, Any]]:
     """One card for each flagged vehicle, those that have changed first."""
-    own: dict[str, list[Finding]] = {}
+    own: dict[str, list[Flag]] = {}
     for found in sorted(compared.findings, key=lambda f: (f.question != "changed", f.p)):
         own.setdefault(found.vehicle, []).append(found)
     by_name = {name: vehicle for vehicle, name in compared.names.items()}
@@ -133,7 +128,7 @@ def _vehicles(compared: Comparison, links: Mapping[str, str]) -> list[dict[str, 
     return cards
 
 
-def _channel(compared: Comparison, judged: JudgedChannel) -> dict[str, Any]:
+def _channel(compared: FleetComparison, judged: JudgedChannel) -> dict[str, Any]:
     spec = compared.recipe.channel(judged.channel)
     least = compared.smallest.get(judged.channel)
     hz = judged.band.frequencies / 2.0 / np.pi
@@ -185,7 +180,7 @@ def strip(tests: Sequence[Test], names: Mapping[str, str], at: int) -> Markup:
     return picture(400, 180, parts, f"Change of gain of {len(tests)} vehicles; flagged: {flagged}")
 
 
-def _unseen(compared: Comparison) -> list[tuple[str, str]]:
+def _unseen(compared: FleetComparison) -> list[tuple[str, str]]:
     """Channels and vehicles that were not judged, and why."""
     notes = [(f"Channel {one_line(name)}", one_line(why)) for name, why in compared.skipped.items()]
     reasons: dict[str, dict[str, list[str]]] = {}

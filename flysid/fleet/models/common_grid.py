@@ -23,13 +23,11 @@ RATE_OVER_BAND = 10.0
 class Sampling(msgspec.Struct, frozen=True):
     """How a channel's triangles are made.
 
-    Attributes
-    ----------
-    dt_s : sample time.
-    lags : L, of inputs and outputs.
-    window : of the spectra, samples.
-    inputs, outputs : names of the signals.
-    units : of inputs, then outputs.
+    `dt_s`: sample time.
+    `lags`: L, of inputs and outputs.
+    `window`: of the spectra, samples.
+    `inputs`, `outputs`: names of the signals.
+    `units`: of inputs, then outputs.
     """
 
     dt_s: float
@@ -58,14 +56,9 @@ class Sampling(msgspec.Struct, frozen=True):
 def choose_sampling(data: Dataset, rate_hz: float | None = None, *, lags: int = 10) -> Sampling:
     """The grid for a fleet from a few of its flights on the recipe's grid.
 
-    Parameters
-    ----------
-    rate_hz : the user's choice; None: from the coherence.
-    lags : so that the history is one such period.
-
-    Raises
-    ------
-    DataError : nowhere are input and output coherent.
+    `rate_hz`: the user's choice; None: from the coherence.
+    `lags`: so that the history is one such period.
+    Raises DataError: nowhere are input and output coherent.
     """
     seconds = float(np.median([len(s) for s in data.segments])) * data.dt_s
     window = window_of(seconds, data.dt_s)

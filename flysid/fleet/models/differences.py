@@ -44,14 +44,12 @@ class FlightPart:
 class Test:
     """A vehicle's answer to one question.
 
-    Attributes
-    ----------
-    difference : (2 k,) of log gain and phase (rad).
-    covariance : (2 k, 2 k) of it.
-    statistic, p : Hotelling's T², and the chance of a larger one where nothing differs.
-    freedom : behind the covariance.
-    flights : before and after, or of the vehicle and of the others.
-    flagged : the rate of false discoveries allows to say so.
+    `difference`: (2 k,) of log gain and phase (rad).
+    `covariance`: (2 k, 2 k) of it.
+    `statistic`, `p`: Hotelling's T², and the chance of a larger one where nothing differs.
+    `freedom`: behind the covariance.
+    `flights`: before and after, or of the vehicle and of the others.
+    `flagged`: the rate of false discoveries allows to say so.
     """
 
     channel: str
@@ -75,12 +73,10 @@ class Test:
 class JudgedChannel:
     """A channel and its tests.
 
-    Attributes
-    ----------
-    flown : the vehicles' flights, in the order of time.
-    present : responses of their late flights.
-    too_few : vehicles that cannot be compared with themselves, and why.
-    common : (2 k,) what all vehicles have in common from early to late; None where they are too few to tell.
+    `flown`: the vehicles' flights, in the order of time.
+    `present`: responses of their late flights.
+    `too_few`: vehicles that cannot be compared with themselves, and why.
+    `common`: (2 k,) what all vehicles have in common from early to late; None where they are too few to tell.
     """
 
     channel: str
@@ -99,13 +95,8 @@ def judge_channel(
 ) -> JudgedChannel:
     """Has any vehicle changed in this channel? No test is flagged yet: that is for `judge`.
 
-    Parameters
-    ----------
-    before_ns : flights that began before (UTC) are early; None: the first half of each vehicle's flights.
-
-    Raises
-    ------
-    DataError : several inputs or outputs; no band of coherence; too few repeated flights.
+    `before_ns`: flights that began before (UTC) are early; None: the first half of each vehicle's flights.
+    Raises DataError: several inputs or outputs; no band of coherence; too few repeated flights.
     """
     if len(sampling.inputs) != 1 or len(sampling.outputs) != 1:
         raise DataError(
@@ -158,9 +149,7 @@ def judge_channel(
 def judge(channels: Sequence[JudgedChannel], rate: float) -> list[JudgedChannel]:
     """All channels with the vehicles compared with each other too, and the tests flagged.
 
-    Parameters
-    ----------
-    rate : of false discoveries, e.g. 0.05.
+    `rate`: of false discoveries, e.g. 0.05.
     """
     first = flagged([t for c in channels for t in c.tests], rate)
     changed = {t.vehicle for t in first if t.flagged}

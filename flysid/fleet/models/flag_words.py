@@ -26,10 +26,8 @@ SEEN = 0.9
 class Size:
     """A change at one frequency, with its interval, which holds for all frequencies at once.
 
-    Attributes
-    ----------
-    value, low, high : percent of gain, or milliseconds of delay.
-    hz : the frequency at which it stands out most.
+    `value`, `low`, `high`: percent of gain, or milliseconds of delay.
+    `hz`: the frequency at which it stands out most.
     """
 
     value: float
@@ -44,7 +42,7 @@ class Size:
 
 
 @dataclass(frozen=True)
-class Finding:
+class Flag:
     """A vehicle that differs, in words and numbers."""
 
     vehicle: str
@@ -77,13 +75,11 @@ def _size(value_low_high: FloatArray, omega: float) -> Size:
 
 def finding(
     test: Test, judged: JudgedChannel, recipe: Recipe, starts: Mapping[str, int | None], name: str
-) -> Finding:
+) -> Flag:
     """A flagged test in physical words.
 
-    Parameters
-    ----------
-    starts : when flights began, UTC in ns.
-    name : what to call the vehicle.
+    `starts`: when flights began, UTC in ns.
+    `name`: what to call the vehicle.
     """
     gain, delay = sizes(test, judged.band.frequencies)
     first = since(judged, test.vehicle) if test.question == "changed" else ""
@@ -93,7 +89,7 @@ def finding(
     cause = _signal(recipe, judged.sampling.inputs[0])
     effect = _signal(recipe, judged.sampling.outputs[0])
     sentence = f"{name}: the same {cause} gives {_compare(gain, delay, effect, other)}{moment}"
-    return Finding(name, test.channel, test.question, one_line(sentence), test.p, gain, delay,
+    return Flag(name, test.channel, test.question, one_line(sentence), test.p, gain, delay,
                    first, day)  # fmt: skip
 
 
@@ -148,10 +144,8 @@ class Smallest:
 def smallest(judged: JudgedChannel, tests: int, rate: float) -> Smallest | None:
     """Of the same change of gain, or the same delay, at all frequencies; None without a test.
 
-    Parameters
-    ----------
-    tests : how many are made in all, of which one alone must pass the strictest step.
-    rate : of false discoveries.
+    `tests`: how many are made in all, of which one alone must pass the strictest step.
+    `rate`: of false discoveries.
     """
     own = [t for t in judged.tests if t.question == "changed"]
     if not own or tests < 1:

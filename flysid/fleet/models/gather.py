@@ -35,12 +35,10 @@ BATCH = 32
 class Gathered:
     """What is kept of a fleet.
 
-    Attributes
-    ----------
-    samplings, parts : by channel.
-    skipped : channels that the fleet cannot serve, and why.
-    read : flights that were read for it now.
-    lost : flights whose reading ended its process, and why.
+    `samplings`, `parts`: by channel.
+    `skipped`: channels that the fleet cannot serve, and why.
+    `read`: flights that were read for it now.
+    `lost`: flights whose reading ended its process, and why.
     """
 
     samplings: Mapping[str, Sampling]
@@ -54,9 +52,7 @@ class Gathered:
 class Batch:
     """Flights to be read at once, with the grids of the channels.
 
-    Attributes
-    ----------
-    address : of the lake, from where a process on another machine reads them; "": they lie in their folder.
+    `address`: of the lake, from where a process on another machine reads them; "": they lie in their folder.
     """
 
     logs: tuple[StoredLog, ...]
@@ -76,17 +72,12 @@ def gather(
 ) -> Gathered:
     """The triangles of all flights; those that are kept already are not read.
 
-    Parameters
-    ----------
-    objects : where they are kept: the lake's own place.
-    channels : of the recipe; empty: all.
-    rate_hz : of the grid; None: from where output and input are coherent.
-    workers : processes at a time; 1: in this one.
-    cluster : reads flights instead of this machine's processes; the lake must have an address.
-
-    Raises
-    ------
-    RecipeError : no such channel.
+    `objects`: where they are kept: the lake's own place.
+    `channels`: of the recipe; empty: all.
+    `rate_hz`: of the grid; None: from where output and input are coherent.
+    `workers`: processes at a time; 1: in this one.
+    `cluster`: reads flights instead of this machine's processes; the lake must have an address.
+    Raises RecipeError: no such channel.
     """
     store = TriangleStore(objects, recipe, rate_hz)
     samplings: dict[str, Sampling] = {}

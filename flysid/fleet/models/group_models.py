@@ -33,12 +33,10 @@ KEYS = ("vehicle", "firmware", "month")
 class Group:
     """A group of flights and its models of a channel, one per output.
 
-    Attributes
-    ----------
-    key : what the group is, e.g. {"vehicle": "px4 0042", "firmware": "1.15.2"}.
-    flights : their ids.
-    models : by output; empty where `reason` explains why there are none.
-    response : of a channel with one input and one output.
+    `key`: what the group is, e.g. {"vehicle": "px4 0042", "firmware": "1.15.2"}.
+    `flights`: their ids.
+    `models`: by output; empty where `reason` explains why there are none.
+    `response`: of a channel with one input and one output.
     """
 
     key: Mapping[str, str]
@@ -53,10 +51,8 @@ class Group:
 class FleetFit:
     """All groups' models.
 
-    Attributes
-    ----------
-    scatter : by channel, between flights, pooled over the groups; absent where they have too few flights.
-    omega : by channel, the frequencies of the responses, rad/s.
+    `scatter`: by channel, between flights, pooled over the groups; absent where they have too few flights.
+    `omega`: by channel, the frequencies of the responses, rad/s.
     """
 
     by: tuple[str, ...]
@@ -146,13 +142,8 @@ def check_keys(by: Sequence[str]) -> None:
 def fit_groups(gathered: Gathered, by: Sequence[str]) -> FleetFit:
     """The linear models of all groups.
 
-    Parameters
-    ----------
-    by : some of `KEYS`; empty: the whole fleet is one group.
-
-    Raises
-    ------
-    UsageError : another key.
+    `by`: some of `KEYS`; empty: the whole fleet is one group.
+    Raises UsageError: another key.
     """
     check_keys(by)
     groups: list[Group] = []

@@ -30,14 +30,12 @@ EPSILON = float(np.sqrt(np.finfo(np.float64).eps))
 class GroupModel:
     """The model of a group of flights.
 
-    Attributes
-    ----------
-    theta : (n,) coefficients of the inputs at lags 0..L and of the outputs at lags 1..L.
-    rows, flights : behind it.
-    rmse : of the one-step prediction, in the output's unit.
-    condition : of the regressors, columns scaled.
-    root : (n, n) upper triangular R, RᵀR = PhiᵀPhi.
-    influences : (flights, n) how far each flight moves theta (CR2); their squares sum to its covariance.
+    `theta`: (n,) coefficients of the inputs at lags 0..L and of the outputs at lags 1..L.
+    `rows`, `flights`: behind it.
+    `rmse`: of the one-step prediction, in the output's unit.
+    `condition`: of the regressors, columns scaled.
+    `root`: (n, n) upper triangular R, RᵀR = PhiᵀPhi.
+    `influences`: (flights, n) how far each flight moves theta (CR2); their squares sum to its covariance.
     """
 
     theta: FloatArray
@@ -59,15 +57,10 @@ class GroupModel:
 def fit_group(triangles: Sequence[FloatArray], rows: int, sampling: Sampling, target: int = 0) -> GroupModel:
     """The model of the flights with these triangles.
 
-    Parameters
-    ----------
-    triangles : (c, c) each, as in `triangles.Triangle`.
-    rows : samples behind them all.
-    target : which output.
-
-    Raises
-    ------
-    DataError : fewer samples than coefficients, or the flights do not excite them all.
+    `triangles`: (c, c) each, as in `triangles.Triangle`.
+    `rows`: samples behind them all.
+    `target`: which output.
+    Raises DataError: fewer samples than coefficients, or the flights do not excite them all.
     """
     n = sampling.regressors
     centred = [r[1:, 1:] for r in triangles]
@@ -104,12 +97,10 @@ def _influence(phi: FloatArray, y: FloatArray, theta: FloatArray, root: FloatArr
 class Response:
     """A group's frequency response from its one input to its one output, as log H: log gain and phase.
 
-    Attributes
-    ----------
-    value : (2 k,) log gain at k frequencies, then phase in rad.
-    white : (2 k, 2 k) its covariance if residuals were white.
-    influences : (flights, 2 k) how far each flight moves it.
-    flights : how many.
+    `value`: (2 k,) log gain at k frequencies, then phase in rad.
+    `white`: (2 k, 2 k) its covariance if residuals were white.
+    `influences`: (flights, 2 k) how far each flight moves it.
+    `flights`: how many.
     """
 
     value: FloatArray

@@ -54,10 +54,8 @@ def tail_of(statistics: Sequence[float], size: int, freedom: float) -> Tail:
     Wind blows along one flight and across the next: what one vehicle meets is not what all meet,
     and T² strays further than Hotelling's. It is never taken to stray less.
 
-    Parameters
-    ----------
-    statistics : one for each vehicle; Hotelling's own tail is taken where they are too few.
-    freedom : behind the scatter.
+    `statistics`: one for each vehicle; Hotelling's own tail is taken where they are too few.
+    `freedom`: behind the scatter.
     """
     left = freedom - size + 1
     nominal = freedom / left
@@ -77,9 +75,7 @@ def tail_of(statistics: Sequence[float], size: int, freedom: float) -> Tail:
 def pool(responses: Sequence[Response], channel: str) -> Scatter:
     """K of groups in each of which the vehicle was the same.
 
-    Raises
-    ------
-    DataError : too few groups have several flights.
+    Raises DataError: too few groups have several flights.
     """
     several = [r for r in responses if r.flights > 1]
     freedom = sum(r.flights - 1 for r in several)

@@ -146,11 +146,9 @@ def part_of(row: Mapping[str, object], sampling: Sampling) -> FlightPart:
 class TriangleStore:
     """The triangles that a recipe made of a fleet.
 
-    Parameters
-    ----------
-    objects : the fleet's place.
-    recipe : stores differ by its content, not by its name.
-    rate_hz : the grid that the user chose; None: chosen from the coherence.
+    `objects`: the fleet's place.
+    `recipe`: stores differ by its content, not by its name.
+    `rate_hz`: the grid that the user chose; None: chosen from the coherence.
     """
 
     def __init__(self, objects: Objects, recipe: Recipe, rate_hz: float | None = None) -> None:
@@ -160,12 +158,7 @@ class TriangleStore:
         self.prefix = f"{TRIANGLES}/{hashlib.sha256(identity).hexdigest()[:16]}"
 
     def sampling(self, channel: str) -> Sampling | Unfit | None:
-        """The channel's grid, or why it had none; None before the first look.
-
-        Raises
-        ------
-        StoreError : damaged.
-        """
+        """The channel's grid, or why it had none; None before the first look. Raises StoreError: damaged."""
         name = f"{self.prefix}/sampling-{channel}.json"
         for place in (name, *reversed(self._unfit(channel))):
             content = self._objects.get(place)

@@ -24,13 +24,11 @@ from flysid.model.gram import tsqr
 class Triangle:
     """A flight's part of a channel.
 
-    Attributes
-    ----------
-    r : (c, c) upper triangular, of the constant, the inputs at lags 0..L, the outputs at lags 1..L, and the
+    `r`: (c, c) upper triangular, of the constant, the inputs at lags 0..L, the outputs at lags 1..L, and the
         outputs; zero where no segment is longer than L.
-    rows : samples behind it.
-    spectra : (F, s, s) cross-spectra of inputs and outputs, summed over windows.
-    windows : how many.
+    `rows`: samples behind it.
+    `spectra`: (F, s, s) cross-spectra of inputs and outputs, summed over windows.
+    `windows`: how many.
     """
 
     r: FloatArray

@@ -31,11 +31,9 @@ if TYPE_CHECKING:
 class VehicleFit:
     """A vehicle's run to be made.
 
-    Attributes
-    ----------
-    lake : with the vehicle's flights alone.
-    recipe : its text.
-    settings : of the run, with the vehicle as its selection.
+    `lake`: with the vehicle's flights alone.
+    `recipe`: its text.
+    `settings`: of the run, with the vehicle as its selection.
     """
 
     lake: Lake
@@ -58,12 +56,10 @@ def fit_vehicles(
 ) -> dict[str, Run | str]:
     """A run for each vehicle, as `flysid fit --vehicle` makes it, or why there is none.
 
-    Parameters
-    ----------
-    output : a folder per vehicle is made in it (`folder_of`); those that are there already are replaced.
-    settings : of every run; its selection is replaced by the vehicle's.
-    jobs : channels at a time on this machine.
-    cluster : makes the runs instead of this machine; the lake must have an address.
+    `output`: a folder per vehicle is made in it (`folder_of`); those that are there already are replaced.
+    `settings`: of every run; its selection is replaced by the vehicle's.
+    `jobs`: channels at a time on this machine.
+    `cluster`: makes the runs instead of this machine; the lake must have an address.
     """
     done: dict[str, Run | str] = {}
     fits: list[VehicleFit] = []

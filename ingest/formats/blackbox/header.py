@@ -40,7 +40,7 @@ _FIRMWARE = re.compile(
 
 
 @dataclass(frozen=True)
-class Line:
+class HeaderLine:
     """One header line and where it stands."""
 
     name: str
@@ -70,7 +70,7 @@ class Header:
     cut : the file ends inside a line.
     """
 
-    lines: tuple[Line, ...]
+    lines: tuple[HeaderLine, ...]
     end: int
     damaged: tuple[Region, ...] = ()
     cut: bool = False
@@ -141,7 +141,7 @@ def find_logs(view: memoryview) -> list[int]:
 def read_header(view: memoryview, start: int, stop: int) -> Header:
     """The header of the log that begins at `start` and ends at `stop`."""
     piece = bytes(view[start : min(stop, start + MAX_HEADER_BYTES)])
-    lines: list[Line] = []
+    lines: list[HeaderLine] = []
     damaged: list[Region] = []
     at = 0
     while True:
@@ -162,13 +162,15 @@ def read_header(view: memoryview, start: int, stop: int) -> Header:
     return Header(tuple(lines), start + at, tuple(damaged), cut, texts)
 
 
-def _lines(match: re.Match[bytes], at: int) -> Iterator[Line]:
+def _lines(match: re.Match[bytes], at: int) -> Iterator[HeaderLine]:
     """The line; none where it has no name, as one that some firmwares end with."""
     if match[1] is not None:
-        yield Line(match[1].decode("utf-8", "replace"), match[2].decode("utf-8", "replace").rstrip("\r"), at)
+        yield HeaderLine(
+            match[1].decode("utf-8", "replace"), match[2].decode("utf-8", "replace").rstrip("\r"), at
+        )
 
 
-def is_sound(line: Line) -> bool:
+def is_sound(line: HeaderLine) -> bool:
     """Whether a line is text, and holds no second one because what stood between them is damaged."""
     return line.text.isprintable() and "\ufffd" not in line.text and not _SWALLOWED.search(line.text)
 

@@ -20,7 +20,7 @@ from flysid.ingest.formats.blackbox.codes import EventKind, Predictor
 from flysid.ingest.formats.blackbox.frames import Block, Rows, Walker
 from flysid.ingest.formats.blackbox.header import (
     Header,
-    Line,
+    HeaderLine,
     find_logs,
     is_sound,
     numbers_of,
@@ -79,7 +79,7 @@ def _log(view: memoryview, start: int, stop: int, scrubber: Scrubber, limits: Li
     scrubber.note(rules.UNREADABLE, "between frames", stop - header.end - again.copied - walker.padding)
 
 
-def _line(line: Line, scrubber: Scrubber) -> bytes:
+def _line(line: HeaderLine, scrubber: Scrubber) -> bytes:
     """A header line without names of persons and crafts and numbers of hardware; b"" where it is damaged."""
     if not is_sound(line):
         scrubber.note(rules.UNREADABLE, "header lines", 1)

@@ -11,11 +11,6 @@ from flysid.ingest.formats.common.compression import packer_for
 PACKED_SUFFIXES = (".gz", ".zst", ".zstd")
 
 
-def is_packed(name: str) -> bool:
-    """Whether a name ends as those of packed logs do."""
-    return name.lower().endswith(PACKED_SUFFIXES)
-
-
 def own_name(name: str) -> str:
     """A log's name without the suffix of its packing."""
     suffix = PurePosixPath(name).suffix

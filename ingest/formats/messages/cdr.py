@@ -30,9 +30,9 @@ from flysid.ingest.formats.common import arrow_arrays
 from flysid.ingest.formats.common.gather import Bytes, Index, Values, numbers, rows, runs, spread
 from flysid.ingest.formats.messages.steps import (
     Elements,
+    FixedFields,
     Leaf,
     NumberSequence,
-    Run,
     Step,
     TextStep,
     Wire,
@@ -143,7 +143,7 @@ def decode(
 def _decode_steps(cursors: Cursors, steps: tuple[Step, ...]) -> Columns:
     columns: Columns = []
     for step in steps:
-        if isinstance(step, Run):
+        if isinstance(step, FixedFields):
             columns += _decode_run(cursors, step)
         elif isinstance(step, TextStep):
             text = _decode_wide(cursors) if step.is_wide else _decode_text(cursors)
@@ -155,7 +155,7 @@ def _decode_steps(cursors: Cursors, steps: tuple[Step, ...]) -> Columns:
     return columns
 
 
-def _decode_run(cursors: Cursors, run: Run) -> Columns:
+def _decode_run(cursors: Cursors, run: FixedFields) -> Columns:
     """Columns of a run, filled in passes that stay in the processor's cache."""
     unit = run.unit(cursors.wire)
     phase = (cursors.at - cursors.origin) % unit if unit > 1 else np.zeros(len(cursors.at), dtype=np.int64)
@@ -264,7 +264,7 @@ def _decode_elements(cursors: Cursors, step: Elements) -> pa.Array:
 
 def _even_elements(cursors: Cursors, step: Elements, count: Index) -> Columns | None:
     """Elements of one fixed size, all at once; None where they vary."""
-    if len(step.steps) != 1 or not isinstance(step.steps[0], Run):
+    if len(step.steps) != 1 or not isinstance(step.steps[0], FixedFields):
         return None
     run = step.steps[0]
     wire = cursors.wire

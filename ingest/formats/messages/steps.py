@@ -52,7 +52,7 @@ class Leaf:
 
 
 @dataclass(frozen=True)
-class Run:
+class FixedFields:
     """Fixed-size fields one after the other."""
 
     leaves: tuple[Leaf, ...]
@@ -108,7 +108,7 @@ class Elements:
     single: bool
 
 
-Step = Run | TextStep | NumberSequence | Elements
+Step = FixedFields | TextStep | NumberSequence | Elements
 
 
 def plan(kind: MessageType) -> tuple[Step, ...]:
@@ -137,7 +137,7 @@ def _flush(steps: list[Step], pending: list[Leaf]) -> None:
     if sum(8 * (leaf.count or 1) for leaf in pending) > MAX_FIXED_BYTES:
         raise DefinitionError("fixed arrays are too large")
     if pending:
-        steps.append(Run(tuple(pending)))
+        steps.append(FixedFields(tuple(pending)))
         pending.clear()
 
 
@@ -157,7 +157,7 @@ def largest_run(steps: tuple[Step, ...]) -> int:
     """An upper bound of the bytes that any one gather of fixed size takes."""
     most = 16
     for step in steps:
-        if isinstance(step, Run):
+        if isinstance(step, FixedFields):
             most = max(most, sum(8 + 8 * (leaf.count or 1) for leaf in step.leaves))
         elif isinstance(step, Elements):
             most = max(most, largest_run(step.steps))

@@ -133,12 +133,10 @@ def preamble(
 ) -> bytes:
     """What comes before the data: formats, facts, parameters and subscriptions, numbered as they stand.
 
-    Parameters
-    ----------
-    layouts : topic -> its fields; "topic#1" for its second instance.
-    stated : facts about the vehicle.
-    first_us, utc_us : time since boot at which the log begins, and the time of day then; 0 for unknown.
-    parameters : written as integers where they are.
+    `layouts`: topic -> its fields; "topic#1" for its second instance.
+    `stated`: facts about the vehicle.
+    `first_us`, `utc_us`: time since boot at which the log begins, and the time of day then; 0 for unknown.
+    `parameters`: written as integers where they are.
     """
     parts = [MAGIC + struct.pack("<Q", first_us), record("B", bytes(40))]
     topics = [(name, *name.partition("#")[::2]) for name in layouts]

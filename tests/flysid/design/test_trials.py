@@ -28,7 +28,7 @@ from flysid.design.trialflight import (
 )
 from flysid.errors import UsageError
 from flysid.ingest.synth.dryden import Wind
-from flysid.ingest.synth.rigid_body import Vehicle, fly_vehicle
+from flysid.ingest.synth.rigid_body import SimulatedVehicle, fly_vehicle
 
 STILL = Doubtful(position_noise_m=0.0, velocity_noise_m_s=0.0)
 CALM = Wind(0.0, turbulent=False)
@@ -50,12 +50,12 @@ def axis_of(plants: PlantSet, input_: str = "theta_in", sign: float = 1.0) -> Ax
 
 def nominal_plants() -> PlantSet:
     omega = grid(PERIOD_S)
-    return PlantSet(PERIOD_S, omega, ("truth",), true_plants(Vehicle(), omega)["x"][None])
+    return PlantSet(PERIOD_S, omega, ("truth",), true_plants(SimulatedVehicle(), omega)["x"][None])
 
 
 def test_the_true_plant_is_what_a_small_sine_finds() -> None:
     load = 1.2
-    nominal = Vehicle()
+    nominal = SimulatedVehicle()
     vehicle = replace(nominal, airframe=replace(nominal.airframe, load=load), delay_s=0.04)
     omega = 2.0
     time = np.arange(2000) * PERIOD_S
@@ -73,7 +73,7 @@ def test_the_true_plant_is_what_a_small_sine_finds() -> None:
 
 
 def test_a_heavier_vehicle_is_another_plant_and_flies_without_retuning() -> None:
-    nominal = Vehicle()
+    nominal = SimulatedVehicle()
     heavy = replace(nominal, airframe=replace(nominal.airframe, load=1.3))
     assert heavy.physics().m == nominal.physics().m
     laws = (Gains(1.43, 8.4), Gains(1.43, 8.4))
@@ -96,17 +96,17 @@ def test_drawn_vehicles_differ_and_are_the_same_again() -> None:
 def test_a_trial_is_repeatable_and_wind_costs() -> None:
     doubtful = Doubtful()
     laws = (Gains(1.43, 8.4), Gains(1.43, 8.4))
-    calm = fly_trial(Trial(Vehicle(), CALM, 4), laws, doubtful)
-    assert calm == fly_trial(Trial(Vehicle(), CALM, 4), laws, doubtful)
-    windy = fly_trial(Trial(Vehicle(), Wind(2.0, 180.0), 4), laws, doubtful)
+    calm = fly_trial(Trial(SimulatedVehicle(), CALM, 4), laws, doubtful)
+    assert calm == fly_trial(Trial(SimulatedVehicle(), CALM, 4), laws, doubtful)
+    windy = fly_trial(Trial(SimulatedVehicle(), Wind(2.0, 180.0), 4), laws, doubtful)
     assert windy["x"].ise > calm["x"].ise
-    beyond = fly_trial(Trial(Vehicle(), Wind(6.0, 90.0, turbulent=False), 4), laws, doubtful)
+    beyond = fly_trial(Trial(SimulatedVehicle(), Wind(6.0, 90.0, turbulent=False), 4), laws, doubtful)
     assert beyond["y"].saturated > 0.5
     assert beyond["y"].blown
 
 
 def test_full_tilt_holds_the_stated_wind() -> None:
-    held = held_wind_m_s(Vehicle())
+    held = held_wind_m_s(SimulatedVehicle())
     for axis, column, towards in (("x", 0, 180.0), ("y", 1, 90.0)):
         drift = []
         for factor in (0.9, 1.1):
@@ -115,7 +115,7 @@ def test_full_tilt_holds_the_stated_wind() -> None:
             wind[:, :2] = factor * held[axis] * np.array([math.cos(angle), math.sin(angle)])
             commands = np.zeros((1000, 3))
             commands[:, column] = 12.0
-            flown = fly_vehicle(Vehicle(), commands, wind_m_s=wind).series()
+            flown = fly_vehicle(SimulatedVehicle(), commands, wind_m_s=wind).series()
             drift.append(float(flown[f"v{axis}"][-1]))
         assert drift[0] > 0.0 > drift[1]
 

@@ -23,7 +23,7 @@ from flysid.fleet.models import vehicle_runs
 from flysid.fleet.models.gather import gather
 from flysid.fleet.models.triangle_store import Folder
 from flysid.fleet.models.vehicle_runs import VehicleFit, fit_vehicles, run_files
-from flysid.fleet.reading import Log, LogOutcome, Settings, ingest_batch
+from flysid.fleet.reading import LogAddress, LogOutcome, Settings, ingest_batch
 from flysid.fleet.upkeep import check
 from flysid.ingest.align.recipe import load_recipe
 from flysid.ingest.lake.chosen_flights import vehicles
@@ -48,7 +48,7 @@ def two_workers(s3_server: S3Server) -> Iterator[Cluster]:
             yield cluster
 
 
-def kill_once(logs: Sequence[Log], settings: Settings) -> list[LogOutcome]:
+def kill_once(logs: Sequence[LogAddress], settings: Settings) -> list[LogOutcome]:
     """Of all batches, the worker of one is killed after the first log, when half a flight more is there."""
     done = ingest_batch(logs[:1], settings)
     if Place(settings.lake).create("flights/killed", b"half a flight"):

@@ -19,7 +19,7 @@ from flysid.errors import FlysidError, PlaceError, UsageError
 from flysid.fleet import reading
 from flysid.fleet.ingest_many import Threads, batched, find, ingest
 from flysid.fleet.lakes import create_lake, open_lake
-from flysid.fleet.reading import Log, Settings
+from flysid.fleet.reading import LogAddress, Settings
 from flysid.fleet.upkeep import check
 from flysid.ingest.lake.batch import ingest_logs
 from flysid.ingest.lake.finding import find_logs
@@ -306,10 +306,10 @@ def test_options_of_a_lake_are_refused_where_none_is(tmp_path: Path) -> None:
 
 
 def test_batches_are_full_where_logs_are_many_and_shared_where_they_are_few() -> None:
-    logs = [Log(f"s3://b/{n}", 1 << 20) for n in range(1000)]
+    logs = [LogAddress(f"s3://b/{n}", 1 << 20) for n in range(1000)]
     assert {len(part) for part in batched(logs, 32, 2)} == {32, 1000 % 32}
     assert [len(part) for part in batched(logs[:8], 32, 2)] == [1] * 8
-    assert [len(part) for part in batched([Log("s3://b/x", 60 << 20)] * 9, 32, 1)] == [1] * 9
+    assert [len(part) for part in batched([LogAddress("s3://b/x", 60 << 20)] * 9, 32, 1)] == [1] * 9
     assert batched([], 32, 2) == []
 
 

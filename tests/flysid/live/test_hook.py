@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from flysid.cli.watch import call
-from flysid.live.watching import Event
+from flysid.live.watching import Notice
 
 LONG = "x" * (1 << 20)
 """More than a pipe holds: who does not read it closes it."""
@@ -20,12 +20,12 @@ LONG = "x" * (1 << 20)
 def test_a_command_that_ignores_its_input_has_not_failed(
     code: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    call(f'{sys.executable} -c "{code}"', Event("alarm", "roll", "p", 1.0, text=LONG))
+    call(f'{sys.executable} -c "{code}"', Notice("alarm", "roll", "p", 1.0, text=LONG))
     assert capsys.readouterr().err == ""
 
 
 def test_a_command_that_is_not_there_has(capsys: pytest.CaptureFixture[str]) -> None:
-    call("no-such-command", Event("alarm", "roll", "p", 1.0))
+    call("no-such-command", Notice("alarm", "roll", "p", 1.0))
     assert "--exec 'no-such-command' could not be run" in capsys.readouterr().err
 
 
@@ -40,7 +40,7 @@ def test_the_command_runs_in_the_environment_of_the_user(
         monkeypatch.setenv(name, "")  # and is as before when the test is over
     keep_working_folder_out()
     out = tmp_path / "out"
-    call(f"sh -c 'env > {out}; cat >> {out}'", Event("alarm", "roll", "p", 1.0))
+    call(f"sh -c 'env > {out}; cat >> {out}'", Notice("alarm", "roll", "p", 1.0))
     until = time.monotonic() + 30
     while not (out.exists() and "alarm" in out.read_text()) and time.monotonic() < until:
         time.sleep(0.05)

@@ -19,9 +19,9 @@ from flysid.reviews.fact import (
     Finding,
     Grade,
     HeatMap,
-    Line,
     MotorPlan,
     Picture,
+    PictureLine,
     Section,
     Table,
     order,
@@ -72,7 +72,7 @@ def some_review(name: str = "flight.ulg", *, sections: tuple[Section, ...] | Non
                 "Spectrum",
                 "Hz",
                 "power",
-                (Line("gyro", x, 1.0 + x), Line("raw", x, 2.0 + x, "r1")),
+                (PictureLine("gyro", x, 1.0 + x), PictureLine("raw", x, 2.0 + x, "r1")),
                 hidden_from=90.0,
                 marks={50.0: "50 Hz"},
             ),
@@ -209,7 +209,7 @@ def test_a_long_record_is_drawn_with_its_peaks_and_little_markup() -> None:
     x = np.linspace(0.0, 100.0, 100_000)
     y = np.zeros(len(x))
     y[54_321] = 7.0
-    section = Section("power", "Power", shown=(Picture("Battery", "s", "V", (Line("V", x, y),)),))
+    section = Section("power", "Power", shown=(Picture("Battery", "s", "V", (PictureLine("V", x, y),)),))
     page = render([some_review(sections=(section,))])
     peaks = re.findall(r'<path d="(M[^"]*)" class="line measured"/>', page)
     (heights,) = [[float(pair.split()[1]) for pair in re.split("[ML]", path)[1:]] for path in peaks]

@@ -15,7 +15,7 @@ import flysid
 from flysid.cli import root
 from flysid.dataset import Dataset
 from flysid.ingest.align.resample import lowpass
-from flysid.sixdof.cleaning import Damage, clock_offsets, straight_lines
+from flysid.sixdof.cleaning import SampleFaults, clock_offsets, straight_lines
 from flysid.sixdof.fitted import FittedVehicle
 from flysid.sixdof.records import Scale, find_scale, flights_of
 from tests.flysid.sixdof.hidden_quad import write_table
@@ -73,7 +73,7 @@ def test_a_motor_at_its_stop_is_no_damage(still: Dataset, full: float) -> None:
 
 
 def test_one_clock_on_a_slow_grid_does_not_wander() -> None:
-    at_10_hz = Damage("f", 0.1, 900, 0, 0, 0, 0.0, 1.0, 0.019, 0.038)
+    at_10_hz = SampleFaults("f", 0.1, 900, 0, 0, 0, 0.0, 1.0, 0.019, 0.038)
     assert not at_10_hz.wanders
     assert replace(at_10_hz, dt_s=0.01).wanders
 
@@ -105,7 +105,7 @@ def test_a_wandering_clock_is_measured() -> None:
     gyro = np.stack([sum(np.sin(2 * np.pi * f * t + p + k) for f, p in parts) for k in range(3)], axis=1)
     other = np.stack([np.interp(t - late, t, gyro[:, k]) for k in range(3)], axis=1)
     _, found = clock_offsets(gyro, other, np.ones(len(t), dtype=bool), 0.01)
-    damage = Damage("f", 0.01, len(t), 0, 0, 0, 0.0, 1.0, float(found.std(ddof=1)), float(np.ptp(found)))
+    damage = SampleFaults("f", 0.01, len(t), 0, 0, 0, 0.0, 1.0, float(found.std(ddof=1)), float(np.ptp(found)))
     assert damage.clock_sd_s == pytest.approx(late.std(), rel=0.25)
     assert "wanders" in " ".join(damage.lines)
 

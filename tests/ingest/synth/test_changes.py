@@ -11,7 +11,7 @@ import flysid
 from flysid.cli.synth import parse_change
 from flysid.dataset import FloatArray
 from flysid.errors import UsageError
-from flysid.ingest.synth.rigid_body import Vehicle, fly_vehicle
+from flysid.ingest.synth.rigid_body import SimulatedVehicle, fly_vehicle
 from flysid.ingest.synth.synth import WRITERS, Change, Order, fly_one
 from flysid.ingest.synth.vehicles import CHANGES, change
 
@@ -21,8 +21,8 @@ from flysid.ingest.synth.vehicles import CHANGES, change
 )
 def test_hover_throttle_is_weight_over_thrust(name: str, factor: float, throttle: float) -> None:
     still = np.zeros((1000, 3))
-    before = fly_vehicle(Vehicle(), still).series()["throttle"][-1]
-    after = fly_vehicle(change(Vehicle(), name, factor), still).series()["throttle"][-1]
+    before = fly_vehicle(SimulatedVehicle(), still).series()["throttle"][-1]
+    after = fly_vehicle(change(SimulatedVehicle(), name, factor), still).series()["throttle"][-1]
     assert after / before == pytest.approx(throttle, rel=0.03)  # the battery sags a little more under load
 
 
@@ -45,7 +45,7 @@ def test_changes_are_checked() -> None:
         Order("ardrone", fleet=2, changes=(Change(3, 1, "mass", 2.0),))
     with pytest.raises(UsageError):
         Order(changes=(Change(1, 1, "mass", 2.0),))
-    assert all(change(Vehicle(), name, 1.0) == Vehicle() for name in CHANGES)
+    assert all(change(SimulatedVehicle(), name, 1.0) == SimulatedVehicle() for name in CHANGES)
 
 
 def test_ulog_holds_efforts_and_whose_it_is(tmp_path: Path) -> None:

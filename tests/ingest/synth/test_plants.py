@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from flysid.errors import UsageError
-from flysid.ingest.synth.plants import LOOPS, PLANTS, Loop, fly, paper_experiment
+from flysid.ingest.synth.plants import LOOPS, Loop, fly, paper_experiment
 
 NAMES = sorted(LOOPS)
 
@@ -18,7 +18,7 @@ NAMES = sorted(LOOPS)
     [("longitudinal", 2.67, 0.784), ("lateral", 0.549, 0.895), ("vertical", 4.54, 0.155)],
 )
 def test_poles_are_those_the_paper_prints(name: str, frequency: float, damping: float) -> None:
-    poles = PLANTS[name]().poles()
+    poles = LOOPS[name].transfer_function().poles()
     slowest = poles[np.argmin(np.abs(poles))]
     assert abs(slowest) == pytest.approx(frequency, abs=0.01)
     assert -slowest.real / abs(slowest) == pytest.approx(damping, abs=0.01)
@@ -29,10 +29,10 @@ def test_flying_agrees_with_python_control_held_between_samples(name: str) -> No
     import control
 
     u = np.random.default_rng(3).standard_normal(500)
-    discrete = control.sample_system(PLANTS[name](), 0.02, method="zoh")
+    discrete = control.sample_system(LOOPS[name].transfer_function(), 0.02, method="zoh")
     expected = control.forced_response(control.tf2ss(discrete), inputs=u).outputs
     np.testing.assert_allclose(fly(LOOPS[name], u, 0.02), expected, atol=1e-9)
-    np.testing.assert_array_equal(fly(PLANTS[name](), u, 0.02), fly(LOOPS[name], u, 0.02))
+    np.testing.assert_array_equal(fly(LOOPS[name].transfer_function(), u, 0.02), fly(LOOPS[name], u, 0.02))
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -40,7 +40,9 @@ def test_a_first_order_hold_agrees_with_python_controls_forced_response(name: st
     import control
 
     u = np.random.default_rng(4).standard_normal(500)
-    expected = control.forced_response(control.tf2ss(PLANTS[name]()), np.arange(500) * 0.02, u).outputs
+    expected = control.forced_response(
+        control.tf2ss(LOOPS[name].transfer_function()), np.arange(500) * 0.02, u
+    ).outputs
     np.testing.assert_allclose(fly(LOOPS[name], u, 0.02, hold="first"), expected, atol=1e-9)
 
 

@@ -17,19 +17,22 @@ from flysid.ingest.synth.rigid_body import (
     ALL,
     PAPER,
     STEP_S,
-    Vehicle,
+    SimulatedVehicle,
     closed_loop_rates,
     fly_vehicle,
 )
 
-DRONE = Vehicle()
-IDEAL = Vehicle(effects=PAPER)
-GYRO = Vehicle(effects=replace(PAPER, gyroscopic=True))
+DRONE = SimulatedVehicle()
+IDEAL = SimulatedVehicle(effects=PAPER)
+GYRO = SimulatedVehicle(effects=replace(PAPER, gyroscopic=True))
 FRAME = DRONE.airframe
 
 
 def rigid_body_rates(
-    state: npt.ArrayLike, rotors_rad_s: npt.ArrayLike, vehicle: Vehicle, wind_m_s: npt.ArrayLike = (0, 0, 0)
+    state: npt.ArrayLike,
+    rotors_rad_s: npt.ArrayLike,
+    vehicle: SimulatedVehicle,
+    wind_m_s: npt.ArrayLike = (0, 0, 0),
 ) -> FloatArray:
     """(12,) time derivative of the paper's twelve states at given rotor speeds: equations (8) and (9).
 
@@ -80,7 +83,7 @@ def test_without_effects_it_is_the_papers_equations(seed: int) -> None:
 
 @settings(max_examples=50, deadline=None)
 @given(st.integers(0, 10**6), st.sampled_from([IDEAL, GYRO]))
-def test_energy_changes_by_the_work_of_thrust_and_torque_only(seed: int, vehicle: Vehicle) -> None:
+def test_energy_changes_by_the_work_of_thrust_and_torque_only(seed: int, vehicle: SimulatedVehicle) -> None:
     """Gyroscopic torques do no work; gravity is potential energy."""
     state, w = random_state(seed)
     rate = rigid_body_rates(state, w, vehicle)
@@ -97,7 +100,7 @@ def test_energy_changes_by_the_work_of_thrust_and_torque_only(seed: int, vehicle
 def test_drag_takes_energy_from_motion_through_the_air(seed: int) -> None:
     state, w = random_state(seed)
     wind = np.random.default_rng(seed + 1).normal(0, 2, 3)
-    draggy = Vehicle(effects=replace(PAPER, linear_drag=True, quadratic_drag=True))
+    draggy = SimulatedVehicle(effects=replace(PAPER, linear_drag=True, quadratic_drag=True))
     drag = rigid_body_rates(state, w, draggy, wind)[3:6] - rigid_body_rates(state, w, IDEAL)[3:6]
     assert drag @ (state[3:6] - wind) < 0
 
@@ -141,7 +144,7 @@ def test_a_mirror_image_flies_as_a_mirror_image(seed: int) -> None:
     mirror = np.array([1, -1, 1, 1, -1, 1, -1, 1, -1, -1, 1, -1], dtype=float)
     frame = replace(FRAME, torque_factor=-FRAME.torque_factor, rotor_inertia_kg_m2=-FRAME.rotor_inertia_kg_m2)
     expected = mirror * rigid_body_rates(state, w, DRONE)
-    got = rigid_body_rates(mirror * state, w[[0, 3, 2, 1]], Vehicle(airframe=frame))
+    got = rigid_body_rates(mirror * state, w[[0, 3, 2, 1]], SimulatedVehicle(airframe=frame))
     np.testing.assert_allclose(got, expected, atol=1e-9)
 
 
@@ -186,7 +189,7 @@ def lively(seconds: float, period_s: float) -> FloatArray:
     )
 
 
-def reference(vehicle: Vehicle, inputs: FloatArray, period_s: float, x0: FloatArray) -> FloatArray:
+def reference(vehicle: SimulatedVehicle, inputs: FloatArray, period_s: float, x0: FloatArray) -> FloatArray:
     """The same equations by scipy's eighth-order method at a tolerance of 1e-11, piece by piece."""
     from scipy.integrate import solve_ivp
 
@@ -201,7 +204,7 @@ def reference(vehicle: Vehicle, inputs: FloatArray, period_s: float, x0: FloatAr
 
 
 def test_ten_seconds_agree_with_solve_ivp_to_a_millionth() -> None:
-    vehicle = Vehicle(effects=replace(ALL, delay=False))
+    vehicle = SimulatedVehicle(effects=replace(ALL, delay=False))
     commands = lively(10.0, 0.5)
     inputs = np.zeros((len(commands), INPUTS))
     inputs[:, :4] = commands * [np.pi / 180, np.pi / 180, 1, -np.pi / 180]
@@ -214,7 +217,7 @@ def test_ten_seconds_agree_with_solve_ivp_to_a_millionth() -> None:
 
 
 def test_hover_stays_where_it_is() -> None:
-    for vehicle in (IDEAL, Vehicle(effects=replace(ALL, battery_sag=False, ground_effect=False))):
+    for vehicle in (IDEAL, SimulatedVehicle(effects=replace(ALL, battery_sag=False, ground_effect=False))):
         states = fly_vehicle(vehicle, np.zeros((500, 3))).states
         np.testing.assert_allclose(states[:, :25], np.tile(vehicle.hover()[:25], (500, 1)), atol=1e-9)
 

@@ -9,10 +9,10 @@ import pytest
 
 from flysid.ingest.synth.inner_loop import InnerLoop
 from flysid.ingest.synth.plants import LOOPS, fly
-from flysid.ingest.synth.rigid_body import ALL, Vehicle, fly_vehicle
+from flysid.ingest.synth.rigid_body import ALL, SimulatedVehicle, fly_vehicle
 from flysid.ingest.synth.tuning import compare_loop, linearise, tune
 
-DRONE = Vehicle()
+DRONE = SimulatedVehicle()
 # What docs/vehicle.md promises from 0.1 rad/s to the loop's bandwidth: decibels, degrees.
 PROMISED = {"longitudinal": (0.7, 2.5), "lateral": (0.4, 3.0), "vertical": (0.9, 2.0)}
 

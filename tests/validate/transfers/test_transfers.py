@@ -21,7 +21,7 @@ from flysid.ingest.formats.registry import read
 from flysid.ingest.lake.batch import ingest_logs
 from flysid.ingest.lake.finding import find_logs
 from flysid.ingest.synth.plants import LOOPS
-from flysid.ingest.synth.rigid_body import Vehicle
+from flysid.ingest.synth.rigid_body import SimulatedVehicle
 from flysid.ingest.synth.synth import WRITERS, Order, flights
 from flysid.ingest.synth.tuning import linearise
 from flysid.model.frequency.continuous_transfer import ContinuousTransfer
@@ -71,7 +71,7 @@ def test_the_nonlinear_vehicle_s_response_is_its_linearisation_s(logs: dict[str,
     """Up to the link's dead time, which the linearisation leaves out and the chirp shows."""
     measured = measure_response(channel(logs["ardrone"], name))
     at = CHANNELS.index(name)
-    truth = linearise(Vehicle()).response(measured.omega)[:, at, at]
+    truth = linearise(SimulatedVehicle()).response(measured.omega)[:, at, at]
     ratio = measured.response[:, 0] / truth / hold_response(measured.omega, measured.dt_s, "zero")
     trusted = (measured.trusted() > 0) & (measured.omega > 0.6)
     assert np.abs(20 * np.log10(np.abs(ratio[trusted]))).max() < 1.0

@@ -18,10 +18,8 @@ if TYPE_CHECKING:
 class Source:
     """One channel.
 
-    Attributes
-    ----------
-    train, sweep : where known.
-    points : samples of a segment worth drawing.
+    `train`, `sweep`: where known.
+    `points`: samples of a segment worth drawing.
     """
 
     channel: str

@@ -40,17 +40,15 @@ LONG = 400  # characters of a fact that are read in passing
 class Page:
     """All that the template prints, in the order of the page.
 
-    Attributes
-    ----------
-    remark, masthead, title, subtitle, basis : what stands above the cards.
-    cards : one per channel and output: the verdict, its interval, the most telling seconds.
-    drawn : (CSS class, name) of the curves on the cards.
-    skipped : (channel, reason) of those that are not on the page.
-    cautions : what to beware of, worst first.
-    rows : the headline pair at every horizon. models : every model in free run, the best first.
-    sections : one per channel and output, with its pictures.
-    loops : what the logged gains mean. loops_caution : what they do not mean.
-    command, provenance, version : how to make the page again.
+    `remark`, `masthead`, `title`, `subtitle`, `basis`: what stands above the cards.
+    `cards`: one per channel and output: the verdict, its interval, the most telling seconds.
+    `drawn`: (CSS class, name) of the curves on the cards.
+    `skipped`: (channel, reason) of those that are not on the page.
+    `cautions`: what to beware of, worst first.
+    `rows`: the headline pair at every horizon. `models`: every model in free run, the best first.
+    `sections`: one per channel and output, with its pictures.
+    `loops`: what the logged gains mean. `loops_caution`: what they do not mean.
+    `command`, `provenance`, `version`: how to make the page again.
     """
 
     remark: str

@@ -173,10 +173,8 @@ def _curve(curve: BandCurve, hz: FloatArray, axes: tuple[Axes, Axes], stem: str,
 class _Measured:
     """Points of a measured response that stand apart on the page; (F,) each.
 
-    Attributes
-    ----------
-    spread : half the 95 % interval of the gain over the gain, and of the phase in rad.
-    trusted : the coherence is high enough.
+    `spread`: half the 95 % interval of the gain over the gain, and of the phase in rad.
+    `trusted`: the coherence is high enough.
     """
 
     hz: FloatArray

@@ -20,11 +20,9 @@ from flysid.version import __version__
 def render_flights(timelines: Sequence[Timeline], title: str, most_samples: int = 2_000_000) -> str:
     """The page; it loads nothing and keeps every peak.
 
-    Parameters
-    ----------
-    timelines : one section each, one below the other.
-    title : of the page.
-    most_samples : in all lines together. Where there are more, a line keeps the extremes of as many samples
+    `timelines`: one section each, one below the other.
+    `title`: of the page.
+    `most_samples`: in all lines together. Where there are more, a line keeps the extremes of as many samples
         at a time as it takes, and the page says so.
     """
     count = sum(len(trace.values) for t in timelines for panel in t.panels for trace in panel)

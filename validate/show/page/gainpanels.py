@@ -22,10 +22,8 @@ LABELLED_HZ = (1.0, 2.0, 3.0, 5.0, 10.0, 20.0, 30.0, 50.0)
 class LoopPanel:
     """One axis under one set of gains.
 
-    Attributes
-    ----------
-    lines : crossover, margins, bandwidth and what is known; or why nothing is known, and what to fly.
-    nyquist : the picture; empty where the axis was refused.
+    `lines`: crossover, margins, bandwidth and what is known; or why nothing is known, and what to fly.
+    `nyquist`: the picture; empty where the axis was refused.
     """
 
     title: str

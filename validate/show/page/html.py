@@ -67,12 +67,7 @@ def script_json(value: Any) -> str:
 
 
 def write_page(path: str | Path, text: str) -> Path:
-    """Write a page whole or not at all; returns its path.
-
-    Raises
-    ------
-    StoreError : the file cannot be written.
-    """
+    """Write a page whole or not at all; returns its path. Raises StoreError: the file cannot be written."""
     path = Path(path)
     with writing_to(path):
         path.parent.mkdir(parents=True, exist_ok=True)

@@ -65,14 +65,10 @@ PLACES = ("residuals", "dynamics", "data")
 class Figure:
     """A figure of the page that another package adds; of every channel and output.
 
-    Attributes
-    ----------
-    name : what a sentence calls it where it breaks: "gain over speed".
-    place : heading that it stands under, last: "residuals", "dynamics" or "data".
-    draw : see `Draw`; `flysid.validate.show.page.svg` draws pictures.
+    `name`: what a sentence calls it where it breaks: "gain over speed".
+    `place`: heading that it stands under, last: "residuals", "dynamics" or "data".
+    `draw`: see `Draw`; `flysid.validate.show.page.svg` draws pictures.
 
-    Examples
-    --------
     >>> from flysid.validate.show.page.modelpanels import Figure
     >>> Figure("gain over speed", "dynamics", lambda source, output, signal: []).place
     'dynamics'
@@ -96,9 +92,7 @@ def panels_of(
 def _offered() -> tuple[Figure, ...]:
     """The figures of installed packages.
 
-    Raises
-    ------
-    UsageError : one of them is no figure, or has no place on the page.
+    Raises UsageError: one of them is no figure, or has no place on the page.
     """
     found = []
     for offer, row in rows(ENTRY_POINTS, Figure):

@@ -35,16 +35,14 @@ THIN = 4
 class Strip:
     """One held-out segment, ready to draw; series are decimated.
 
-    Attributes
-    ----------
-    trial : place among the scored segments.
-    index : segment in the test dataset.
-    t : (P,) seconds from the segment's start.
-    y, u : (P,) measured output, and the input drawn below.
-    models : (name, CSS class, (P,) free run) of each model drawn.
-    runs : (from, to, rule) of the strongest rule of the contender.
-    bands : (CSS class, lower, upper), (P / THIN,) each, of the free runs that have one.
-    others : (P,) each of `extras`: free runs of models, and predictions; NaN where there is none.
+    `trial`: place among the scored segments.
+    `index`: segment in the test dataset.
+    `t`: (P,) seconds from the segment's start.
+    `y`, `u`: (P,) measured output, and the input drawn below.
+    `models`: (name, CSS class, (P,) free run) of each model drawn.
+    `runs`: (from, to, rule) of the strongest rule of the contender.
+    `bands`: (CSS class, lower, upper), (P / THIN,) each, of the free runs that have one.
+    `others`: (P,) each of `extras`: free runs of models, and predictions; NaN where there is none.
     """
 
     trial: int

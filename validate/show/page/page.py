@@ -14,12 +14,7 @@ from flysid.validate.show.page.html import environment, load_asset, script_json,
 
 
 def write_report(path: str | Path, context: ReportContext) -> Path:
-    """Write the page whole or not at all; returns its path.
-
-    Raises
-    ------
-    StoreError : the file cannot be written.
-    """
+    """Write the page whole or not at all; returns its path. Raises StoreError: the file cannot be written."""
     return write_page(path, render(context))
 
 

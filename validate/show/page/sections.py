@@ -227,9 +227,7 @@ def _rule_row(
 ) -> RuleRow:
     """A row; with what the model does where the rule is the strongest, where that is `known`, or everywhere.
 
-    Parameters
-    ----------
-    alone : what it does everywhere, of a model of one rule.
+    `alone`: what it does everywhere, of a model of one rule.
     """
     j, signal = place
     gain = float(np.asarray(rule.dc_gain)[j, signal])

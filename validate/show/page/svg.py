@@ -28,10 +28,8 @@ CONTENDER = "ts"
 class Mark(Markup):
     """Markup that keeps what it draws, so that others than a browser can (`flysid.validate.show.sheets`).
 
-    Attributes
-    ----------
-    kind : name of the function of this module that made it; "" of markup that no other renderer draws.
-    given, settings : what the function was given.
+    `kind`: name of the function of this module that made it; "" of markup that no other renderer draws.
+    `given`, `settings`: what the function was given.
     """
 
     kind = ""
@@ -57,11 +55,9 @@ def _kept(draw: F) -> F:
 class Axes:
     """A rectangle of data coordinates inside a rectangle of pixels.
 
-    Attributes
-    ----------
-    x, y : (low, high) in data coordinates; y grows upwards.
-    left, top, width, height : of the plot area, in pixels.
-    log_x : the x axis is logarithmic.
+    `x`, `y`: (low, high) in data coordinates; y grows upwards.
+    `left`, `top`, `width`, `height`: of the plot area, in pixels.
+    `log_x`: the x axis is logarithmic.
     """
 
     x: tuple[float, float]
