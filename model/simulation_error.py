@@ -18,6 +18,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
+from hashlib import blake2b
 
 import numpy as np
 
@@ -174,6 +175,16 @@ class OutputError:
 
     records: tuple[Record, ...]
     orders: OutputOrders
+
+    @property
+    def key(self) -> tuple[OutputOrders, bytes]:
+        """What tells it from any other."""
+        found = blake2b(digest_size=16)
+        for record in self.records:
+            found.update(repr(record.u.shape).encode())
+            found.update(np.ascontiguousarray(record.u).data)
+            found.update(np.ascontiguousarray(record.y).data)
+        return self.orders, found.digest()
 
     def start_row(self) -> int:
         """First row of a record whose error counts."""

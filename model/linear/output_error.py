@@ -78,6 +78,7 @@ def widen(options: Sequence[int], delay: int, most: int) -> list[int]:
     return [*options, *(d for d in (delay, delay - 1, delay + 1) if 0 <= d <= most and d not in options)]
 
 
+@once(lambda problem: problem.key)
 def fit_output(problem: OutputError) -> OneOutput:
     """Start and refine; of long records first a part, from which all of them need a step or two.
 
