@@ -47,7 +47,7 @@ def test_command_delivers_it(tmp_path: Path) -> None:
 
 
 def test_outputs_whose_delays_stay_are_fitted_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The second output's delay is looked for twice, as its order is three; the first one's fits are known."""
+    """The second output's delay is looked for again, for order three; the first one's fits are known."""
     rng = np.random.default_rng(3)
     u = np.repeat(rng.uniform(-1.0, 1.0, 60), 10)
     quick = apply_filter(np.array([0.0, 0.2]), np.array([1.0, -0.8]), u)
