@@ -339,7 +339,7 @@ class HasOperatingPoints(Protocol):
     """A model of rules that knows what it does where its vehicle rests."""
 
     @property
-    def operating_points(self) -> tuple[OperatingPoint, ...]: ...
+    def operating_points(self) -> Sequence[OperatingPoint]: ...
 
 
 @runtime_checkable

@@ -37,9 +37,24 @@ def free_responses(a: FloatArray, rows: int) -> FloatArray:
     return columns / np.where(size > 0.0, size, 1.0)
 
 
+def lengths(columns: FloatArray) -> FloatArray:
+    """(k,) of columns (N, k); 1 where there is nothing."""
+    found = np.sqrt(_squares(np.ascontiguousarray(columns)))
+    return np.where(found > 0, found, 1.0)
+
+
 def is_stable(a: FloatArray, radius: float = 1.0) -> bool:
     """Whether every root of A lies inside a circle, by reflection coefficients (Schur and Cohn)."""
     return bool(_is_stable(a / radius ** np.arange(len(a))))
+
+
+@compiled
+def _squares(columns: FloatArray) -> FloatArray:
+    total = np.zeros(columns.shape[1])
+    for k in range(columns.shape[0]):
+        for i in range(columns.shape[1]):
+            total[i] += columns[k, i] * columns[k, i]
+    return total
 
 
 @compiled

@@ -11,13 +11,12 @@ outputs through a compiled loop.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache
-from typing import Any
 
 import numpy as np
 
 from flysid.dataset import FloatArray
-from flysid.filters import apply_filter
+from flysid.filters import apply_filter, own
+from flysid.model.compiled_filters import compiled
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,10 +42,7 @@ class Difference:
         """(N, n_y) sum_l B_l u(k-l) + c for inputs that were zero before."""
         out = np.empty((len(u), len(self.c)))
         out[:] = self.c
-        for i, j in np.ndindex(*self.b.shape[1:]):
-            taps = self.b[:, i, j]
-            if taps.any():
-                out[:, i] += apply_filter(taps, np.ones(1), u[:, j])
+        _add_driven(own(self.b), own(u), out)
         return out
 
     def state(self, u: FloatArray, y: FloatArray) -> FloatArray:
@@ -81,7 +77,7 @@ class Difference:
             return out
         a = np.zeros((depth + 1, *self.a.shape[1:]))
         a[: len(self.a)] = self.a
-        result: FloatArray = _coupled_kernel()(a, drive, z)
+        result: FloatArray = _run_coupled(a, drive, z)
         return result
 
     def state_history(self, u: FloatArray, y: FloatArray) -> FloatArray:
@@ -100,27 +96,38 @@ class Difference:
         return np.ascontiguousarray(z[:, :-1].transpose(1, 0, 2))
 
 
-@cache
-def _coupled_kernel() -> Any:
-    from numba import njit
+@compiled
+def _add_driven(b: FloatArray, u: FloatArray, out: FloatArray) -> None:
+    """Add sum_l B_l u(k-l) to every row, input by input, the deepest lag first as a filter sums them."""
+    for i in range(b.shape[1]):
+        for j in range(b.shape[2]):
+            deepest = b.shape[0] - 1
+            while deepest >= 0 and b[deepest, i, j] == 0.0:
+                deepest -= 1
+            if deepest < 0:
+                continue
+            for k in range(u.shape[0]):
+                value = 0.0
+                for lag in range(min(deepest, k), -1, -1):
+                    value += b[lag, i, j] * u[k - lag, j]
+                out[k, i] += value
 
-    @njit(cache=True)
-    def coupled(a: FloatArray, drive: FloatArray, z0: FloatArray) -> FloatArray:
-        depth, n_y = z0.shape
-        z = z0.copy()
-        out = np.empty_like(drive)
-        for k in range(drive.shape[0]):
+
+@compiled
+def _run_coupled(a: FloatArray, drive: FloatArray, z0: FloatArray) -> FloatArray:
+    depth, n_y = z0.shape
+    z = z0.copy()
+    out = np.empty_like(drive)
+    for k in range(drive.shape[0]):
+        for i in range(n_y):
+            out[k, i] = drive[k, i] + z[0, i]
+        for lag in range(1, depth + 1):
             for i in range(n_y):
-                out[k, i] = drive[k, i] + z[0, i]
-            for lag in range(1, depth + 1):
-                for i in range(n_y):
-                    value = z[lag, i] if lag < depth else 0.0
-                    for j in range(n_y):
-                        value -= a[lag, i, j] * out[k, j]
-                    z[lag - 1, i] = value
-        return out
-
-    return coupled
+                value = z[lag, i] if lag < depth else 0.0
+                for j in range(n_y):
+                    value -= a[lag, i, j] * out[k, j]
+                z[lag - 1, i] = value
+    return out
 
 
 def far(limits: FloatArray, *, ranges: float = 100.0) -> FloatArray:

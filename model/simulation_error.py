@@ -18,13 +18,14 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
+from hashlib import blake2b
 
 import numpy as np
 
 from flysid.dataset import FloatArray
 from flysid.errors import FitError
 from flysid.filters import ONE, apply_filter
-from flysid.model.compiled_filters import differences, free_responses, is_stable
+from flysid.model.compiled_filters import differences, free_responses, is_stable, lengths
 from flysid.model.polynomials import free_basis, monic_basis, stabilise
 from flysid.model.refine import Refinement, levenberg_marquardt
 
@@ -175,6 +176,16 @@ class OutputError:
     records: tuple[Record, ...]
     orders: OutputOrders
 
+    @property
+    def key(self) -> tuple[OutputOrders, bytes]:
+        """What tells it from any other."""
+        found = blake2b(digest_size=16)
+        for record in self.records:
+            found.update(repr(record.u.shape).encode())
+            found.update(np.ascontiguousarray(record.u).data)
+            found.update(np.ascontiguousarray(record.y).data)
+        return self.orders, found.digest()
+
     def start_row(self) -> int:
         """First row of a record whose error counts."""
         return self.orders.input_depth
@@ -294,9 +305,8 @@ class OutputError:
     def filtered_least_squares(self, a_filter: FloatArray, model: Transfer | None) -> FloatArray:
         """A y = B u + c on signals filtered with 1/a_filter; with a model, its free run is the instrument."""
         parts = [self._filtered_rows(record, a_filter, model) for record in self.usable()]
-        phi = np.concatenate([part[0] for part in parts])
-        z = phi if model is None else np.concatenate([part[1] for part in parts])
-        return _instrumental(phi, z, np.concatenate([part[2] for part in parts]))
+        phi, z, goal = parts[0] if len(parts) == 1 else map(np.concatenate, zip(*parts, strict=True))
+        return _instrumental(phi, phi if model is None else z, goal)
 
     def _filtered_rows(
         self, record: Record, a_filter: FloatArray, model: Transfer | None
@@ -342,15 +352,9 @@ def lines(rows: int) -> FloatArray:
 
 def _instrumental(phi: FloatArray, z: FloatArray, y: FloatArray) -> FloatArray:
     """Solve Zᵀ Phi theta = Zᵀ y with columns scaled to length one."""
-    scale = _lengths(phi)
-    zs = z / (scale if z is phi else _lengths(z))
+    scale = lengths(phi)
+    zs = z / (scale if z is phi else lengths(z))
     return np.linalg.lstsq(zs.T @ (phi / scale), zs.T @ y, rcond=1e-14)[0] / scale
-
-
-def _lengths(columns: FloatArray) -> FloatArray:
-    """Of columns; 1 where there is nothing."""
-    lengths = np.sqrt((columns * columns).sum(axis=0))
-    return np.where(lengths > 0, lengths, 1.0)
 
 
 def filter_polynomial(n: int, pole: float) -> FloatArray:

@@ -20,6 +20,7 @@ import numpy.typing as npt
 from flysid.dataset import FloatArray
 from flysid.errors import UsageError
 from flysid.ingest.synth.manoeuvres import paper_training, paper_validation
+from flysid.sharing import once
 
 if TYPE_CHECKING:
     import control
@@ -191,8 +192,13 @@ def paper_experiment(
     """
     if signal not in SIGNALS:
         raise UsageError(f"no signal {signal!r}", hint="one of " + ", ".join(SIGNALS))
-    time_s = dt_s * np.arange(round(duration_s / dt_s))
-    u = SIGNALS[signal](time_s)
-    y_true = fly(loop_named(loop), u, dt_s, hold="first")
+    u, y_true = (part.copy() for part in _flown(loop, signal, duration_s, dt_s))
     rng = np.random.default_rng([seed, list(LOOPS).index(loop), list(SIGNALS).index(signal)])
     return u, y_true + noise * rng.standard_normal(len(u)), y_true
+
+
+@once(lambda *given: given)
+def _flown(loop: str, signal: str, duration_s: float, dt_s: float) -> tuple[FloatArray, FloatArray]:
+    """(N,) commands and outputs without noise."""
+    u = SIGNALS[signal](dt_s * np.arange(round(duration_s / dt_s)))
+    return u, fly(loop_named(loop), u, dt_s, hold="first")

@@ -16,7 +16,7 @@ from flysid.model.linear.output_error import (
     refit,
 )
 from flysid.model.linear.settings import PolynomialSettings
-from flysid.model.shared import digest, once
+from flysid.model.shared import digest, once, sharing
 from flysid.model.simulation_error import OutputOrders
 
 SHARE = 10
@@ -70,6 +70,7 @@ def _data(parts: Parts) -> Hashable:
 
 
 @once(_ask)
+@sharing()  # outputs whose delays stay are fitted once
 def _search(
     settings: PolynomialSettings, parts: Parts, known_nk: tuple[int, ...] | None
 ) -> tuple[tuple[OneOutput, ...], str]:

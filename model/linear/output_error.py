@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import cache, partial
 
 import numpy as np
 
@@ -78,6 +79,7 @@ def widen(options: Sequence[int], delay: int, most: int) -> list[int]:
     return [*options, *(d for d in (delay, delay - 1, delay + 1) if 0 <= d <= most and d not in options)]
 
 
+@once(lambda problem: problem.key)
 def fit_output(problem: OutputError) -> OneOutput:
     """Start and refine; of long records first a part, from which all of them need a step or two.
 
@@ -107,18 +109,21 @@ def find_delays(data: Dataset, output: int, probe: OutputOrders) -> tuple[int, .
     parts = OutputError(records(data, output), probe).thinned(SEARCH_ROWS, least=1.0).records
     rows = sum(len(r.y) for r in parts)
     longest = max(len(r.y) for r in parts)
-    nk = [1] * len(probe.nb)
+    cost = cache(lambda nk: _delay_cost(parts, replace(probe, nk=nk)))
+    nk: tuple[int, ...] = (1,) * len(probe.nb)
     for j in range(len(nk)):
-        costs: dict[int, float] = {}
-        for delay in widen(delay_steps(data.dt_s, longest), probe.nk[j], longest // 4):
-            costs[delay] = _delay_cost(parts, replace(probe, nk=(*nk[:j], delay, *nk[j + 1 :])))
-        best = min(costs, key=lambda d: costs[d])
-        for delay in {best - 1, best + 1} - set(costs) - {-1}:  # between the sparse steps
-            costs[delay] = _delay_cost(parts, replace(probe, nk=(*nk[:j], delay, *nk[j + 1 :])))
-        best = min(costs, key=lambda d: costs[d])
+        late = partial(_with_delay, nk, j)
+        tried = widen(delay_steps(data.dt_s, longest), probe.nk[j], longest // 4)
+        best = min(tried, key=lambda d: cost(late(d)))
+        tried += [d for d in {best - 1, best + 1} - set(tried) if d >= 0]  # between the sparse steps
+        best = min(tried, key=lambda d: cost(late(d)))
         margin = np.exp(2.0 * np.log(rows) / rows)
-        nk[j] = best if costs[1] > max(margin * costs[best], EXACT**2) else 1
-    return tuple(nk)
+        nk = late(best if cost(late(1)) > max(margin * cost(late(best)), EXACT**2) else 1)
+    return nk
+
+
+def _with_delay(nk: tuple[int, ...], j: int, delay: int) -> tuple[int, ...]:
+    return *nk[:j], delay, *nk[j + 1 :]
 
 
 def _delay_cost(parts: tuple[Record, ...], orders: OutputOrders) -> float:

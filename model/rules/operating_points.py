@@ -12,10 +12,10 @@ Such an error is the same in every sample and has a bound: it is taken to lie an
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -30,6 +30,7 @@ from flysid.model.rules.local_models import Place, SteadyMap
 from flysid.model.rules.rule_model import RuleModel
 from flysid.model.rules.rule_uncertainty import NUDGE, Uncertainty, uncertainty
 from flysid.model.rules.vocabulary import Axis
+from flysid.model.threads import on_one_thread
 
 _FLOWN = (0.01, 0.99)  # quantiles of signals within which a model is asked
 _GRID = 41  # places on the way from one end to the other
@@ -43,12 +44,45 @@ M = TypeVar("M", bound=RuleModel)
 
 def describe(model: M, train: Dataset, *, settled: bool = False) -> M:
     """The model with its operating points; with intervals where it is `settled`, a minimum of the error."""
+    return replace(model, operating_points=AtRest(partial(_found, model, train, settled)))
+
+
+class AtRest(Sequence[OperatingPoint]):
+    """Operating points, found when they are first read: most models of a search are compared and dropped.
+
+    Parameters
+    ----------
+    find : finds them.
+    """
+
+    def __init__(self, find: Callable[[], tuple[OperatingPoint, ...]]) -> None:
+        self._find: Callable[[], tuple[OperatingPoint, ...]] | None = find
+        self._points: tuple[OperatingPoint, ...] = ()
+
+    def _known(self) -> tuple[OperatingPoint, ...]:
+        if self._find is not None:
+            self._points = self._find()
+            self._find = None  # and the training data with it
+        return self._points
+
+    def __len__(self) -> int:
+        return len(self._known())
+
+    def __getitem__(self, at: Any) -> Any:
+        return self._known()[at]
+
+    def __reduce__(self) -> tuple[type, tuple[tuple[OperatingPoint, ...]]]:
+        return tuple, (self._known(),)
+
+
+@on_one_thread
+def _found(model: RuleModel, train: Dataset, settled: bool) -> tuple[OperatingPoint, ...]:
+    """Of the model, which knows none yet."""
     sure = None
     if settled:
         sure = extra(Extra.INTERVALS_AT_REST, partial(_sure, model, train), None, model.structure)
     own = SteadyMap(model.layout, model.parameters)
-    points = extra(Extra.OPERATING_POINTS, partial(operating_points, own, train, sure), (), model.structure)
-    return replace(model, operating_points=points)
+    return extra(Extra.OPERATING_POINTS, partial(operating_points, own, train, sure), (), model.structure)
 
 
 def _sure(model: RuleModel, train: Dataset) -> Uncertainty | None:
@@ -128,8 +162,8 @@ class _Asked:
         samples = tangent.samples()
         assert samples is not None
         inputs = range(len(layout.inputs))
-        answers = [tangent.answer(j, samples) for j in inputs]
-        figures = np.array([(a.gain[output], a.reached[output]) for a in answers]).T
+        answers = [tangent.answer(j, samples, output) for j in inputs]
+        figures = np.array([(a.gain, a.reached) for a in answers]).T
         wide = np.minimum(self._half_widths(place, figures, samples, lack), _LOST)
         gain, reached = figures * np.stack(
             [layout.scale[output] / layout.scale[n:], np.full(len(inputs), dt)]
@@ -145,8 +179,8 @@ class _Asked:
             reached_s=reached,
             reached_interval_s=reached * ends[1],
             dead_s=np.array([dt * max(tangent.delay(output, j) - 1, 0) for j in inputs]),
-            overshoot=np.array([float(a.overshoot[output]) for a in answers]),
-            wrong_way=np.array([float(a.wrong_way[output]) for a in answers]),
+            overshoot=np.array([a.overshoot for a in answers]),
+            wrong_way=np.array([a.wrong_way for a in answers]),
             shares=place.shares,
         )
 
@@ -157,8 +191,9 @@ class _Asked:
 
     def _figures_at(self, place: Place, samples: int) -> FloatArray:
         """(2, n_u) gain and samples to 63 % of the tangent at a place."""
-        answers = (place.tangent.answer(j, samples) for j in range(len(self.model.layout.inputs)))
-        return np.array([(a.gain[self.output], a.reached[self.output]) for a in answers]).T
+        inputs = range(len(self.model.layout.inputs))
+        answers = (place.tangent.answer(j, samples, self.output) for j in inputs)
+        return np.array([(a.gain, a.reached) for a in answers]).T
 
     def _half_widths(self, place: Place, figures: FloatArray, samples: int, lack: FloatArray) -> FloatArray:
         """(2, n_u) half 95 % intervals of the logarithms of gain and time; NaN where nothing is known.

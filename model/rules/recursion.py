@@ -26,19 +26,19 @@ _LONGEST = 20_000  # samples of an answer
 
 
 class Answer(NamedTuple):
-    """What a small lasting step of one input does to every simulated quantity.
+    """What a small lasting step of one input does to one simulated quantity.
 
     Attributes
     ----------
-    gain : (n,) final change per unit.
-    reached : (n,) samples until 63 % of it is reached for the first time, dead time included; NaN: never.
-    overshoot, wrong_way : (n,) shares of the final change, 0 where there is none.
+    gain : final change per unit.
+    reached : samples until 63 % of it is reached for the first time, dead time included; NaN: never.
+    overshoot, wrong_way : shares of the final change, 0 where there is none.
     """
 
-    gain: FloatArray
-    reached: FloatArray
-    overshoot: FloatArray
-    wrong_way: FloatArray
+    gain: float
+    reached: float
+    overshoot: float
+    wrong_way: float
 
 
 class Recursion(NamedTuple):
@@ -125,14 +125,13 @@ class Recursion(NamedTuple):
         count = int(np.ceil(slow)) + 2 * self.depth + 2
         return count if count <= _LONGEST else None
 
-    def answer(self, moved: int, samples: int) -> Answer:
+    def answer(self, moved: int, samples: int, output: int) -> Answer:
         """The answer to a lasting step of one input, over so many samples; of what is stable."""
-        gain = np.linalg.solve(np.eye(len(self.c)) - self.A.sum(axis=0), self.B.sum(axis=0)[:, moved])
+        gains = np.linalg.solve(np.eye(len(self.c)) - self.A.sum(axis=0), self.B.sum(axis=0)[:, moved])
         with np.errstate(all="ignore"):
-            share = self.step(moved, samples) / gain
-        reached = np.array([crossing(own) for own in share.T])
-        over, wrong = (np.maximum(way, 0.0) for way in (share.max(axis=0) - 1.0, -share.min(axis=0)))
-        return Answer(gain, reached, over, wrong)
+            share = self.step(moved, samples)[:, output] / gains[output]
+        over, wrong = (float(np.maximum(way, 0.0)) for way in (share.max() - 1.0, -share.min()))
+        return Answer(float(gains[output]), crossing(share), over, wrong)
 
     def step(self, moved: int, samples: int) -> FloatArray:
         """(samples, n) what a lasting unit step of one input adds."""

@@ -8,6 +8,7 @@ the outputs, and hidden states where there are any.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
@@ -60,7 +61,7 @@ class RuleModel(FreeRuns):
     support: FloatArray
     notes: tuple[str, ...]
     noise: FloatArray | None = None
-    operating_points: tuple[OperatingPoint, ...] = ()
+    operating_points: Sequence[OperatingPoint] = ()
     flight_offsets: OwnConstants | None = None
 
     @property

@@ -12,8 +12,12 @@ from bench import drawn_plants
 from bench.lottery import CHANGES
 from bench.ts_experiment import off
 from flysid.cli import root
+from flysid.dataset import Dataset
+from flysid.filters import apply_filter
 from flysid.model.arx import ARX
 from flysid.model.base import load
+from flysid.model.oe import OE
+from flysid.model.simulation_error import OutputError, Start, find_start
 from flysid.model.start import full_window, judging_rows
 
 DT_S = drawn_plants.DT_S
@@ -40,6 +44,25 @@ def test_command_delivers_it(tmp_path: Path) -> None:
     assert done.exit_code == 0, done.output
     (path,) = run.rglob("arx.json")
     assert off(load(path), flown.test) < 0.5
+
+
+def test_outputs_whose_delays_stay_are_fitted_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The second output's delay is looked for again, for order three; the first one's fits are known."""
+    rng = np.random.default_rng(3)
+    u = np.repeat(rng.uniform(-1.0, 1.0, 60), 10)
+    quick = apply_filter(np.array([0.0, 0.2]), np.array([1.0, -0.8]), u)
+    slow = apply_filter(np.array([0.0, 0.0, 0.02]), np.asarray(np.poly([0.9, 0.8, 0.7])), u)
+    y = np.column_stack([quick, slow])
+    y += 0.01 * y.std(axis=0) * rng.standard_normal(y.shape)
+    asked = []
+
+    def note(problem: OutputError, *, tries: int = 2, polish: int = 3) -> Start:
+        asked.append((problem.key, tries, polish))
+        return find_start(problem, tries=tries, polish=polish)
+
+    monkeypatch.setattr("flysid.model.linear.output_error.find_start", note)
+    OE().fit(Dataset.from_arrays(u, y, DT_S))
+    assert len(asked) == len(set(asked))
 
 
 def test_short_blocks_are_started_from_as_much_as_they_are_judged_on() -> None:

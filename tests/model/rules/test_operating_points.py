@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 import re
 from dataclasses import replace
 
@@ -13,6 +14,7 @@ from bench.hidden_plants import PLANTS, Plant
 from bench.rule_words import own_answer, truth
 from bench.ts_intervals import experiment, known_model
 from flysid.dataset import Dataset, FloatArray, Signal
+from flysid.model.base import OperatingPoint
 from flysid.model.rules.fitted import FittedTS
 from flysid.model.rules.local_models import SteadyMap
 from flysid.model.rules.operating_points import describe, operating_points
@@ -35,6 +37,25 @@ def test_points_are_what_the_free_run_does(flown: tuple[FittedTS, Dataset]) -> N
     for point in model.operating_points:
         said = np.array([point.gain[0], point.reached_s[0]])
         assert said == pytest.approx(own_answer(model, point, 1e-4), rel=2e-3)
+
+
+def test_points_are_found_once_and_only_when_they_are_read(
+    flown: tuple[FittedTS, Dataset], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A search compares many models and delivers one; the others took a third of a fit of six outputs."""
+    model, data = flown
+    searches = []
+
+    def count(*given: object) -> tuple[OperatingPoint, ...]:
+        searches.append(given)
+        return tuple(model.operating_points)
+
+    monkeypatch.setattr("flysid.model.rules.operating_points.operating_points", count)
+    described = replace(describe(model, data), notes=())
+    assert not searches
+    assert type(pickle.loads(pickle.dumps(described)).operating_points) is tuple
+    assert [p.output for p in described.operating_points] == 6 * [0]
+    assert len(searches) == 1
 
 
 def test_points_and_their_intervals_are_the_plants(flown: tuple[FittedTS, Dataset]) -> None:
@@ -118,7 +139,7 @@ def test_an_integrating_process_has_no_places() -> None:
     u = np.repeat(np.random.default_rng(5).uniform(-1, 1, 60), 10)
     y = 0.05 * np.cumsum(np.concatenate([[0.0], u[:-1]]))
     model = over_lags(TS(rules=1, na=1, nb=1, nk=1), Dataset.from_arrays(u, y, 0.05))
-    assert model.operating_points == ()
+    assert not model.operating_points
     assert "[integrates]" in str(model)
 
 
