@@ -1,11 +1,13 @@
-"""Fewer points of a curve: which samples are kept, by hand."""
+"""What is drawn of a curve, by hand: which samples are kept, and which of them have whiskers."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
+from flysid.validate.show.page import Sweep
 from flysid.validate.show.page.decimate import decimate, extremes, round_for_json
+from flysid.validate.show.page.figures import sweep_figure
 
 
 def test_a_bucket_becomes_its_extremes_in_their_order() -> None:
@@ -49,3 +51,8 @@ def test_extremes_of_every_few_values_and_all_nans_are_kept() -> None:
     assert extremes(values, 3).tolist() == [0, 1, 3, 4, 5, 6, 7, 8, 9]
     assert extremes(values, 2).tolist() == list(range(10))
     assert extremes(np.arange(10.0), 5).tolist() == [0, 4, 5, 9]
+
+
+def test_a_count_of_rules_has_a_whisker_where_its_error_has_a_spread() -> None:
+    drawn = sweep_figure(Sweep((1, 2, 3), (0.4, 0.3, 0.35), (0.1, 0.0, 0.2), 2), "m/s")
+    assert drawn.count('class="whisker"') == 2
