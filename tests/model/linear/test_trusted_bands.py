@@ -16,7 +16,7 @@ def measured(coherence: FloatArray, averages: float = 60.0) -> MeasuredResponse:
     count = len(coherence)
     both = np.column_stack([coherence, np.zeros(count)])
     return MeasuredResponse(
-        omega=2.0 ** np.arange(count),
+        omega=np.exp2(np.arange(float(count))),
         response=np.ones((count, 2), dtype=np.complex128),
         coherence=both,
         error=np.full((count, 2), 0.1) * [1.0, 2.0],

@@ -424,8 +424,9 @@ def test_an_interval_of_twice_either_way_is_poorly_determined(wide: float, known
 
 def test_overshoot_and_wrong_way_have_words_beyond_5_percent() -> None:
     def said(overshoot: float, wrong_way: float, dead_s: float = 0.0) -> str:
-        shape = {"overshoot": overshoot, "wrong_way": wrong_way, "dead_s": dead_s}
-        alike = replace(point(1.0, [0.5], [0.8], 1.1), **{k: np.array([v]) for k, v in shape.items()})
+        plain = point(1.0, [0.5], [0.8], 1.1)
+        over, wrong, dead = (np.array([value]) for value in (overshoot, wrong_way, dead_s))
+        alike = replace(plain, overshoot=over, wrong_way=wrong, dead_s=dead)
         return sentences([alike], ([V], [TILT]))[0].partition("(0.727 to 0.88)")[2]
 
     assert said(0.049, 0.049) == "."

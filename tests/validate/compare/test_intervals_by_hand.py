@@ -27,7 +27,7 @@ def length(e: FloatArray) -> float:
     first = next((k for k, pair in enumerate(pairs) if pair <= 0.0), len(pairs))
     own = rho_of(e)
     end = next((k for k, value in enumerate(own) if value <= 0.0), len(own))
-    return max(1.0, 2.0 * sum(pairs[:first]) - 1.0, 2.0 * float((own[:end] ** 2).sum()) - 1.0)
+    return max(1.0, 2.0 * float(sum(pairs[:first])) - 1.0, 2.0 * float((own[:end] ** 2).sum()) - 1.0)
 
 
 @pytest.mark.parametrize(
@@ -48,7 +48,7 @@ def test_a_change_on_one_flight(n: int, rho: float, blocks: int | None, short: b
     assert 4 < count < 12 or blocks
     assert (found.scope, found.units, found.block) == (Scope.THIS, count, n // count)
     assert found.slow is bool(n < 10.0 * longest)
-    theta = 0.5 * np.log((eb @ eb) / (ea @ ea))
+    theta = float(0.5 * np.log((eb @ eb) / (ea @ ea)))
     logs = [
         0.5 * np.log(np.mean(y**2) / np.mean(x**2))
         for x, y in zip(np.array_split(ea, count), np.array_split(eb, count), strict=True)

@@ -49,7 +49,9 @@ def test_correlations_pool_segments_and_never_pair_samples_across() -> None:
 
 def correlation(rho: list[float], band: float = 0.1) -> Correlation:
     count = len(rho)
-    return Correlation(np.arange(count) - 1.0, np.array(rho), band, (np.arange(count) > 0).astype(float))
+    return Correlation(
+        np.arange(-1.0, count - 1.0), np.array(rho), band, (np.arange(count) > 0).astype(float)
+    )
 
 
 def test_a_test_fails_beyond_what_chance_explains() -> None:

@@ -24,7 +24,7 @@ def measured(count: int, ratio: float = 2.0, late_s: float = 0.0) -> MeasuredRes
     """One, as measured from two inputs; the second doubles it. All points count."""
     one = np.ones((count, 2))
     return MeasuredResponse(
-        omega=ratio ** np.arange(count),
+        omega=np.power(ratio, np.arange(float(count))),
         response=one * np.array([1.0 + 0.0j, 2.0]),
         coherence=0.99 * one,
         error=EPS * one,
@@ -61,16 +61,16 @@ def test_one_point_alone_may_be_chance_two_are_not() -> None:
 
 def test_what_the_stamps_leave_open_widens_the_phase_alone() -> None:
     """0.1 s at 1, 2, 4 rad/s: 12.5, 23.2 and 45.3 degrees at 95 % with the scatter, and 7.57 beside them."""
-    turned = np.exp(1j * np.radians(32.0)) * np.ones(4)
+    turned = np.full(4, np.exp(1j * np.radians(32.0)), dtype=np.complex128)
     assert agree(measured(4, late_s=0.1), 0, turned).tolist() == [False, False, True, True]
-    assert not agree(measured(4, late_s=0.1), 0, 1.5 * np.ones(4, dtype=complex)).any()
+    assert not agree(measured(4, late_s=0.1), 0, np.full(4, 1.5 + 0.0j, dtype=np.complex128)).any()
 
 
 def test_misfit_is_the_mean_square_over_an_octave_beyond_the_scatter() -> None:
     """Points two thirds of an octave apart: each shares with its neighbours, not with those beyond."""
     found = measured(6, 2.0 ** (2.0 / 3.0))
     off = np.array([0.1, 0.3, 0.2, 0.0, 0.4, 0.1])
-    model = 2.0 * np.exp(off * (1.0 + 0.5j))
+    model: ComplexArray = np.asarray(2.0 * np.exp(off * (1.0 + 0.5j)), dtype=np.complex128)
     excess = 0.5 * (1.0 + 0.25) * off**2 - EPS**2
     assert misfit(found, 1, model, np.ones(6, dtype=bool)) == pytest.approx(
         [np.sqrt(excess[max(k - 1, 0) : k + 2].mean()) for k in range(6)]
@@ -80,7 +80,8 @@ def test_misfit_is_the_mean_square_over_an_octave_beyond_the_scatter() -> None:
         [np.sqrt(excess[1]), np.sqrt(excess[1:3].mean())]
     )
     assert not misfit(found, 1, model, np.zeros(6, dtype=bool)).any()
-    assert not misfit(found, 1, 2.0 * np.exp(0.9 * EPS * np.ones(6)) + 0.0j, np.ones(6, dtype=bool)).any()
+    near: ComplexArray = np.full(6, 2.0 * np.exp(0.9 * EPS) + 0.0j)
+    assert not misfit(found, 1, near, np.ones(6, dtype=bool)).any()
 
 
 @dataclass
@@ -94,7 +95,7 @@ class _Step:
 
     @property
     def time_s(self) -> FloatArray:
-        return self.sample_s * np.arange(3)
+        return np.array([0.0, self.sample_s, 2.0 * self.sample_s])
 
     def frequency_response(self, omega: FloatArray, dt_s: float) -> tuple[ComplexArray, FloatArray]:
         del dt_s
