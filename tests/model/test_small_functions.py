@@ -5,11 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from flysid.dataset import Dataset
+from flysid.dataset import Dataset, FloatArray
 from flysid.model.documents import array_of
 from flysid.model.freerun import Difference
+from flysid.model.last_gates import HeldValue
 from flysid.model.linear.data import Parts
 from flysid.model.linear.initial_state import Past, equation_starts, responses, start_gain
+from flysid.model.selection import judge_free_runs
 from flysid.model.statespace import StateSpace
 from flysid.model.subspace.triangle import default_past, window
 
@@ -116,3 +118,26 @@ def test_lags_are_estimated_where_that_is_better(
     assert (gains is not None) is does
     if gains is not None:
         assert gains.shape == (2, 1, 4)
+
+
+class _Held(HeldValue):
+    """The first value held, within limits."""
+
+    @property
+    def output_limits(self) -> FloatArray:
+        return np.array([[-10.0], [3.0]])
+
+
+@pytest.mark.parametrize(
+    ("levels", "reached"), [((1.0, 2.0), False), ((1.0, 3.0), True), ((-10.0, 2.0), True)]
+)
+def test_a_free_run_that_was_ever_at_its_limits_is_told(levels: tuple[float, ...], reached: bool) -> None:
+    """Errors are in variances of the outputs, here of a step of one around each level's mean."""
+    us = [np.zeros(400)] * 2
+    ys = [np.concatenate([np.full(200, level), np.full(200, level + 1.0)]) for level in levels]
+    data = Dataset.from_arrays(us, ys, 0.02)
+    found = judge_free_runs({"held": _Held(0.02, 1), "free": HeldValue(0.02, 1)}, data)
+    assert [found[name][1] for name in ("held", "free")] == [reached, False]
+    errors = found["free"][0]
+    assert errors[0] == 0.0  # nothing has moved yet
+    assert errors.max() == pytest.approx(1.0 / np.var(np.concatenate(ys)), rel=0.05)

@@ -8,7 +8,7 @@ from scipy import stats
 from scipy.signal import lfilter
 
 from flysid.dataset import FloatArray
-from flysid.validate.compare.intervals import EVENLY, Scope, across_flights, change
+from flysid.validate.compare.intervals import EVENLY, Interval, Scope, across_days, across_flights, change
 
 
 def slow(n: int, rho: float, seed: int) -> FloatArray:
@@ -104,3 +104,19 @@ def test_few_flights_are_judged_by_both_of_their_numbers() -> None:
         opposed = across_flights(logs, [-s for s in sides], rotated=rotated)
         assert (opposed.p, opposed.high_pct) == (1.0, 0.0)
         assert across_flights([-v for v in logs], sides).low_pct == 0.0
+
+
+@pytest.mark.parametrize(("odd", "shown"), [(0.8, True), (1.5, False)])
+def test_odd_flights_that_may_outweigh_the_others_leave_no_change_shown(odd: float, shown: bool) -> None:
+    """Two odd of twenty may be 32 % (Clopper and Pearson): 0.68 x -0.5 + 0.32 x 0.8 is below zero."""
+    logs = [odd if k in (5, 12) else -0.5 + 0.01 * (-1) ** k for k in range(20)]
+    sides = [0.5 + 0.01 * (-1) ** k for k in range(20)]
+    near = Interval(-30.0, -50.0, -10.0, 0.001)
+    found = across_days(logs, sides, near)
+    share = stats.beta(3, 18).ppf(0.975)
+    most = 100.0 * np.expm1((1.0 - share) * -0.5 + share * odd)
+    assert most == pytest.approx(found.high_pct, abs=1.5)
+    assert (found.high_pct < 0.0) is shown
+    assert (found.p < 0.05) is shown
+    assert found.p == 1.0 or shown
+    assert found.change_pct == -30.0

@@ -10,10 +10,17 @@ import numpy as np
 import pytest
 
 from flysid.dataset import FloatArray, Signal
+from flysid.model.frequency.continuous_transfer import Band, ContinuousTransfer
 from flysid.model.frequency.response import MeasuredResponse
 from flysid.model.polynomials import ComplexArray
 from flysid.model.step_response import StepResponse
-from flysid.validate.transfers.agreement import agree, in_a_loop, misfit, response_caution
+from flysid.validate.transfers.agreement import (
+    agree,
+    in_a_loop,
+    misfit,
+    response_caution,
+    transfer_figures,
+)
 
 EPS = 0.05
 HALF = 1.959964 * EPS
@@ -130,3 +137,35 @@ def test_the_words_on_a_loop_name_the_band_in_both_units() -> None:
         "is above 0.6 and the loop does not bend it. Name what drives the loop: --reference FIELD"
     )
     assert in_a_loop(None, []).startswith("no band can be trusted: a loop is closed, and where it reacts ")
+
+
+@pytest.mark.parametrize(
+    ("band", "gain", "slow", "quick", "dead"),
+    [
+        ((0.5, 4.0), True, True, True, True),  # a mode is seen within an octave of the band
+        ((0.5, 3.9), True, True, False, True),
+        ((1.0, 20.0), True, True, True, True),
+        ((1.01, 20.0), False, True, True, True),  # a mode lies below it
+        ((2.01, 20.0), False, False, True, True),
+        (None, False, False, False, False),
+    ],
+    ids=str,
+)
+def test_figures_are_given_where_a_band_carries_them(
+    band: Band | None, gain: bool, slow: bool, quick: bool, dead: bool
+) -> None:
+    """8 / ((s + 1) (s + 8)), 0.1 s late: a gain of 1 +- 1.96 x 0.04 / 8, as of the numerator alone."""
+    covariance = np.zeros((4, 4))
+    covariance[0, 0] = 0.04**2
+    found = transfer_figures(
+        ContinuousTransfer(np.array([8.0]), np.array([1.0, 9.0, 8.0]), covariance, 0.1, "u", "y"), band
+    )
+    assert (found["gain"] is not None) is gain
+    if gain:
+        assert found["gain"] == pytest.approx({"value": 1.0, "low": 0.9902, "high": 1.0098}, abs=1e-4)
+    assert found["dead_time"] == ({"value": 0.1, "low": None, "high": None} if dead else None)
+    modes = sorted(found["modes"], key=lambda m: -m["pole"][0])
+    assert [m["pole"] for m in modes] == [pytest.approx([-1.0, 0.0]), pytest.approx([-8.0, 0.0])]
+    assert [m["frequency_rad_s"] is not None for m in modes] == [slow, quick]
+    if slow:
+        assert modes[0]["time_constant_s"]["value"] == pytest.approx(1.0)
