@@ -4,7 +4,8 @@ A map is measured once, by `soak.recorder`. Later code takes it over: lines that
 tests, and only new and changed files of tests are measured again.
 
 Coverage does not see inside compiled kernels, and what runs once, at import (constants, defaults), belongs to
-no test. For these `Reach.tests_of` takes the tests that reach a line which names the kernel or the constant.
+no test. For these `Reach.tests_of` takes the tests that reach a line which names the kernel or the constant,
+and those that name it themselves.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ import ast
 import hashlib
 import json
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from difflib import SequenceMatcher
 from functools import cached_property
@@ -53,10 +54,12 @@ class Mentions:
     ----------
     places : name -> statements.
     imports : file -> modules that it imports.
+    tests : full name, as `flysid.model.arx.SIZE` -> beginnings of the node ids of tests that read it.
     """
 
     places: dict[str, list[Place]] = field(default_factory=dict)
     imports: dict[str, set[str]] = field(default_factory=dict)
+    tests: dict[str, set[str]] = field(default_factory=dict)
 
     @classmethod
     def find(cls, root: Path) -> Mentions:
@@ -70,6 +73,11 @@ class Mentions:
                 name = _name_read(node)
                 if name:
                     found.places.setdefault(name, []).append(place)
+        for file in sorted((root / "tests").rglob("test_*.py")):
+            for full, test in _names_in_tests(
+                ast.parse(file.read_bytes()), file.relative_to(root).as_posix()
+            ):
+                found.tests.setdefault(full, set()).add(test)
         return found
 
     def of(self, name: str, path: str) -> list[Place]:
@@ -238,6 +246,8 @@ class Reach:
                 if (at.path, name) in seen:
                     continue
                 seen.add((at.path, name))
+                naming = mentions.tests.get(f"{module_name(at.path)}.{name}", set())
+                found |= {test for test in self.seconds if {file_of(test), _test_of(test)} & naming}
                 for other in mentions.of(name, at.path):
                     tests = self._direct(other)
                     found |= tests
@@ -294,6 +304,18 @@ def find_places(tree: ast.Module, path: str) -> dict[ast.AST, Place]:
 
     walk(tree, Place(path, 0, 0), ())
     return places
+
+
+def _names_in_tests(tree: ast.Module, path: str) -> Iterator[tuple[str, str]]:
+    """What a file of tests imports by name, and the test that reads it, or the file where a helper does."""
+    imports = [node for node in tree.body if isinstance(node, ast.ImportFrom)]
+    full = {name.asname or name.name: f"{node.module}.{name.name}" for node in imports for name in node.names}
+    for node in tree.body:
+        test = path
+        if isinstance(node, ast.FunctionDef) and node.name.startswith("test"):
+            test = f"{path}::{node.name}"
+        names = (n.id for n in ast.walk(node) if isinstance(n, ast.Name))
+        yield from ((full[name], test) for name in names if name in full)
 
 
 def _targets(node: ast.stmt) -> tuple[str, ...]:

@@ -23,7 +23,7 @@ import tomllib
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 
 from scipy.stats import binomtest
@@ -39,12 +39,28 @@ from soak.running import Loaded, Ran, environment_of, run_tests
 ROOT = Path(__file__).resolve().parents[1]
 COUNT = 150
 LEAST_NOTICED = 0.8
-TEST_FOLDERS = ("tests/model", "tests/validate", "tests/flysid", DOORS)
-TURNS_S = (3.0, 25.0)
-"""CPU of the tests that reach a change, as measured under coverage, with what they share. Every change has
-the first turn before one that nobody noticed has the second, with more tests and the doors."""
-DOORS_S = 25.0
-"""CPU of the doors that reach a change, or one of these."""
+NEAR = ("tests/model", "tests/validate")
+FAR = (*NEAR, "tests/flysid", DOORS)
+
+
+@dataclass(frozen=True)
+class Turn:
+    """What is spent on a change.
+
+    Attributes
+    ----------
+    tests_s : CPU of the tests that reach it, as measured under coverage, with what they share.
+    doors_s : CPU of the doors that reach it, or one of these.
+    folders : of tests; their map is measured when the first change has this turn.
+    """
+
+    tests_s: float
+    doors_s: float = 0.0
+    folders: tuple[str, ...] = NEAR
+
+
+TURNS = (Turn(3.0), Turn(12.0), Turn(25.0, 25.0, FAR))
+"""Every change has a turn before one that nobody noticed has the next."""
 NOT_NOTICED = "not noticed"
 Run = tuple[list[str], float]
 """Node ids, and the CPU seconds that they should take."""
@@ -62,7 +78,7 @@ class Trial:
     tests : how many were chosen, of `reaching` that reach the change.
     doubted : tests that failed in the unchanged copy as well, and so did not count.
     cpu_s : of all runs of this change.
-    turns : how many of TURNS_S it had.
+    turns : how many of TURNS it had.
     """
 
     key: str
@@ -81,10 +97,10 @@ class Trial:
 
     @property
     def is_over(self) -> bool:
-        return self.is_noticed or self.turns == len(TURNS_S)
+        return self.is_noticed or self.turns == len(TURNS)
 
     def __add__(self, later: Trial) -> Trial:
-        """Both turns as one."""
+        """All turns as one."""
         return replace(
             later,
             tests=self.tests + later.tests,
@@ -142,9 +158,10 @@ class Record:
             file.write(f"{end}{json.dumps(asdict(trial))}\n")
 
     def waiting(self, mutants: Sequence[Mutant]) -> list[Mutant]:
-        """Those that were not tried, then those that have a turn left."""
-        new = [mutant for mutant in mutants if mutant.key not in self.trials]
-        return new + [m for m in mutants if m.key in self.trials and not self.trials[m.key].is_over]
+        """Those that are not over; those that had the fewest turns come first."""
+        turns = {m: self.trials[m.key].turns if m.key in self.trials else 0 for m in mutants}
+        left = [m for m in mutants if not turns[m] or not self.trials[m.key].is_over]
+        return sorted(left, key=turns.__getitem__)
 
     def _is_cut(self) -> bool:
         text = self._file.read_bytes() if self._file.exists() else b""
@@ -177,19 +194,20 @@ class Bench:
     ----------
     whole : the copy.
     loaded : a process that has imported it.
-    reach, mentions : which tests reach what.
+    reach : which tests of a turn's folders reach a line.
+    mentions : which lines read a name.
     """
 
     whole: Path
     loaded: Loaded
-    reach: Reach
+    reach: Callable[[Turn], Reach]
     mentions: Mentions
 
     def attempt(self, mutant: Mutant, before: Trial | None) -> Trial:
         """Change a fresh copy, and look for a test that notices: the turn after those it had."""
         turn = before.turns if before else 0
-        reaching = self.reach.tests_of(mutant.place, self.mentions)
-        runs = list(self.chosen(reaching, turn))
+        reaching = self._reaching(mutant, TURNS[turn])
+        runs = list(self.chosen(mutant, turn))
         noticed_by, doubted, cpu_s = self._judge(mutant, runs, turn) if runs else (NOT_NOTICED, [], 0.0)
         count = sum(len(names) for names, _ in runs)
         trial = Trial(
@@ -210,7 +228,7 @@ class Bench:
 
         Processes that tests start see a change in the last turn, which has a tree of its own.
         """
-        if turn + 1 < len(TURNS_S) and self.loaded.can(mutant):
+        if turn + 1 < len(TURNS) and self.loaded.can(mutant):
             return self._look(partial(self.loaded.run, mutant), partial(self.loaded.run, None), runs)
         tree = copy_tree(self.whole, self.whole.parent / "changed")
         try:
@@ -243,24 +261,33 @@ class Bench:
             waiting[:0] = [(left, expected_s)] if left else []
         return NOT_NOTICED, doubted, cpu_s
 
-    def chosen(self, reaching: Sequence[str], turn: int) -> Iterator[Run]:
-        """Tests of a turn in the order of their runs, each run with the CPU seconds that it may take.
+    def chosen(self, mutant: Mutant, turn: int) -> Iterator[Run]:
+        """Tests of a turn, without those of earlier ones, each run with the CPU seconds that it may take.
 
-        Doors come in the last turn, after the others.
+        Doors come after the others.
         """
-        doors = [name for name in reaching if name.startswith(DOORS)]
-        tests = [name for name in reaching if name not in doors]
-        before = self.reach.affordable(tests, TURNS_S[turn - 1], set()) if turn else []
-        chosen = [n for n in self.reach.affordable(tests, TURNS_S[turn], set()) if n not in set(before)]
+        spent = TURNS[turn]
+        reach = self.reach(spent)
+        before = {name for earlier in TURNS[:turn] for name in self._bought(mutant, earlier)}
+        chosen = [name for name in self._bought(mutant, spent) if name not in before]
         if chosen:
-            yield self.reach.side_by_side(chosen), TURNS_S[turn]
-        if doors and turn + 1 == len(TURNS_S):
-            yield self.reach.affordable(doors, DOORS_S, set()), DOORS_S
+            yield reach.side_by_side(chosen), spent.tests_s
+        doors = [name for name in self._reaching(mutant, spent) if name.startswith(DOORS)]
+        if doors:
+            yield reach.affordable(doors, spent.doors_s, set()), spent.doors_s
+
+    def _reaching(self, mutant: Mutant, turn: Turn) -> list[str]:
+        return self.reach(turn).tests_of(mutant.place, self.mentions)
+
+    def _bought(self, mutant: Mutant, turn: Turn) -> list[str]:
+        """The tests of a turn in the order of their worth, without doors."""
+        tests = [name for name in self._reaching(mutant, turn) if not name.startswith(DOORS)]
+        return self.reach(turn).affordable(tests, turn.tests_s, set())
 
 
-def measure(whole: Path, folder: Path) -> Reach:
-    """Which tests reach each line: as measured for this code, or for an earlier one and taken over."""
-    return Reach.read([_measured(whole, tests, folder) for tests in TEST_FOLDERS])
+def measure(whole: Path, folder: Path, folders: Sequence[str] = FAR) -> Reach:
+    """Which tests of `folders` reach each line: measured for this code, or taken over from an earlier one."""
+    return Reach.read([_measured(whole, tests, folder) for tests in folders])
 
 
 def _measured(whole: Path, tests: str, folder: Path) -> Path:
@@ -309,7 +336,8 @@ def run(budget: Budget) -> Iterator[Outcome]:
             [sys.executable, "-m", "tests.kernels"], cwd=whole, env=environment_of(whole), check=True
         )
         with Loaded(whole) as loaded:
-            bench = Bench(whole, loaded, measure(whole, folder), Mentions.find(whole))
+            reach = cache(lambda turn: measure(whole, folder, turn.folders))
+            bench = Bench(whole, loaded, reach, Mentions.find(whole))
             sites = find_sites(whole)
             record = open_record(folder, budget.seed, lambda seed: draw(sites, seed, COUNT))
             mutants = [m for m in draw(sites, record.seed, COUNT) if _folder(m) in budget.chosen(FOLDERS)]

@@ -162,6 +162,31 @@ def test_tests_are_found_by_line_or_through_who_names_it(tmp_path: Path) -> None
     assert reach.tests_of(Place("model/b.py", 1, 1, ("nobody",)), mentions) == []
 
 
+NAMING = """
+from flysid.model.a import SIZE as size, other
+LIMIT = other
+def test_size():
+    assert size == 3
+def test_else():
+    assert True
+"""
+
+
+def test_a_test_that_reads_a_constant_counts_for_it(tmp_path: Path) -> None:
+    for folder in ("model", "tests"):
+        (tmp_path / folder).mkdir()
+    (tmp_path / "model" / "a.py").write_text("SIZE = 3\nother = 4\n")
+    (tmp_path / "tests" / "test_a.py").write_text(NAMING)
+    name = "tests/test_a.py::test_"
+    reach = Reach({f"{name}size[1]": 1.0, f"{name}else": 1.0, "tests/test_b.py::test_size": 1.0})
+    mentions = Mentions.find(tmp_path)
+    assert reach.tests_of(Place("model/a.py", 1, 1, ("SIZE",)), mentions) == [f"{name}size[1]"]
+    assert reach.tests_of(Place("model/a.py", 2, 2, ("other",)), mentions) == [
+        f"{name}else",
+        f"{name}size[1]",
+    ]
+
+
 def test_tests_are_bought_with_what_they_share() -> None:
     """A fixture is paid once, the second case of a test is worth half, and no fixture is made twice."""
     costs = {"a.py::slow": 9.0, "a.py::x[1]": 1.0, "a.py::x[2]": 1.0, "b.py::y": 1.4, "a.py::z": 0.1}

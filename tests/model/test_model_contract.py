@@ -100,6 +100,28 @@ def test_causality(name: str, seed: int, row: int, k: int) -> None:
     assert np.array_equal(early, model.simulate(u, y))  # rows of y after the first n_init are not read
 
 
+@pytest.mark.parametrize("name", ["iv", "oe", "bj"])
+def test_what_a_free_run_leaves_over_has_a_model(name: str) -> None:
+    """So that predictions lean on the newest error."""
+    noise = fitted(name).noise  # type: ignore[attr-defined]
+    assert noise is not None
+    assert (noise[0] == 1.0).all()
+
+
+@every_model
+def test_the_beginning_of_a_record_is_predicted_as_the_whole(name: str) -> None:
+    """Records just as long as what a model looks back on, and shorter, too."""
+    model = fitted(name)
+    u, y = signals(model, 7)
+    n = model.n_init
+    whole, run = model.predict(u, y, 2), model.simulate(u, y[:n])
+    size = 1e-9 * np.abs(run).max()
+    for rows in range(max(n, 1), n + 7):
+        begun = model.simulate(u[:rows], y[:n])
+        np.testing.assert_allclose(begun, run[:rows], rtol=0.0, atol=size)
+        np.testing.assert_allclose(model.predict(u[:rows], y[:rows], 2), whole[:rows], rtol=0.0, atol=size)
+
+
 @every_model
 @settings(deadline=None, max_examples=10)
 @given(seed=seeds)

@@ -24,6 +24,15 @@ def test_every_fold_of_one_segment_holds_out_another_quarter(fold: int) -> None:
     np.testing.assert_array_equal(others, np.delete(rows, np.arange(begin, begin + 25)))
 
 
+@pytest.mark.parametrize(("fold", "turn"), [(0, (2, 6)), (1, (3, 7)), (2, (0, 4)), (3, (1, 5))])
+def test_every_fold_of_many_segments_holds_out_every_fourth(fold: int, turn: tuple[int, ...]) -> None:
+    """The ninth is too short to count."""
+    levels = [np.full(20 if k < 8 else 9, float(k)) for k in range(9)]
+    kept, held = hold_out(Dataset.from_arrays(levels, levels, 0.1), 10, fold)
+    assert tuple(s.y[0, 0] for s in held.segments) == turn
+    assert [s.y[0, 0] for s in kept.segments] == [k for k in range(8) if k not in turn]
+
+
 def test_two_equal_rules_merge_into_the_same_rule() -> None:
     """The set of a merged rule is as wide as theirs; apart, it covers what lies between them."""
     model = known_model()

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from flysid.dataset import Signal
 from flysid.errors import StoreError
 from flysid.model.base import OperatingPoint, Rule, write_document
-from flysid.model.rules.linguistics import labels, pieces
+from flysid.model.rules.linguistics import labels, pieces, set_words
 from flysid.model.rules.memberships import Partition
 from flysid.model.rules.operating_words import answers_alike, answers_like, sentences
 from flysid.model.rules.phrases import condition_in_words, equation, gains, in_words, meanings
@@ -61,6 +61,47 @@ def test_a_speed_without_a_sign_is_slow_or_fast() -> None:
 def test_only_one_speed_is_hovering() -> None:
     assert labels(np.array([-0.1, 0.05, 1.0]), V_X) == ["backward", "hovering", "forward"]
     assert labels(np.array([0.1, 0.3]), V_X) == ["hovering", "forward"]
+
+
+def test_a_place_within_8_percent_of_the_range_is_at_zero() -> None:
+    axis = Axis("v_x(k-1)", "m/s", -2.0, 2.0)  # 8 % are 0.32 m/s
+    assert labels(np.array([0.31, 1.5]), axis) == ["hovering", "forward"]
+    assert labels(np.array([0.33, 1.5]), axis) == ["slow forward", "fast forward"]
+
+
+def test_a_piece_around_zero_hovers_within_15_percent_of_the_range() -> None:
+    """The sets meet at -1 and 1 m/s: 15.2 and 14.9 % of the range."""
+    sets = (-2.0, 1.0), (0.0, 1.0), (2.0, 1.0)
+    wide = ["fast backward", "slow backward or slow forward", "fast forward"]
+    assert said_of(one_axis(*sets, low=-3.3, high=3.3)) == wide
+    assert said_of(one_axis(*sets, low=-3.35, high=3.35)) == ["backward", "hovering", "forward"]
+
+
+def test_a_piece_of_less_than_3_percent_of_the_range_is_no_piece() -> None:
+    """Equal sets meet halfway: 0.17 and 0.19 of 6 m/s from the end of the range."""
+    assert [p.low for p in pieces(one_axis((-5.66, 1.0), (0.0, 1.0)))[0]] == [-3.0]
+    assert [p.low for p in pieces(one_axis((-5.62, 1.0), (0.0, 1.0)))[0]] == pytest.approx(
+        [-3.0, -2.81], abs=0.006
+    )
+
+
+def test_sets_a_quarter_of_their_width_apart_are_at_two_places() -> None:
+    axis = Axis("u", "", 0.0, 4.0)
+    assert set_words(np.array([1.0, 1.24]), np.array([1.0, 2.0]), axis) == ["near 1.12", "away from 1.12"]
+    assert set_words(np.array([1.0, 1.26]), np.array([1.0, 2.0]), axis) == ["low", "high"]
+
+
+def test_half_as_wide_again_is_another_set() -> None:
+    axis = Axis("u", "", 0.0, 4.0)
+    assert set_words(np.array([1.0, 1.0]), np.array([1.0, 1.49]), axis) == ["", ""]
+    assert set_words(np.array([1.0, 1.0]), np.array([1.0, 1.5]), axis) == ["near 1", "away from 1"]
+
+
+def test_signs_have_words_beyond_15_percent_of_the_range() -> None:
+    values = np.array([-1.0, 4.0])
+    assert labels(values, Axis("phi", "deg", -1.4, 8.6)) == ["low", "high"]
+    assert labels(values, Axis("phi", "deg", -1.6, 8.4)) == ["negative", "positive"]
+    assert labels(values, Axis("phi", "deg", -8.6, 1.4)) == ["low", "high"]
 
 
 def test_changes_rise_and_fall() -> None:
@@ -350,3 +391,75 @@ def test_a_range_is_said_only_where_it_was_computed(places: list[float]) -> None
     )
     (filled,) = sentences([point(at, [0.5], [0.8], 1.1) for at in (-1.0, 0.0, 1.0)], ([V], [TILT]))
     assert filled.startswith("From v_x = -1 to 1 m/s")
+
+
+@pytest.mark.parametrize(("factor", "alike"), [(1.09, True), (1.11, False)])
+def test_figures_within_10_percent_are_alike(factor: float, alike: bool) -> None:
+    """Where intervals are narrower than that. The time counts as the gain does."""
+    one = point(1.0, [1.0], [1.0], 1.01)
+    assert answers_alike(one, point(2.0, [factor], [1.0], 1.01)) is alike
+    assert answers_alike(point(2.0, [1.0], [factor], 1.01), one) is alike
+
+
+@pytest.mark.parametrize(("factor", "alike"), [(1.49, True), (1.54, False)])
+def test_figures_are_alike_where_their_intervals_allow_it(factor: float, alike: bool) -> None:
+    """Half intervals of ln 1.35 each: together sqrt(2) of that, a factor of 1.529."""
+    assert answers_alike(point(1.0, [1.0], [1.0], 1.35), point(2.0, [factor], [1.0], 1.35)) is alike
+
+
+@pytest.mark.parametrize(("factor", "like"), [(1.24, True), (1.26, False)])
+def test_figures_a_quarter_apart_are_two_in_words(factor: float, like: bool) -> None:
+    one, other = point(1.0, [1.0], [1.0], 1.9), point(2.0, [factor], [1.0], 1.9)
+    assert answers_alike(one, other)
+    assert answers_like(one, other) is like
+    assert answers_like(other, one) is like
+
+
+@pytest.mark.parametrize(("wide", "known"), [(1.98, True), (2.02, False)])
+def test_an_interval_of_twice_either_way_is_poorly_determined(wide: float, known: bool) -> None:
+    (said,) = sentences([point(1.0, [0.5], [0.8], wide)], ([V], [TILT]))
+    assert ("poorly determined" in said) is not known
+    assert answers_like(point(1.0, [0.5], [0.8], wide), point(2.0, [0.5], [0.8], wide)) is known
+
+
+def test_overshoot_and_wrong_way_have_words_beyond_5_percent() -> None:
+    def said(overshoot: float, wrong_way: float, dead_s: float = 0.0) -> str:
+        plain = point(1.0, [0.5], [0.8], 1.1)
+        over, wrong, dead = (np.array([value]) for value in (overshoot, wrong_way, dead_s))
+        alike = replace(plain, overshoot=over, wrong_way=wrong, dead_s=dead)
+        return sentences([alike], ([V], [TILT]))[0].partition("(0.727 to 0.88)")[2]
+
+    assert said(0.049, 0.049) == "."
+    assert said(0.12, 0.049) == "; it overshoots by 12 %."
+    assert said(0.049, 0.07, 0.02) == ", including a dead time of 0.02 s; it first moves 7 % the wrong way."
+
+
+def test_mirrored_places_share_a_sentence_and_slow_ones_come_first() -> None:
+    """A group of one answers beside zero, another farther out on both sides; none lies at zero itself."""
+    inner = [point(at, [0.5], [0.8], 1.05) for at in (-1.0, 1.0)]
+    outer = [point(at, [2.0], [0.8], 1.05) for at in (-4.0, -3.0, 3.0, 4.0)]
+    said = sentences([*outer, *inner], ([V], [TILT]))
+    assert [text.partition(",")[0] for text in said] == [
+        "Near v_x = -1 and 1 m/s",
+        "From 3 to 4 m/s of v_x either way",
+        "Over this range the gain varies 4-fold",
+    ]
+    lone = [point(at, [2.0], [0.8], 1.05) for at in (-3.2, 3.0)]
+    assert sentences([*lone, *inner], ([V], [TILT]))[1].startswith("Near v_x = 3.1 m/s in either direction")
+
+
+@pytest.mark.parametrize(
+    ("places", "covered"),
+    [
+        ((1.0, 1.5, 2.0, 2.98), True),
+        ((1.0, 1.5, 2.0, 3.02), False),
+        ((-2.0, -1.51, 0.49, 2.0), True),
+        ((-2.0, -1.49, 0.51, 2.0), False),
+        ((-2.0, -0.49, 1.51, 2.0), True),
+    ],
+    ids=str,
+)
+def test_a_gap_of_half_the_range_is_not_covered(places: tuple[float, ...], covered: bool) -> None:
+    """Nor is one around zero with neither end within a quarter of it from zero: hover lies in it."""
+    (said,) = sentences([point(at, [0.5], [0.8], 1.1) for at in places], ([V], [TILT]))
+    assert said.startswith("From") is covered

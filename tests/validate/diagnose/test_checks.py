@@ -74,6 +74,28 @@ def test_the_condition_is_that_of_the_lagged_signals() -> None:
     assert conditions(Mean().fit(white), white) == (1.0,)  # of no signal at all
 
 
+def test_conditions_rest_on_the_first_20_000_rows() -> None:
+    """Of the third segment so many as are left; from there on two lags are nearly one signal."""
+    rng = np.random.default_rng(5)
+    us, ys = rng.normal(size=(2, 3, 9000))
+    us[2, 500:] = np.repeat(rng.normal(size=17), 500)
+    data = Dataset.from_arrays([u[:, None] for u in us], [y[:, None] for y in ys], 0.05)
+    model = ARX(na=2, nb=2, nk=1, refine=False).fit(
+        Dataset.from_arrays(us[0, :200, None], ys[0, :200, None], 0.05)
+    )
+    (found,) = conditions(model, data)
+    used = [9000, 9000, 20_000 - 2 * 8998 + 2]
+    rows = np.vstack(
+        [
+            np.column_stack([y[1 : n - 1], y[: n - 2], u[1 : n - 1], u[: n - 2]])
+            for u, y, n in zip(us, ys, used, strict=True)
+        ]
+    )
+    assert len(rows) == 20_000
+    rows = rows - rows.mean(axis=0)
+    assert found == pytest.approx(np.linalg.cond(rows / np.linalg.norm(rows, axis=0)), rel=1e-9)
+
+
 def test_intervals_hold_the_gain_of_a_linear_plant() -> None:
     data = flown(TRUTH, [800] * 4, noise=0.05)
     for model, rules in (
