@@ -149,7 +149,7 @@ class _Objects:
         for key in self.there:
             folder, slash, name = key.rpartition("/")
             folders.setdefault(folder + slash, []).append(name)
-        found = {}
+        found: dict[str, tuple[str, ...]] = {}
         meant = {one.key for one in self.meant}
         for folder, names in folders.items():
             for group in companies(names):
