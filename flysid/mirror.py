@@ -18,7 +18,7 @@ import os
 import re
 import shutil
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Collection, Sequence
 from contextlib import suppress
 from pathlib import Path
 
@@ -44,24 +44,29 @@ def _cache() -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "flysid"
 
 
-def copy_of(place: Place, found: StoredObject, beside: Sequence[str] = ()) -> Path:
-    """An object as a file of the cache; fetched where this content of it is not there yet.
+Beside = Callable[[str, Callable[[], Collection[str]]], Sequence[str]]
+"""Names of the files that a log is read with, by its own name; the second argument lists its folder."""
 
-    `beside`: suffixes behind its name of other objects that it is read with, where they are there.
+
+def copy_of(place: Place, found: StoredObject, beside: Beside) -> Path:
+    """An object of a folder as a file of the cache; fetched where this content of it is not there yet.
+
+    `beside`: other objects that it is read with come with it, where they are there.
     """
-    sides = {suffix: side for suffix in beside if (side := place.head(found.key + suffix))}
+    sides = {name: side for name in beside(found.key, place.names) if (side := place.head(name))}
     facts = "\0".join(f"{place.at(o.key)}\0{o.etag}\0{o.size}" for o in (found, *sides.values()))
     digest = hashlib.sha256(facts.encode()).hexdigest()[:16]
-    path = _cache() / "logs" / digest / slug(Path(found.key).name)
+    path = _cache() / "logs" / digest / slug(str(place).rpartition("/")[2]) / slug(found.key)
     with writing_to(path):
         path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
-    for suffix, side in sides.items():
-        _bring_once(place, side.key, path.with_name(path.name + suffix))
+    for name, side in sides.items():
+        behind = name.removeprefix(found.key)
+        _bring_once(place, side.key, path.with_name(slug(name) if behind == name else path.name + behind))
     _bring_once(place, found.key, path)
     return path
 
 
-def log_at(place: Place, beside: Sequence[str] = ()) -> Path | None:
+def log_at(place: Place, beside: Beside) -> Path | None:
     """The log at an address, or the member of an archive there, as a path of the cache; None for nothing.
 
     `beside`: see `copy_of`.

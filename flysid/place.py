@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -196,6 +196,14 @@ class Place:
             for page in pages:
                 for meta in page:
                     yield _found(meta)
+
+    def names(self, folder: str = "") -> Collection[str]:
+        """Names of the objects that lie in a folder itself, not below it."""
+        import obstore
+
+        with self._asking(folder):
+            found = obstore.list_with_delimiter(self._store, prefix=folder or None)
+            return [meta["path"].rpartition("/")[2] for meta in found["objects"]]
 
     # ------------------------------------------------------------------------------------- writing
 

@@ -11,6 +11,7 @@ import datetime as dt
 import io
 import math
 import random
+import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
@@ -45,7 +46,15 @@ UNIT_WORDS = {
 DAY_EPOCHS = {"Excel": 25_569.0, "MATLAB": 719_529.0, "modified Julian": 40_587.0, "Julian": 2_440_587.5}
 MISSING = ("", "NaN", "nan", "#N/A", "NA", "null", "None")
 NO_NUMBERS = ("-", "--", "ERR", "#DIV/0!", "n.a.", "?", "overflow", "12..5", "1.2.3")
-MODES = ("HOVER", "LOITER", "RTL", "Position Hold")
+MODES = (
+    "HOVER",
+    "LOITER",
+    "RTL",
+    "Position Hold",
+    "\u200f\u05d4\u05d5\u05d1\u05e8",
+    "\U0001f468\u200d\u2708",
+)
+ZONES = {"+05:30": 5.5, " CEST": 2.0, " EST": -5.0, "+02:00[Europe/Berlin]": 2.0, "-0800": -8.0}
 FOREIGN = ("\u65f6\u95f4", "\u6642\u523b", "\uc2dc\uac04", "\u0412\u0440\u0435\u043c\u044f", "hora", "abc")
 MONTHS = ("Jan", "Feb", "Mar", "Apr", "May", "Jun", "Jul", "Aug", "Sep", "Oct", "Nov", "Dec")
 
@@ -55,6 +64,7 @@ DATES: dict[str, Callable[[dt.datetime], str]] = {
     "compact": lambda at: f"{at:%Y%m%d}",
     "named": lambda at: f"{at.day:02d}-{MONTHS[at.month - 1]}-{at.year}",
     "month": lambda at: f"{MONTHS[at.month - 1]} {at.day}, {at.year}",
+    "of the year": lambda at: f"{at:%Y-%j}",
     "signs": lambda at: f"{at.year}\u5e74{at.month}\u6708{at.day}\u65e5",
 }
 
@@ -195,8 +205,10 @@ def stamps(rng: random.Random, when: list[dt.datetime], since_s: list[float]) ->
             return Times([*headers, "ms"], pairs, 1e-3, True, open_to)
         return Times(list(headers), pairs, digits_s, True, open_to)
     between = rng.choice((" ", " ", "T", ", ", "_"))
+    zone, ahead_h = rng.choice(tuple(ZONES.items())) if rng.random() < 0.2 else ("", 0.0)
     header = rng.choice(("time", "Timestamp", "datetime", "Date Time", "UTC", "Zeitstempel", *FOREIGN))
-    return Times([header], [[date(at) + between + clock(at)] for at in when], digits_s, True, open_to)
+    local = [at + dt.timedelta(hours=ahead_h) for at in when]
+    return Times([header], [[date(at) + between + clock(at) + zone] for at in local], digits_s, True, open_to)
 
 
 def clocks(rng: random.Random, when: list[dt.datetime], since_s: list[float]) -> Times:
@@ -258,26 +270,46 @@ class Spelling:
 
     decimal: str
     thousands: str
+    minus: str = "-"
+    lakhs: bool = False
 
     def number(self, value: float, digits: int) -> str:
         """A number with as many digits behind the decimal sign."""
-        text = f"{value:,.{digits}f}".replace(",", "T").replace(".", self.decimal)
-        return text.replace("T", self.thousands)
+        text = f"{value:,.{digits}f}"
+        if self.lakhs:
+            whole, point, rest = text.replace(",", "").partition(".")
+            text = re.sub(r"(?<=\d)(?=(\d\d)*\d{3}$)", ",", whole) + point + rest
+        text = text.replace(",", "T").replace(".", self.decimal)
+        return text.replace("T", self.thousands).replace("-", self.minus)
 
 
-def _header_names(rng: random.Random, count: int) -> tuple[list[str], list[str]]:
-    """Headers of columns of numbers, and their names as read."""
-    kind = rng.choice(("plain", "indices", "spaced", "units", "twice"))
+@dataclass
+class Names:
+    """Headers of columns of numbers, their names as read, and lines of groups above them."""
+
+    headers: list[str]
+    read: list[str]
+    groups: list[list[str]] = field(default_factory=list)
+
+
+def _header_names(rng: random.Random, count: int) -> Names:
+    kind = rng.choice(("plain", "indices", "spaced", "units", "twice", "groups", "bodies"))
     if kind == "indices":
-        return [f"q[{k}]" for k in range(count)], [f"q[{k}]" for k in range(count)]
+        return Names([f"q[{k}]" for k in range(count)], [f"q[{k}]" for k in range(count)])
     if kind == "spaced":
-        return [f"Motor ({k + 1})" for k in range(count)], [f"Motor ({k + 1})" for k in range(count)]
+        return Names([f"Motor ({k + 1})" for k in range(count)], [f"Motor ({k + 1})" for k in range(count)])
     if kind == "units":
         words = [rng.choice(("m", "deg", "m/s", "V")) for _ in range(count)]
-        return [f"x{k} [{w}]" for k, w in enumerate(words)], [f"x{k}" for k in range(count)]
+        return Names([f"x{k} [{w}]" for k, w in enumerate(words)], [f"x{k}" for k in range(count)])
     if kind == "twice":
-        return ["x"] * count, ["x", *(f"x_{k + 2}" for k in range(count - 1))]
-    return [f"x{k}" for k in range(count)], [f"x{k}" for k in range(count)]
+        return Names(["x"] * count, ["x", *(f"x_{k + 2}" for k in range(count - 1))])
+    plain = [f"x{k}" for k in range(count)]
+    if kind == "groups":
+        return Names(plain, plain, [["imu", *[""] * (count - 1)]])
+    if kind == "bodies":  # a line that tells nothing, and one that tells equal names apart
+        bodies = [f"body {k}" for k in range(count)]
+        return Names(["X"] * count, [f"{body}.X" for body in bodies], [["Rigid"] * count, bodies])
+    return Names(plain, plain)
 
 
 def _values(rng: random.Random, rows: int, spelling: Spelling) -> tuple[list[str], list[float | None], int]:
@@ -324,9 +356,11 @@ def draw(seed: int) -> Trial:
         if rng.random() < 0.9
         else (Spelling(",", "\u202f"), Spelling(",", "\u00a0"), Spelling(".", "\u2009"))
     )
+    if rng.random() < 0.1:
+        spelling = rng.choice((Spelling(".", ",", lakhs=True), Spelling(".", "", "\u2212")))
     count = rng.randint(2, 4)
     columns = [_values(rng, rows, spelling) for _ in range(count)]
-    headers, names = _header_names(rng, count)
+    named = _header_names(rng, count)
     if times.numeric:
         times.cells = [[cell.replace(".", spelling.decimal) for cell in row] for row in times.cells]
     modes = [rng.choice(MODES) for _ in range(rows)] if rng.random() < 0.4 else None
@@ -334,11 +368,12 @@ def draw(seed: int) -> Trial:
         [*times.cells[k], *(cells[k] for cells, _, _ in columns), *([modes[k]] if modes else [])]
         for k in range(rows)
     ]
-    head = [*times.headers, *headers, *(["mode"] if modes else [])]
+    head = [*times.headers, *named.headers, *(["mode"] if modes else [])]
     units = [*(times.units or [""] * len(times.headers)), *([""] * count), *([""] if modes else [])]
     start = len(times.headers)
+    above = [[*[""] * start, *cells, *([""] if modes else [])] for cells in named.groups]
     in_parquet = rng.random() < 0.15 and len(set(head)) == len(head) and not any(times.units)
-    blob = _parquet(head, table) if in_parquet else _text(rng, head, units, table, separator)
+    blob = _parquet(head, table) if in_parquet else _text(rng, [*above, head], units, table, separator)
     epoch = dt.datetime(1970, 1, 1)
     truth = [round((at - epoch) / dt.timedelta(microseconds=1)) * 1000 for at in when]
     return Trial(
@@ -349,12 +384,12 @@ def draw(seed: int) -> Trial:
         truth,
         {start + k: values for k, (_, values, _) in enumerate(columns)},
         {start + k: odd for k, (_, _, odd) in enumerate(columns) if odd},
-        names,
+        named.read,
     )
 
 
 def _text(
-    rng: random.Random, head: list[str], units: list[str], rows: list[list[str]], separator: str
+    rng: random.Random, heads: list[list[str]], units: list[str], rows: list[list[str]], separator: str
 ) -> bytes:
     """The table as text: quotes where a cell needs them, or around all; ends of lines, marks and remarks."""
     everywhere = rng.random() < 0.2
@@ -369,7 +404,7 @@ def _text(
         lines += ["# written by a program", "# for a test"]
     if rng.random() < 0.15:
         lines += [f'"Product"{separator}"Logger 7"', f'"firmwareVersion"{separator}"4.4.2"']
-    lines.append(line(head))
+    lines += map(line, heads)
     if any(units):
         lines.append(line(units))
     lines += [line(row) for row in rows]

@@ -32,7 +32,7 @@ def here(address: str) -> Path:
 
     Raises UsageError: neither is there.
     """
-    from flysid.ingest.formats.rosbag2.side_files import READ
+    from flysid.ingest.formats.rosbag2.side_files import names_beside
     from flysid.manifest import DATA_FILE, check_lake
     from flysid.mirror import log_at
     from flysid.place import Place
@@ -43,7 +43,7 @@ def here(address: str) -> Path:
     if document is not None:
         check_lake(document, str(place))
         return mirror_of(str(place))
-    found = log_at(place, READ)
+    found = log_at(place, names_beside)
     if found is None:
         raise UsageError(
             "neither a log nor a lake",

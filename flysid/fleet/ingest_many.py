@@ -15,17 +15,19 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass
 from datetime import datetime
+from functools import cached_property
 from pathlib import Path
 from typing import Protocol
 
 from flysid.catalogue import FlightFacts
 from flysid.errors import FormatError, UsageError
 from flysid.fleet.lakes import DUPLICATES, QUARANTINE, create_lake
-from flysid.fleet.reading import LogAddress, LogOutcome, Settings, ingest_batch
+from flysid.fleet.reading import TOGETHER, LogAddress, LogOutcome, Settings, ingest_batch
 from flysid.ingest.formats.base import HEAD_BYTES
 from flysid.ingest.formats.blame import blaming
 from flysid.ingest.formats.opening import is_archive, unpacked_head
-from flysid.ingest.formats.rosbag2.side_files import READ
+from flysid.ingest.formats.recordings.names import METADATA, companies
+from flysid.ingest.formats.rosbag2.side_files import READ, names_beside
 from flysid.ingest.lake.finding import GLOB_MARKS, LOG, Found, find_logs, judge_head, judge_name, part_of
 from flysid.ingest.lake.flighttable import merge, select
 from flysid.ingest.lake.workers import Bounds
@@ -125,11 +127,29 @@ def find(
 
 @dataclass(frozen=True)
 class _Objects:
-    """A bucket, the objects in it that are meant, and all that lie where they do, by key."""
+    """A bucket, the objects in it that are meant, and all that lie where they do, by key.
+
+    `together` has the keys of files that may be one recording, by the key of each.
+    """
 
     place: Place
     meant: list[StoredObject]
     there: Mapping[str, StoredObject]
+
+    @cached_property
+    def together(self) -> Mapping[str, tuple[str, ...]]:
+        folders: dict[str, list[str]] = {}
+        for key in self.there:
+            folder, slash, name = key.rpartition("/")
+            folders.setdefault(folder + slash, []).append(name)
+        found: dict[str, tuple[str, ...]] = {}
+        meant = {one.key for one in self.meant}
+        for folder, names in folders.items():
+            for group in companies(names):
+                ordered = sorted(group, key=lambda name: (name == METADATA, folder + name not in meant))
+                keys = tuple(folder + name for name in ordered)
+                found |= dict.fromkeys(keys, keys)
+        return found
 
 
 def _list_objects(address: str, since: datetime | None) -> _Objects:
@@ -150,14 +170,21 @@ def _list_objects(address: str, since: datetime | None) -> _Objects:
 
 def _beside(place: Place, found: StoredObject) -> list[StoredObject]:
     """The objects that one is read with."""
-    return [side for suffix in READ if (side := place.head(found.key + suffix))]
+    folder, slash, name = found.key.rpartition("/")
+    names = names_beside(name, lambda: place.names(folder))
+    return [side for other in names if (side := place.head(f"{folder}{slash}{other}"))]
 
 
 def _judge(objects: _Objects) -> Iterator[tuple[StoredObject, Found]]:
     """What each object is, by its name or, where that does not tell, by its first bytes."""
     unknown: list[StoredObject] = []
     for one in objects.meant:
-        if kind := part_of(one.key, objects.there) or judge_name(one.key.rpartition("/")[2]):
+        first = objects.together.get(one.key, (one.key,))[0]
+        if first != one.key:
+            continue
+        if one.key in objects.together:
+            yield one, Found({Path(one.key): None})
+        elif kind := part_of(one.key, objects.there) or judge_name(one.key.rpartition("/")[2]):
             found = Found()
             found.sort_in(Path(one.key), kind)
             yield one, found
@@ -183,8 +210,12 @@ def _judge_bytes(path: Path, head: bytes) -> Found:
 
 def _log_of(objects: _Objects, one: StoredObject) -> LogAddress:
     """An object as a log; it is another log once what it is read with is another."""
-    sides = [objects.there[key].etag for suffix in READ if (key := one.key + suffix) in objects.there]
-    return LogAddress(objects.place.at(one.key), one.size, " ".join((one.etag, *sides)))
+    files = objects.together.get(one.key, (one.key,))
+    keys = [key for file in files for suffix in ("", *READ) if (key := file + suffix) in objects.there]
+    etag = " ".join(objects.there[key].etag for key in keys)
+    size = sum(objects.there[file].size for file in files)
+    names = tuple(file.rpartition("/")[2] for file in files[1:])
+    return LogAddress(objects.place.at(one.key), size, (TOGETHER if names else "") + etag, names)
 
 
 def _is_meant(found: StoredObject, pattern: str, since: datetime | None) -> bool:

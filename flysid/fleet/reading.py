@@ -40,16 +40,26 @@ from flysid.store import create_data_folder
 from flysid.version import __version__
 
 NOTED = 5
+TOGETHER = "together "
+"""Ahead of the mark of files that may be one recording: known are its flights only once all of them are."""
 TRIES = 2
 """Of a log that ends its process: the machine may be at fault the first time."""
 
 
 class LogAddress(msgspec.Struct, frozen=True):
-    """A log to ingest: an address or a path, and for an address the store's mark of its content."""
+    """A log to ingest: an address or a path, and for an address the store's mark of its content.
+
+    `beside` are names of objects in its folder that may be one recording with it.
+    """
 
     url: str
     size: int
     etag: str = ""
+    beside: tuple[str, ...] = ()
+
+    @property
+    def folder(self) -> str:
+        return self.url.rpartition("/")[0]
 
     @property
     def name(self) -> str:
@@ -113,11 +123,16 @@ def ingest_batch(
 
 
 def _ingest(log: LogAddress, place: Place, settings: Settings, reader: _Reader) -> list[LogOutcome]:
-    """What became of a log, or of every log in an archive."""
+    """What became of a log, or of every log in an archive or among files that may be one recording."""
     try:
         with reader.file_of(log) as path:
+            if log.beside:
+                found = reader.look_into(*(path.with_name(name) for name in (log.name, *log.beside)))
+                inside = LogAddress(log.folder, log.size, log.etag.removeprefix(TOGETHER))
+                return _ingest_several(found, path.parent, log, inside, place, settings, reader)
             if is_address(log.url) and begins_archive(path):
-                return _ingest_archive(path, log, place, settings, reader)
+                found = reader.look_into(path)
+                return _ingest_several(found, path, log, log, place, settings, reader)
             return [_ingest_file(path, log, place, settings, reader)]
     except FileNotFoundError:
         return [LogOutcome(log, "waiting", reason="it is gone from where it was found")]
@@ -127,21 +142,30 @@ def _ingest(log: LogAddress, place: Place, settings: Settings, reader: _Reader) 
         return [LogOutcome(log, "waiting", reason=f"{error.message} ({error.where})")]
 
 
-def _ingest_archive(
-    path: Path, log: LogAddress, place: Place, settings: Settings, reader: _Reader
+def _ingest_several(
+    found: Found,
+    root: Path,
+    log: LogAddress,
+    whole: LogAddress,
+    place: Place,
+    settings: Settings,
+    reader: _Reader,
 ) -> list[LogOutcome]:
-    """The logs of an archive that was fetched; a note saves the next fetch.
+    """The logs of an archive or a folder that was fetched; a note saves the next fetch.
+
+    `whole` stands for what lies at `root`: the addresses of its logs begin as its own does.
 
     Raises what `_ingest` takes for a store that did not answer: members that were done are found again.
     """
-    found = reader.look_into(path)
-    outcomes = []
-    for inside in found.paths:
-        member = LogAddress(log.url + inside.as_posix()[len(path.as_posix()) :], log.size, log.etag)
-        outcomes.append(_ingest_file(inside, member, place, settings, reader))
-    for inside, unread in found.unread.items():
-        member = LogAddress(log.url + inside.as_posix()[len(path.as_posix()) :], log.size, log.etag)
-        outcomes.append(LogOutcome(member, "quarantined", reason=unread.reason))
+
+    def named(inside: Path) -> LogAddress:
+        return LogAddress(whole.url + inside.as_posix()[len(root.as_posix()) :], whole.size, whole.etag)
+
+    outcomes = [_ingest_file(inside, named(inside), place, settings, reader) for inside in found.paths]
+    outcomes += [
+        LogOutcome(named(inside), "quarantined", reason=unread.reason)
+        for inside, unread in found.unread.items()
+    ]
     bad = [outcome.reason for outcome in outcomes if outcome.status == "quarantined"]
     folder = f"{QUARANTINE}/{__version__}" if bad else DUPLICATES
     place.put(f"{folder}/{log.digest}.json", _note(log, "; ".join(bad[:NOTED]) or "its logs are in the lake"))
@@ -194,6 +218,10 @@ def _note(log: LogAddress, reason: str, flight: str = "") -> bytes:
     return json.dumps(known | ({"flight": flight} if flight else {}), indent=1).encode() + b"\n"
 
 
+def _safe(name: str) -> str:
+    return name if name not in ("", ".", "..") else "log"
+
+
 _kept = threading.local()
 
 
@@ -225,29 +253,33 @@ class _Reader:
         if not is_address(log.url):
             yield Path(log.url)
             return
-        folder, _, name = log.url.rpartition("/")
-        path = self._scratch / (name if name not in (".", "..") else "log")
-        place = Place(folder)
-        sides = [(name + suffix, path.with_name(path.name + suffix)) for suffix in READ]
+        folder = self._scratch / "logs" / _safe(log.folder.rpartition("/")[2])
+        path = folder / _safe(log.name)
+        place = Place(log.folder)
         try:
-            place.fetch(name, path)
-            for key, side in sides if begins_database(path) else ():
+            folder.mkdir(parents=True)
+            place.fetch(log.name, path)
+            for name in log.beside:
+                place.fetch(name, folder / name)
+            databases = [file for file in folder.iterdir() if begins_database(file)]
+            for name in (file.name + suffix for file in databases for suffix in READ):
                 with suppress(FileNotFoundError):
-                    place.fetch(key, side)
+                    place.fetch(name, folder / name)
             yield path
         finally:
-            for file in (path, *(side for _, side in sides)):
-                file.unlink(missing_ok=True)
+            shutil.rmtree(folder, ignore_errors=True)
 
-    def look_into(self, path: Path) -> Found:
-        """What is in an archive."""
-        self._archives.append(path)
-        _, found = next(self._looks)
-        if not isinstance(found, Lost):
-            return found
-        nothing = Found()
-        nothing.fail(path, found.reason)
-        return nothing
+    def look_into(self, *paths: Path) -> Found:
+        """What is in an archive, or what files of a folder are."""
+        every = Found()
+        for path in paths:
+            self._archives.append(path)
+            _, found = next(self._looks)
+            if isinstance(found, Lost):
+                every.fail(path, found.reason)
+            else:
+                every.add(found)
+        return every
 
     def hash(self, path: Path) -> Job | Result:
         """The log's hash, or why it cannot be had."""

@@ -33,11 +33,10 @@ from flysid.ingest.formats.base import (
 from flysid.ingest.formats.blame import blaming
 from flysid.ingest.formats.common.capture import join_captures
 from flysid.ingest.formats.common.compression import (
-    GZIP_MAGIC,
-    ZSTD_MAGIC,
     Expanded,
     expand,
     first_bytes,
+    kind_of_packing,
     unpacked_pieces,
 )
 from flysid.ingest.formats.common.packed_names import PACKED_SUFFIXES, own_name, readable
@@ -323,12 +322,8 @@ def _unpack(name: str, found: Expanded, lost_before: str = "") -> OpenLog:
 
 def _check(log: OpenLog, path: Path) -> None:
     if not log.view:
-        raise FormatError(
-            log.lost or "the file is empty",
-            path=path,
-            byte=0,
-            hint="check that the download or copy finished",
-        )
+        why, _, way = (log.lost or "the file is empty").partition("; ")
+        raise FormatError(why, path=path, byte=0, hint=way or "check that the download or copy finished")
     if is_archive(log.view) or is_compressed(log.view):
         raise FormatError(
             f"packed too many times: {packing_of(bytes(log.view[:FIRST_BYTES]))}",
@@ -396,8 +391,8 @@ def is_archive(head: bytes | memoryview) -> bool:
 
 
 def is_compressed(head: bytes | memoryview) -> bool:
-    """Whether these bytes begin a gzip or zstd file."""
-    return bytes(head[:4]).startswith((GZIP_MAGIC, ZSTD_MAGIC))
+    """Whether these bytes begin a file that is packed with gzip, zstd, xz or bzip2."""
+    return bool(kind_of_packing(memoryview(head)))
 
 
 def short_name(path: Path) -> str:

@@ -7,6 +7,7 @@ that nothing here knows may be a log that is damaged, encrypted or of a format t
 from __future__ import annotations
 
 import re
+import struct
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
@@ -16,14 +17,19 @@ from flysid.ingest.formats.common.zip_members import ZIP_MAGICS
 from flysid.ingest.formats.rosbag2.side_files import JOURNAL_MAGIC, WAL_MAGICS
 
 TEXT = "text"
-PACKINGS: Mapping[bytes, str] = {
-    b"BZh": "bzip2",
-    b"\xfd7zXZ": "xz",
-    b"7z\xbc\xaf": "7z",
-    b"Rar!": "rar",
-    b"\x04\x22\x4d\x18": "lz4",
+PACKINGS: Mapping[bytes, tuple[str, str]] = {  # what is not unpacked here, and what unpacks it
+    b"7z\xbc\xaf": ("7z", "7z x"),
+    b"Rar!": ("rar", "unrar x"),
+    b"\x04\x22\x4d\x18": ("lz4", "unlz4"),
+    b"]\0\0\x80\0": ("lzma", "unlzma"),
+    b"LZIP": ("lzip", "lzip -d"),
+    b"\x1f\x9d": ("compress", "uncompress"),
+    b"\x89LZO\0": ("lzop", "lzop -d"),
 }
 INNER_PACKINGS: Mapping[bytes, str] = {
+    **{magic: name for magic, (name, _) in PACKINGS.items()},
+    b"BZh": "bzip2",
+    b"\xfd7zXZ": "xz",
     **dict.fromkeys(ZIP_MAGICS, "an archive inside"),
     GZIP_MAGIC: "gzip inside",
     ZSTD_MAGIC: "zstd inside",
@@ -85,6 +91,30 @@ def _is_mpeg(head: bytes) -> bool:
     return len(marks) == 5 and marks == b"G" * 5
 
 
+def _is_matlab_4(head: bytes) -> bool:
+    """A matrix of MATLAB 4: kind, rows, columns, whether it is complex, and its name with its length."""
+    if len(head) < 24:
+        return False
+    kind, rows, columns, is_complex, size = struct.unpack_from("<5I", head)
+    name = head[20 : 20 + size]
+    is_kind = kind % 10 <= 2 and kind // 10 % 10 <= 5 and kind < 100
+    is_named = 2 <= size <= 64 and name.endswith(b"\0") and name[:-1].isalnum()
+    return is_kind and rows > 0 and columns > 0 and is_complex < 2 and is_named
+
+
+def _is_arrow_stream(head: bytes) -> bool:
+    """The schema of a stream of Arrow: its length behind a mark, in eights of bytes."""
+    size = int.from_bytes(head[4:8], "little")
+    return head[:4] == b"\xff\xff\xff\xff" and 0 < size < 1 << 20 and size % 8 == 0
+
+
+def _is_list_of_parameters(head: bytes) -> bool:
+    """Whether every whole line, comments aside, is a name with a value."""
+    lines = [line.rstrip(b"\r") for line in head.split(b"\n")[:-1]]
+    told = [line for line in lines if line.strip() and not line.startswith(b"#")]
+    return len(told) >= _LEAST_PARAMETERS and all(map(_PARAMETER.fullmatch, told))
+
+
 def _is_pickle(head: bytes) -> bool:
     return (
         len(head) > 3
@@ -113,6 +143,10 @@ OFFICE_PARTS = (
     b"ppt/",
     b"mimetypeapplication/vnd.oasis.opendocument",
 )
+_PARAMETER = re.compile(rb"((\d+\t){2})?[A-Z][A-Z0-9_]{2,15}[ ,\t]+-?[0-9.]+(e[+-]?\d+)?(\t\d+)?\s*")
+_LEAST_PARAMETERS = 3
+_YAML = re.compile(rb"[A-Za-z_]\w*:[^\n]*\n(([ -]|[A-Za-z_]\w*:)[^\n]*\n)*---\n")
+_TABLES = (b"ARROW1\0\0", b"FEA1", b"Obj\x01avro", b"Obj\x01\x04\x14avro", b"ORC")
 VIDEO = "no log is in a video; the autopilot's own log is on its SD card"
 STRANGERS = (
     Stranger(
@@ -151,7 +185,7 @@ STRANGERS = (
     Stranger(
         "a MATLAB file (.mat)",
         "in MATLAB: writetable(T, 'log.csv')",
-        _begins(b"MATLAB 5.0", b"MATLAB 7.3"),
+        lambda head: head.startswith((b"MATLAB 5.0", b"MATLAB 7.3")) or _is_matlab_4(head),
         "MATLAB file",
     ),
     Stranger(
@@ -166,10 +200,9 @@ STRANGERS = (
         _begins(b"\x93NUMPY"),
         "NumPy file",
     ),
-    Stranger(
-        "an archive",
-        "unpack it first",
-        _begins(*PACKINGS),
+    *(
+        Stranger(f"an archive ({name})", f"unpack it first: {way}", _begins(magic))
+        for magic, (name, way) in PACKINGS.items()
     ),
     Stranger("text in UTF-16", "save it as UTF-8", _is_utf_16),
     Stranger(
@@ -205,13 +238,36 @@ STRANGERS = (
         "it says why the log was not sent; mend that, and download again",
         _text(rb"(<\?xml[^>]*>\s*)?<Error>"),
     ),
+    Stranger(
+        "a layout of PlotJuggler",
+        "it names curves and holds no data: give the log that it was made for",
+        _text(rb"(<\?xml[^>]*>\s*)?<root>\s*<tabbed_widget"),
+    ),
     Stranger("an XML document", "give the log", _text(rb"<\?xml\b")),
     Stranger(
         "a list of parameters",
         "it holds settings, not a flight: give the log",
-        _text(
-            rb"((#[^\n]*\n)*((\d+\t){2})?[A-Z][A-Z0-9_]{2,15}[ ,\t]+-?[0-9.]+(e[+-]?\d+)?(\t\d+)?\s*\n){3}"
-        ),
+        _is_list_of_parameters,
+    ),
+    Stranger(
+        "a tlog that Mission Planner wrote as CSV",
+        "its messages have different columns: give the .tlog itself, which flysid reads",
+        _text(rb"\d{4}-\d\d-\d\dT[\d:.]+,F[ED],[^\n]*,mavlink_\w+_t,"),
+    ),
+    Stranger(
+        "lines of a serial monitor, with the time of the day before each",
+        "make it a column: sed 's/^\\[//; s/ *-> */,/; s/\\] */,/' IN > log.csv",
+        _text(rb"(\d\d:\d\d:\d\d[.,]\d+ ->|\[\d\d:\d\d:\d\d[.,]\d+\])"),
+    ),
+    Stranger(
+        "messages that `ros2 topic echo` or `rostopic echo` printed",
+        "give the bag; or print a row each: ros2 topic echo --csv TOPIC, rostopic echo -p TOPIC",
+        lambda head: b"\n---\n" in head and _YAML.match(head) is not None,
+    ),
+    Stranger(
+        "points in the line protocol of InfluxDB",
+        "export a table: influx query --raw, pivoted by the time, > log.csv",
+        _text(rb"\w+(,[\w-]+=[^ ,\n]+)* [\w.]+=[^ \n]+ \d{19}\r?\n"),
     ),
     Stranger(
         "the settings of a flight controller (CLI diff or dump)",
@@ -271,7 +327,7 @@ STRANGERS = (
     Stranger(
         "a table in Feather, Avro or ORC",
         "with pandas: DataFrame.to_parquet('log.parquet')",
-        _begins(b"ARROW1\0\0", b"Obj\x01avro", b"Obj\x01\x04\x14avro", b"ORC"),
+        lambda head: _is_arrow_stream(head) or head.startswith(_TABLES),
     ),
     Stranger(
         "a ROS bag of a version before 2.0",
@@ -311,6 +367,4 @@ def packing_of(head: bytes) -> str:
     """The name of a packing that is not unpacked here, or not so deep; "" for none."""
     if head[TAR_MAGIC_AT:].startswith(TAR_MAGIC):
         return "tar"
-    return next(
-        (name for magic, name in {**PACKINGS, **INNER_PACKINGS}.items() if head.startswith(magic)), ""
-    )
+    return next((name for magic, name in INNER_PACKINGS.items() if head.startswith(magic)), "")

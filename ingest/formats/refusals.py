@@ -10,7 +10,6 @@ import base64
 import binascii
 import re
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -21,6 +20,7 @@ from flysid.ingest.formats.common.capture import LinkType, is_capture
 from flysid.ingest.formats.common.pcap import is_pcap
 from flysid.ingest.formats.common.transfer import ENOUGH, REPLACED, is_text, text_mode_at
 from flysid.ingest.formats.rosbag2.sqlite_pages import MAGIC as SQLITE_MAGIC
+from flysid.ingest.formats.texts import Cause, cause_of_text
 from flysid.parts import exhaust
 from flysid.showing import first_of
 
@@ -34,17 +34,7 @@ _DATAFLASH_MARK = b"\xa3\x95"
 _FMT = 0x80
 _TABLE = re.compile(rb"create table\W{1,3}(\w+)", re.IGNORECASE)
 _NAMED = 5
-_SHOWN = 60
 _FIRST = 8
-
-
-@dataclass(frozen=True)
-class Cause:
-    """What is wrong with a file, what to do, and at which byte it shows."""
-
-    said: str
-    hint: str
-    byte: int = 0
 
 
 Sniff = Callable[[bytes], tuple[float, Format]]
@@ -70,7 +60,7 @@ def refuse(head: bytes, name: str, formats: Iterable[Format], sniff: Sniff) -> F
         lambda: _of_cutting(name),
         lambda: _of_definitions(head),
         lambda: _of_beginning(head, name, meant),
-        lambda: _of_text(head, meant),
+        lambda: cause_of_text(head, meant),
         lambda: _of_chance(head),
     )
     causes = (check() for check in checks)
@@ -259,33 +249,6 @@ def _of_cutting(name: str) -> Cause | None:
 
 
 # ---------------------------------------------------------------------------------- something else
-
-
-def _of_text(head: bytes, meant: list[Format]) -> Cause | None:
-    if not is_text(head):
-        return None
-    line = head.lstrip(b"\xef\xbb\xbf \r\n\t").split(b"\n", 1)[0].decode("utf-8", "replace").strip()
-    shown = repr(line if len(line) <= _SHOWN else line[:_SHOWN] + "...")
-    if line[:1] in ("{", "["):
-        return Cause(f"a JSON document that is no log of mavlogdump: {shown}", "give the log itself")
-    if b"\n" not in head and head.strip().count(b"\r"):
-        return Cause(
-            f"text whose lines end with CR alone, as old programs of the Mac write them: {shown}",
-            "turn them: tr '\\r' '\\n' < IN > OUT; or save it again with line ends of Unix or Windows",
-            head.index(b"\r"),
-        )
-    if not head.strip().count(b"\n"):
-        return Cause(f"one line of text: {shown}", "give the log itself; a table has rows below its names")
-    if any(fmt.name == "csv" for fmt in meant):
-        return Cause(
-            f"text that is no table of numbers: its first line is {shown}",
-            "a table has names in one line and numbers in the rows below, all with as many cells",
-        )
-    what = f"text, where {meant[0].title} is expected" if meant else "text"
-    return Cause(
-        f"{what}: its first line is {shown}",
-        "give the log itself; a table of numbers is read where its name ends in .csv",
-    )
 
 
 def _of_chance(head: bytes) -> Cause | None:

@@ -21,7 +21,7 @@ from flysid.ingest.formats.common.packed_names import own_name
 from flysid.ingest.formats.opening import OpenLog, members_of, open_log
 from flysid.ingest.formats.recognised import stranger
 from flysid.ingest.formats.refusals import refuse
-from flysid.ingest.formats.rosbag2.side_files import READ
+from flysid.ingest.formats.rosbag2.side_files import names_beside
 from flysid.mirror import log_at
 from flysid.offers import rows
 from flysid.place import Place, is_address
@@ -172,7 +172,7 @@ def _file(path: str | Path) -> Path:
     """`path`, or a copy of the log that is at this address."""
     if not is_address(path):
         return Path(path)
-    found = log_at(Place(str(path)), READ)
+    found = log_at(Place(str(path)), names_beside)
     if found is None:
         raise UsageError(
             "no log is there", path=path, hint=f"for a folder of logs: flysid ingest {path} -o DATA"

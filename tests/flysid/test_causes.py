@@ -8,6 +8,7 @@ from __future__ import annotations
 import base64
 import gzip
 import io
+import lzma
 import random
 import sqlite3
 import struct
@@ -26,6 +27,16 @@ from tests.samplelogs import blackbox, dataflash, mcap, parquet, rosbag, rosbag2
 TABLE = "time,x\n" + "".join(f"{k / 10},{k}\n" for k in range(99))
 PARAMETERS = b"ACRO_RP_P,4.5\nACRO_YAW_P,4.5\nAHRS_GPS_GAIN,1.0\n" * 9
 WIFI = struct.pack("<IHHiIII4I", 0xA1B2C3D4, 2, 4, 0, 0, 65535, 105, 1, 1, 60, 60) + bytes(60)
+
+
+MISSION_PLANNER = "".join(
+    f"2024-05-03T14:07:11.{k:03d},FE,1C,{k:X},1,1,1E,mavlink_attitude_t,time_boot_ms,{k},roll,0.1,Len,36\n"
+    for k in range(90)
+).encode()
+
+
+def rows_of(spell: Callable[[int], str]) -> bytes:
+    return "".join(spell(k) + "\n" for k in range(90)).encode()
 
 
 def noise(count: int = 20_000) -> bytes:
@@ -153,6 +164,58 @@ CAUSES: list[Row] = [
     ("a.rar", b"Rar!\x1a\x07\0" + bytes(100), "an archive", "unpack it first", 0),
     ("locked.ulge", b"ULogEnc\0" + noise(500), "an encrypted ULog", "decrypt_logs.py", 0),
     ("locked.bin", noise(), "as even as random ones", "decrypt or unpack", 0),
+    # ------------------------------------------------------------------ of programs beside the log
+    ("mission.csv", MISSION_PLANNER, "Mission Planner wrote as CSV", "the .tlog itself", 0),
+    ("arduino.csv", rows_of(lambda k: f"14:07:11.{k:03d} -> {k},7"), "serial monitor", "sed", 0),
+    ("serial.log", rows_of(lambda k: f"[14:07:11.{k:03d}] {k},7"), "serial monitor", "sed", 0),
+    (
+        "echo.txt",
+        rows_of(lambda k: f"header:\n  stamp:\n    sec: {k}\nx: 0.5\n---"),
+        "topic echo",
+        "--csv",
+        0,
+    ),
+    (
+        "points.csv",
+        rows_of(lambda k: f"att,id=1 roll={k}.5,y=1 1714745231{k:09d}"),
+        "InfluxDB",
+        "influx query",
+        0,
+    ),
+    ("layout.xml", b"<root>\n <tabbed_widget name='a'/>\n</root>", "layout of PlotJuggler", "made for", 0),
+    ("track.geojson", b'{"type": "FeatureCollection",\n "features": []}\n', "GeoJSON", "autopilot", 0),
+    ("parrot.json", b'{"version": "1",\n"details_headers":["time"]}\n', "Parrot", "details_data", 0),
+    (
+        "beep.event",
+        b'{"name":"Sync beep", "time":12}\n{"name":"Disarm", "time":15}\n',
+        "blackbox_decode",
+        ".bbl",
+        0,
+    ),
+    ("rows.jsonl", rows_of(lambda k: f'{{"time": {k}, "roll": 1}}'), "one object a line", "lines=True", 0),
+    ("rows.json", b'[{"time": 1, "x": 2},\n{"time": 2, "x": 3}]\n', "in one list", "read_json(PATH)", 0),
+    ("columns.json", b'{"time": [1, 2],\n"x": [3, 4]}\n', "columns in JSON", "read_json(PATH)", 0),
+    ("viewer.json", b'{"ATT": {"Roll": [1, 2],\n"Pitch": [1]}}\n', "several messages in JSON", ".tlog", 0),
+    ("keyed.log", rows_of(lambda k: f"t={k}.5 roll=-1.5 m1={k}"), "name every number", "sed -E", 0),
+    ("tilde.csv", b"time~x\n" + rows_of(lambda k: f"{k}~{k}"), "'~' separates", "tr '~' ','", 0),
+    (
+        "wider.csv",
+        b"time,x\n" + rows_of(lambda k: f"{k},7") + b"time,x,y\n" + rows_of(lambda k: f"{k},7,8"),
+        "two tables in one file: 91 lines of 2 cells and 91 of 3",
+        "head -n 91 IN > one.csv; tail -n +92 IN",
+        447,
+    ),
+    ("units.csv", b"time,x\ns,m\n", "names without rows", "before its first row", 0),
+    ("a.lz", b"LZIP" + bytes(60), "an archive (lzip)", "lzip -d", 0),
+    ("a.csv.lzma", lzma.compress(TABLE.encode(), lzma.FORMAT_ALONE), "an archive (lzma)", "unlzma", 0),
+    (
+        "stream.arrow",
+        b"\xff" * 4 + struct.pack("<I", 168) + bytes(200),
+        "a table in Feather",
+        "to_parquet",
+        0,
+    ),
+    ("v4.mat", struct.pack("<5I", 0, 1, 9, 0, 2) + b"t\0" + bytes(72), "a MATLAB file", "writetable", 0),
     # ------------------------------------------------------------------ something else
     ("page.bin", b"<!DOCTYPE html><html><body>log in</body></html>", "a web page", "log in", 0),
     ("page.ulg", b"<!-- cached -->\n<head><title>404</title></head>", "a web page", "download again", 0),

@@ -8,10 +8,12 @@ import random
 import re
 import zipfile
 from pathlib import Path
+from urllib.parse import quote
 
 import pytest
 
 from tests.command import Done, call, call_quick
+from tests.flysid.studio.server import studio
 from tests.flysid.test_escaping import runs
 from tests.flysid.test_trust import VERBS_WITH_OPTIONS, arguments_of, every_option, long_name
 from tests.samplelogs.mcap import json_topic, mcap_file
@@ -129,6 +131,37 @@ def test_every_export_of_hostile_names_is_inert(kind: str, place: Path, tmp_path
     assert done.returncode == 0, done.stderr
     assert_inert(done)
     assert_files_are_inert(tmp_path)
+
+
+def test_the_studio_answers_names_of_a_log_as_text(place: Path) -> None:
+    """JSON escapes what a terminal obeys; pages hold names as text, under a policy of their own."""
+    assert_inert(call("validate", "run", cwd=place))
+    with studio(place / "data") as server:
+        flights = [flight["id"] for flight in server.get("flights").json["flights"]]
+        runs_there = [run["id"] for run in server.get("runs").json["runs"]]
+        looks = (
+            "",
+            "/track",
+            "/suggestions",
+            "/review",
+            "/review.html",
+            "/spectrum",
+            "/spectrum.svg",
+            "/filters",
+        )
+        addresses = [f"flights/{flights[0]}{look}" for look in looks]
+        addresses += [f"runs/{run}{look}" for run in runs_there for look in ("", "/report.html", "/worst")]
+        addresses += ["flights", "runs", "models", "recipes", "jobs", f"flights/{CAUSE}", f"runs/{ANSWER}"]
+        assert len(flights) == 3
+        assert runs_there
+        for address in addresses:
+            answer = server.get(quote(address))
+            assert answer.status in (200, 400, 404), (address, answer.body)
+            is_json = answer.headers["content-type"] == "application/json"
+            text = answer.body.decode()
+            assert is_json or "content-security-policy" in answer.headers, address
+            assert is_json or not re.search("<script>alert|<img src=x", text.replace("\\<", "")), address
+            assert not re.search(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f]", text), address
 
 
 def test_a_wrong_call_shows_file_names_as_text(place: Path) -> None:

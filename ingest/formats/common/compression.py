@@ -6,10 +6,13 @@ stands before damage is kept, to the byte where the compression allows it.
 
 from __future__ import annotations
 
+import bz2
+import lzma
 import mmap
+import re
 import tempfile
 import zlib
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Callable, Generator, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from typing import Protocol
@@ -19,6 +22,13 @@ from flysid.ingest.formats.base import Limits, release
 
 GZIP_MAGIC = b"\x1f\x8b\x08"
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
+_BEGINNINGS = {
+    "gzip": re.compile(re.escape(GZIP_MAGIC)),
+    "zstd": re.compile(rb"\x28\xb5\x2f\xfd|[\x50-\x5f]\x2a\x4d\x18"),  # or what readers shall skip
+    "xz": re.compile(rb"\xfd7zXZ\0"),
+    "bzip2": re.compile(rb"BZh[1-9]1AY&SY"),
+}
+_BEGINNING_BYTES = 10
 FREE_BYTES = 256 << 20  # of zeros and the like: so much of them is expanded whatever the ratio
 _WINDOW = 1 << 27
 _RELEASE_BYTES = 1 << 20
@@ -32,7 +42,7 @@ class CompressionError(ValueError):
 
 
 class Decompressor(Protocol):
-    """What zlib and zstandard offer for one compressed frame."""
+    """What zlib, zstandard, lzma and bz2 offer for one compressed frame."""
 
     @property
     def eof(self) -> bool: ...
@@ -42,7 +52,7 @@ class Decompressor(Protocol):
 
 
 class Packer(Protocol):
-    """What zlib and zstandard offer for writing."""
+    """What zlib, zstandard, lzma and bz2 offer for writing."""
 
     def compress(self, data: bytes, /) -> bytes: ...
     def flush(self) -> bytes: ...
@@ -76,24 +86,29 @@ class _Growth:
             )
 
 
+def kind_of_packing(view: memoryview, at: int = 0) -> str:
+    """What a frame that begins here is packed with: gzip, zstd, xz or bzip2; "" for none."""
+    first = bytes(view[at : at + _BEGINNING_BYTES])
+    return next((name for name, begins in _BEGINNINGS.items() if begins.match(first)), "")
+
+
 def unpacked_pieces(view: memoryview, max_ratio: float) -> Iterator[bytes]:
-    """What a gzip or zstd file expands to, piece by piece: all its frames, one behind the other.
+    """What a packed file expands to, piece by piece: all its frames, one behind the other.
 
     Raises CompressionError where they end early, are damaged, or expand far beyond `max_ratio` times their
     size; what stands before has been given.
     """
     at = 0
-    is_gzip = view[: len(GZIP_MAGIC)] == GZIP_MAGIC
-    name = "gzip" if is_gzip else "zstd"
+    name = kind_of_packing(view) or "zstd"
     growth = _Growth(max_ratio)
     while at < len(view):
         if at and _is_padding(view, at):
             return
-        if at and not _begins_frame(view, at, is_gzip):
+        if at and kind_of_packing(view, at) != name:
             raise CompressionError(
                 f"{len(view) - at} bytes behind the {name} data at byte {at} are something else"
             )
-        at = yield from (_inflate(view, at, _GZIP, growth) if is_gzip else _unzstd(view, at, growth))
+        at = yield from _UNPACKERS[name](view, at, growth)
 
 
 def inflated_pieces(view: memoryview, max_ratio: float) -> Iterator[bytes]:
@@ -105,13 +120,6 @@ def _is_padding(view: memoryview, at: int) -> bool:
     """Whether nothing but zeros follows, as behind what came from a tape or was downloaded in blocks."""
     places = range(at, len(view), _RELEASE_BYTES)
     return not any(bytes(view[k : k + _RELEASE_BYTES]).strip(b"\0") for k in places)
-
-
-def _begins_frame(view: memoryview, at: int, is_gzip: bool) -> bool:
-    if is_gzip:
-        return view[at : at + len(GZIP_MAGIC)] == GZIP_MAGIC
-    skippable = bytes(view[at + 1 : at + 4]) == b"\x2a\x4d\x18" and view[at] >> 4 == 5
-    return skippable or view[at : at + 4] == ZSTD_MAGIC
 
 
 def _inflate(
@@ -145,6 +153,36 @@ def _unzstd(view: memoryview, at: int, growth: _Growth, *, step: int = 512) -> G
     if head.content is not None and given != head.content:
         raise CompressionError(f"the zstd frame states {head.content} bytes and holds {given}")
     return end
+
+
+def _gunzip(view: memoryview, at: int, growth: _Growth) -> Generator[bytes, None, int]:
+    return (yield from _inflate(view, at, _GZIP, growth))
+
+
+def _unxz(
+    view: memoryview, at: int, growth: _Growth, *, step: int = 512, memory_bytes: int = 256 << 20
+) -> Generator[bytes, None, int]:
+    """`step`: xz expands up to 7,000 times. `memory_bytes`: presets ask for up to 65 MB, a bomb for 4 GB."""
+
+    def decoder() -> Decompressor:
+        return lzma.LZMADecompressor(lzma.FORMAT_XZ, memory_bytes)
+
+    end, _ = yield from _frame(_Unpacking(decoder, lzma.LZMAError, view, at, step), growth)
+    return end
+
+
+def _bunzip(view: memoryview, at: int, growth: _Growth, *, step: int = 512) -> Generator[bytes, None, int]:
+    """`step`: bzip2 expands up to 20,000 times."""
+    end, _ = yield from _frame(_Unpacking(bz2.BZ2Decompressor, OSError, view, at, step), growth)
+    return end
+
+
+_UNPACKERS: Mapping[str, Callable[[memoryview, int, _Growth], Generator[bytes, None, int]]] = {
+    "gzip": _gunzip,
+    "zstd": _unzstd,
+    "xz": _unxz,
+    "bzip2": _bunzip,
+}
 
 
 @dataclass(frozen=True)
@@ -227,9 +265,13 @@ def _up_to_damage(made: _Unpacking, damaged: int) -> Iterator[bytes]:
 
 
 def packer_for(suffix: str) -> Packer:
-    """What packs a file of this suffix: .gz, .zst or .zstd."""
+    """What packs a file of this suffix: .gz, .zst, .zstd, .xz or .bz2."""
     if suffix == ".gz":
         return zlib.compressobj(wbits=_GZIP)
+    if suffix == ".xz":
+        return lzma.LZMACompressor()
+    if suffix == ".bz2":
+        return bz2.BZ2Compressor()
     import zstandard
 
     packer: Packer = zstandard.ZstdCompressor().compressobj()

@@ -8,7 +8,7 @@ from pathlib import PurePosixPath
 
 from flysid.ingest.formats.common.compression import packer_for
 
-PACKED_SUFFIXES = (".gz", ".zst", ".zstd")
+PACKED_SUFFIXES = (".gz", ".zst", ".zstd", ".xz", ".bz2")
 
 
 def own_name(name: str) -> str:
@@ -18,7 +18,7 @@ def own_name(name: str) -> str:
 
 
 def packed_as(name: str, pieces: Iterator[bytes]) -> Iterator[bytes]:
-    """The pieces of a file, packed as its name says: .gz, .zst, .zstd, or as they are."""
+    """The pieces of a file, packed as its name says, or as they are."""
     suffix = PurePosixPath(name).suffix.lower()
     if suffix not in PACKED_SUFFIXES:
         yield from pieces

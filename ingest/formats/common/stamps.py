@@ -40,7 +40,16 @@ _MONTHS = {
 _FIRST_YEAR, _LAST_YEAR = 1970, 2261  # what 64 bits of nanoseconds since 1970 hold
 _FRACTION = r"(?:[.,:](?P<f>\d{1,9})\d*)?"
 _NOON = r"(?: ?(?P<ap>[AaPp])\.?[Mm]\.?)?"
-_ZONE = r" ?(?:(?P<z>[+-]\d\d(?::?\d\d)?)|Z|z|UTC|GMT)?"
+_ZONES: Mapping[str, str] = {  # names that mean one zone only: CST, IST and BST mean several
+    **{"WET": "+00", "WEST": "+01", "CET": "+01", "CEST": "+02", "MEZ": "+01", "MESZ": "+02"},
+    **{"EET": "+02", "EEST": "+03", "MSK": "+03", "JST": "+09", "KST": "+09", "AEST": "+10", "AEDT": "+11"},
+    **{"NZST": "+12", "NZDT": "+13", "EST": "-05", "EDT": "-04", "CDT": "-05", "MST": "-07", "MDT": "-06"},
+    **{"PST": "-08", "PDT": "-07"},
+}
+_ZONE = (
+    rf" ?(?:(?P<z>[+-]\d\d(?::?\d\d)?|{'|'.join(_ZONES)})|Z|z|UTC|GMT)?"
+    r"(?:\[[\w/+-]+\])?"  # Java names the zone behind its offset
+)
 _CLOCK = rf"(?P<H>\d{{1,2}}):(?P<M>\d\d)(?::(?P<S>\d\d?){_FRACTION})?{_NOON}{_ZONE}"
 _COMPACT_CLOCK = rf"(?P<H>\d\d)(?P<M>\d\d)(?P<S>\d\d)(?:[.,](?P<f>\d{{1,9}})\d*)?{_ZONE}"
 _DASHED_CLOCK = r"(?P<H>\d\d)[-.](?P<M>\d\d)[-.](?P<S>\d\d)(?:[.,](?P<f>\d{1,9}))?"
@@ -59,6 +68,7 @@ _DATES: Mapping[str, str] = {
     "signs": r"(?P<y>\d{4}) ?[\x{5e74}\x{b144}] ?(?P<m>\d\d?) ?[\x{6708}\x{c6d4}] ?"
     r"(?P<d>\d\d?) ?[\x{65e5}\x{c77c}]",  # Chinese, Japanese, Korean
     "month": rf"{_WEEKDAY}{_MONTH}\.? +(?P<d>\d\d?),? +{_YEAR}",
+    "of the year": r"(?P<y>\d{4})[-/:](?P<j>\d{3})",
 }
 _DAYS_AND_CLOCK = r"(?P<D>\d+)(?: days?,? ?|\.)(?P<H>\d{1,2}):(?P<M>\d\d):(?P<S>\d\d)(?:[.,](?P<f>\d{1,9}))?"
 _SINCE = (
@@ -71,7 +81,7 @@ _SINCE = (
 )
 _ISO = re.compile(r"\d{4}-\d\d-\d\d[ T]\d\d:\d\d(:\d\d(\.\d{1,9})?)?(Z|[+-]\d\d(:?\d\d)?)?")
 _ZONE_AT_END = r"(Z|[+-]\d\d(:?\d\d)?)$"
-_MAY_BE_ONE = re.compile(r"(?=.*\d.*\d)[\w\u00e4+-][\w\u00e4 :;.,/+-]{3,40}$")
+_MAY_BE_ONE = re.compile(r"(?=.*\d.*\d)[\w\u00e4+-][\w\u00e4 :;.,/+-]{3,40}(\[[\w/+-]+\])?$")
 
 
 def known_order(order: str) -> str:
@@ -131,11 +141,12 @@ class Form:
         found = pc.extract_regex(text, f"^(?:{self.shape})$")
         known = _bools(found.is_valid())
         parts = {found.type.field(i).name: found.field(i) for i in range(found.type.num_fields)}
-        time_ns, sound = _clock_ns(parts)
+        shown_ns, sound = _clock_ns(parts)
+        time_ns = shown_ns - _zone_ns(parts)
         if self.kind == DATED:
             days, exist = _days(parts, self.order)
-            hours = time_ns < DAY_NS
-            return np.where(known & exist, days * DAY_NS + time_ns, 0), known & sound & exist & hours
+            sound &= exist & (shown_ns < DAY_NS)
+            return np.where(known & exist, days * DAY_NS + time_ns, 0), known & sound
         return np.where(known, time_ns, 0), known & sound
 
 
@@ -278,7 +289,7 @@ def _bools(array: pa.Array) -> BoolArray:
 
 
 def _clock_ns(parts: Mapping[str, pa.Array]) -> tuple[IntArray, BoolArray]:
-    """(n,) nanoseconds of days, hours, minutes, seconds and zone, and which are such as clocks show."""
+    """(n,) nanoseconds of days, hours, minutes and seconds, and which are such as clocks show."""
     count = len(next(iter(parts.values())))
     days, hours, minutes, seconds = (_number(parts, name) for name in "DHMS")
     sound = np.ones(count, dtype=bool)
@@ -290,7 +301,7 @@ def _clock_ns(parts: Mapping[str, pa.Array]) -> tuple[IntArray, BoolArray]:
         hours, fits = _with_noon(np.asarray(hours), parts["ap"])
         sound &= fits
     whole = ((np.asarray(days) * 24 + hours) * 60 + minutes) * 60 + seconds
-    time_ns = whole * SECOND_NS + _fraction_ns(parts) - _zone_ns(parts)
+    time_ns = whole * SECOND_NS + _fraction_ns(parts)
     return np.broadcast_to(time_ns, (count,)).astype(np.int64), sound
 
 
@@ -315,6 +326,8 @@ def _zone_ns(parts: Mapping[str, pa.Array]) -> IntArray | int:
     if "z" not in parts:
         return 0
     text = pc.replace_substring(pc.fill_null(parts["z"], ""), ":", "")
+    for name in pc.unique(pc.filter(text, pc.match_substring_regex(text, "^[A-Z]"))).to_pylist():
+        text = pc.replace_substring_regex(text, f"^{name}$", _ZONES[str(name)])
     full = pc.if_else(pc.equal(text, ""), "+0000", pc.utf8_rpad(text, 5, "0"))
     number = _whole(pc.utf8_ltrim(full, "+"))
     size = np.abs(number)
@@ -330,6 +343,8 @@ def _days(parts: Mapping[str, pa.Array], order: str) -> tuple[IntArray, BoolArra
         named = dict(zip(order, written, strict=True))
     elif "mon" in parts:
         named["m"] = _months(parts["mon"])
+    if "j" in parts:
+        return _days_of_year(np.asarray(named["y"], dtype=np.int64), np.asarray(_number(parts, "j")))
     year, month, day = (np.asarray(named[key], dtype=np.int64) for key in "ymd")
     exist = (day < 100) | (order != "ymd")  # four digits are a year, which would stand last
     year = np.where(year < 100, year + 2000, year)
@@ -338,6 +353,15 @@ def _days(parts: Mapping[str, pa.Array], order: str) -> tuple[IntArray, BoolArra
     first = months.astype("datetime64[D]").astype(np.int64)
     length = (months + 1).astype("datetime64[D]").astype(np.int64) - first
     return first + day - 1, exist & (day <= length)
+
+
+def _days_of_year(year: IntArray, number: IntArray) -> tuple[IntArray, BoolArray]:
+    """(n,) days since 1970 of the days of years, 1 for the first, and which of them exist."""
+    exist = (year >= _FIRST_YEAR) & (year <= _LAST_YEAR) & (number >= 1)
+    years = np.where(exist, year - 1970, 0).astype("datetime64[Y]")
+    first = years.astype("datetime64[D]").astype(np.int64)
+    length = (years + 1).astype("datetime64[D]").astype(np.int64) - first
+    return first + number - 1, exist & (number <= length)
 
 
 def _months(names: pa.Array) -> IntArray:

@@ -6,8 +6,10 @@ pitch_cmd [deg]   v_x (m/s)   alt_m   rate_radps   vx_m_s   time_ms   TimeUS
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import accumulate
 
 from flysid.ingest.formats.common.units import is_known
 
@@ -123,6 +125,7 @@ _TIME_WORDS = frozenset(
     | {"\u65f6\u95f4", "\u6642\u9593", "\u6642\u523b", "\u65f6\u523b"}  # Chinese and Japanese
     | {"\uc2dc\uac04"}  # Korean
 )
+_COUNTED = frozenset({"tick", "ticks"})  # of a clock that nothing states
 _TIME_NAMES = (_TIME_WORDS - {"clock"}) | {
     *("t", "utc", "date", "unix", "elapsed", "elapsedtime", "timeboot", "utctime", "timeutc", "epochtime"),
     *("ts", "tow", "gpstow", "sow"),
@@ -166,8 +169,13 @@ def named_and_measured(headers: Sequence[str]) -> list[tuple[str, str]]:
         if match and unit is not None:
             found.append((match[1], unit))
         else:
-            found.append((header or f"c{index + 1}", unit_behind(header)))
+            found.append((header or nameless(index), unit_behind(header)))
     return found
+
+
+def nameless(index: int) -> str:
+    """What a column without a name is called."""
+    return f"c{index + 1}"
 
 
 def _is_index(match: re.Match[str], alike: set[str]) -> bool:
@@ -204,6 +212,8 @@ def time_name(name: str) -> TimeName | None:
     if not words:
         return None
     unit = _TIME_UNITS.get(words[-1], "")
+    if not unit and not _COUNTED.isdisjoint(words):
+        return None
     if len(words) == 1 and unit and words[0] not in _NO_NAMES:
         return TimeName(unit, is_plain=True)
     if len(words) > 1 and unit:
@@ -233,6 +243,42 @@ def fraction_beside(name: str, others: Sequence[str]) -> str:
         if its[:-1] == words[:-1] and its and _TIME_UNITS.get(its[-1]) == "ns":
             return other
     return ""
+
+
+def names_in_groups(groups: Sequence[Sequence[str]], names: Sequence[str]) -> list[str]:
+    """The names of columns below lines that group them: equal ones get what tells their groups apart.
+
+    A group reaches to the right until the next one. A column that the last line leaves empty is named above.
+
+    Examples
+    --------
+    >>> names_in_groups([["", "left", "", "right", ""]], ["t", "x", "y", "x", "y"])
+    ['t', 'left.x', 'left.y', 'right.x', 'right.y']
+    >>> names_in_groups([["", "imu", "", "gps", ""]], ["t", "ax", "ay", "lat", "lon"])
+    ['t', 'ax', 'ay', 'lat', 'lon']
+    """
+    own = [next(filter(None, column), "") for column in zip(names, *reversed(groups), strict=True)]
+    counts = Counter(own)
+    spread = [list(accumulate(cells, _filled)) for cells in groups]
+    telling = [cells for cells in spread if _tells_apart(cells, own)]
+    keys = list(zip(*telling, strict=True)) if telling else [() for _ in own]
+    shared = {key for key, name in zip(keys, own, strict=True) if counts[name] > 1}
+    return [
+        ".".join(filter(None, (*key, name))) if key in shared and name not in key else name
+        for key, name in zip(keys, own, strict=True)
+    ]
+
+
+def _filled(left: str, cell: str) -> str:
+    return cell or left
+
+
+def _tells_apart(cells: Sequence[str], names: Sequence[str]) -> bool:
+    """Whether a line of groups differs between columns of one name."""
+    found: dict[str, set[str]] = {}
+    for cell, name in zip(cells, names, strict=True):
+        found.setdefault(name, set()).add(cell)
+    return any(len(different) > 1 for different in found.values())
 
 
 def once_each(names: Sequence[str], taken: Collection[str] = ()) -> list[str]:

@@ -1,6 +1,6 @@
 """Numbers in text: decimal points and commas, signs between thousands, units behind, words for missing ones.
 
-1.5   1,5   1,234.5   1.234,5   1'234.5   1 234,5   +2e-3   12.5 V   45 %   NaN   #N/A
+1.5   1,5   1,234.5   1.234,5   1'234.5   1 234,5   12,34,567.8   +2e-3   1.5D+02   12.5 V   45 %   NaN   #N/A
 """
 
 from __future__ import annotations
@@ -26,27 +26,37 @@ INFINITE = frozenset({"inf", "-inf", "Inf", "-Inf", "INF", "-INF", "infinity", "
 )
 MISSING = frozenset(
     {"", "nan", "NaN", "NAN", "-nan", "-NaN", "NA", "N/A", "n/a", "#N/A", "#N/A N/A", "#NA", "<NA>"}
-    | {"null", "NULL", "None", "1.#QNAN", "-1.#QNAN", "1.#IND", "-1.#IND"}
+    | {"null", "NULL", "None", "1.#QNAN", "-1.#QNAN", "1.#IND", "-1.#IND", "--.--"}
 )
-"""What programs write where there is no number: pandas, Excel, databases and old C libraries."""
+"""What programs write where there is no number: pandas, Excel, databases, QGroundControl, old C libraries."""
 HALF = 0.5
 MOSTLY = 0.9
 """Of the cells that shall tell how a column is to be read."""
-_NUMBER = re.compile(NUMBER)
+MINUS = "\u2212"
+"""What typesetting, Matplotlib and some spreadsheets write for a minus."""
+_SIGN = f"[+{MINUS}-]?"
+_NUMBER = re.compile(rf"^{_SIGN}(\d+\.?\d*|\.\d+)([eE][+-]?\d+|[dD][+-]\d+)?$")
 _NUMBER_SIGNS = re.compile("[0-9.eE+-]*")  # what Python makes a number of these, Arrow reads, too
-_WITH_POINT = re.compile(r"^[+-]?\d*\.\d+([eE][+-]?\d+)?$")
-_WITH_COMMA = re.compile(r"^[+-]?\d*,\d+([eE][+-]?\d+)?$")
+_FORTRAN = r"^([+-]?[\d.]*\d\.?)[dD]([+-]\d+)$"
+_WITH_POINT = re.compile(rf"^{_SIGN}\d*\.\d+([eE][+-]?\d+)?$")
+_WITH_COMMA = re.compile(rf"^{_SIGN}\d*,\d+([eE][+-]?\d+)?$")
 _SPACES = " \u00a0\u2007\u2009\u202f'\u2019"  # between thousands: thin and no-break blanks, apostrophes
-_GROUPED = {sign: re.compile(rf"^[+-]?[1-9]\d{{0,2}}([{sign}]\d{{3}})+$") for sign in (",", ".", _SPACES)}
-_BOTH = {  # sign between thousands, then the decimal one
-    sign: re.compile(rf"^[+-]?[1-9]\d{{0,2}}([{sign}]\d{{3}})+[{other}]\d+$")
+_LAKHS = r"[1-9]\d?(,\d\d)+,\d{3}"  # as India groups digits: 12,34,567
+_THOUSANDS = {
+    ",": rf"([1-9]\d{{0,2}}(,\d{{3}})+|{_LAKHS})",
+    ".": r"[1-9]\d{0,2}([.]\d{3})+",
+    _SPACES: rf"[1-9]\d{{0,2}}([{_SPACES}]\d{{3}})+",
+}
+_GROUPED = {sign: re.compile(rf"^{_SIGN}{shape}$") for sign, shape in _THOUSANDS.items()}
+_BOTH = {  # thousands, then the decimal sign
+    sign: re.compile(rf"^{_SIGN}{_THOUSANDS[sign]}[{other}]\d+$")
     for sign, other in ((",", "."), (".", ","), (_SPACES, ".,"))
 }
 _CERTAIN = {  # between thousands: before the decimal sign, or twice
-    sign: re.compile(rf"^[+-]?[1-9]\d{{0,2}}([{sign}]\d{{3}})+([{sign}]\d{{3}}|[{other}]\d+)$")
-    for sign, other in ((",", "."), (".", ","))
+    sign: re.compile(rf"^{_SIGN}({_THOUSANDS[sign]}([{sign}]\d{{3}}|[{other}]\d+){more})$")
+    for sign, other, more in ((",", ".", f"|{_LAKHS}"), (".", ",", ""))
 }
-_MEASURED = re.compile(rf"^([+-]?[\d.,{_SPACES}]*\d(?:[eE][+-]?\d+)?)\s*([^\s\d.,+-][^\s\d]*)$")
+_MEASURED = re.compile(rf"^({_SIGN}[\d.,{_SPACES}]*\d(?:[eE][+-]?\d+)?)\s*([^\s\d.,+-][^\s\d]*)$")
 
 
 @dataclass(frozen=True)
@@ -134,7 +144,8 @@ def _decimal_in_doubt(cells: Sequence[str], table: Signs) -> str:
     if commas == points:
         return "," if table.commas and not table.points else "."
     mine, other = (table.commas, table.points) if commas else (table.points, table.commas)
-    hundreds = any(len(bare) == 3 and bare.isdecimal() for bare in (cell.lstrip("+-") for cell in cells))
+    bare = (cell.lstrip(f"+{MINUS}-") for cell in cells)
+    hundreds = any(len(digits) == 3 and digits.isdecimal() for digits in bare)
     is_group = hundreds or (other and not mine)
     return "," if commas != is_group else "."
 
@@ -214,12 +225,15 @@ def floats(text: pa.Array, style: Style) -> tuple[pa.Array, BoolArray]:
 
 def _bare(text: pa.Array, style: Style) -> pa.Array:
     """Numbers of a style as the plain ones that Arrow reads."""
+    text = pc.replace_substring(text, MINUS, "-")
+    text = pc.replace_substring_regex(text, _FORTRAN, r"\1e\2")
     if style.unit:
         ending = re.escape(style.unit)
         text = pc.replace_substring_regex(text, rf"^(.*\d)\s*{ending}$", r"\1")
     if style.thousands:
         sign = re.escape(style.thousands)
-        grouped = pc.match_substring_regex(text, rf"^[+-]?\d{{1,3}}([{sign}]\d{{3}})+([.,]\d+)?$")
+        groups = rf"\d{{1,3}}([{sign}]\d{{3}})+|\d{{1,2}}([{sign}]\d\d)+[{sign}]\d{{3}}"
+        grouped = pc.match_substring_regex(text, rf"^[+-]?({groups})([.,]\d+)?$")
         text = pc.if_else(grouped, pc.replace_substring_regex(text, rf"[{sign}]", ""), text)
     if style.decimal == ",":
         has_point = pc.match_substring(text, ".")

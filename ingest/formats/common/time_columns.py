@@ -8,7 +8,6 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from operator import or_
 
 import numpy as np
 import pyarrow as pa
@@ -29,23 +28,29 @@ from flysid.ingest.formats.common.stamps import (
     known_order,
     packed_form_of,
 )
-from flysid.ingest.formats.common.table_columns import TimeName, fraction_beside, time_name, unit_in
+from flysid.ingest.formats.common.table_columns import (
+    TimeName,
+    fraction_beside,
+    time_name,
+)
+from flysid.ingest.formats.common.table_kinds import Column, array_of, nameless_numbers, values_of
 from flysid.ingest.formats.common.table_numbers import (
     MISSING,
     MOSTLY,
     PLAIN,
-    PLAIN_SIGNS,
-    Signs,
     Style,
-    are_plain,
     floats,
-    may_group,
-    numbers_in,
-    signs_of,
-    style_of,
 )
 from flysid.ingest.formats.common.table_times import COUNTERS, MOVING, NO_TURN, Turn, rises, to_ns, unwrapped
-from flysid.ingest.formats.common.time_units import TICKS, TIME_UNITS_NS, TimeUnit, known_unit, time_unit
+from flysid.ingest.formats.common.time_units import (
+    TICKS,
+    TIME_UNITS_NS,
+    TimeUnit,
+    are_dates,
+    known_unit,
+    plausible_units,
+    time_unit,
+)
 from flysid.stretch import FloatArray
 
 WHOLE = r"^\d{1,19}$"  # dates in nanoseconds and in ticks have more digits than a float
@@ -58,19 +63,9 @@ _CALENDAR_NAMES = (
     frozenset({"second", "seconds", "sec"}),
 )
 _UNITS_BESIDE = {"loopiteration": "us"}  # Blackbox Explorer names no unit, and this column beside the time
-_DIGIT = re.compile("[0-9]")
+_BY_SIZE = TimeName("", is_plain=False)
 _DAY_WORDS = re.compile("date|datum|day|fecha|data")
 _LETTERS = re.compile(r"[^a-z]")
-
-
-@dataclass(frozen=True)
-class Column:
-    """A column: its name without the unit, its unit if known, whether it is text, how it spells numbers."""
-
-    name: str
-    unit: str = ""
-    is_text: bool = False
-    style: Style = PLAIN
 
 
 @dataclass(frozen=True)
@@ -99,6 +94,12 @@ class TimeColumn:
     fraction: int = -1
     fraction_ns: int = 1
     why: str = "stated"
+
+    @property
+    def has_one_unit(self) -> bool:
+        """Whether nobody needs to be asked for the unit of its numbers."""
+        is_stated = bool(self.forms or self.unit or self.fraction >= 0)
+        return is_stated or len(plausible_units(self.first, float(np.ptp(self.first)))) == 1
 
     @property
     def is_exact(self) -> bool:
@@ -182,14 +183,14 @@ class TimeColumn:
         self, time_ns: IntArray, known: BoolArray, beside: pa.Array
     ) -> tuple[IntArray, BoolArray]:
         """(n,) whole seconds with the fractions of a column of their own, and which of them are times."""
-        fraction, told = to_ns(_array(beside).astype(np.float64), self.fraction_ns)
+        fraction, told = to_ns(array_of(beside).astype(np.float64), self.fraction_ns)
         return time_ns + fraction, known & told
 
     def _count(self, text: pa.Array) -> tuple[IntArray, BoolArray]:
         assert self.counted is not None
         time_ns, known = self.count(floats(text, self.style)[0])
         if self.is_exact:
-            exact = known & _array(pc.match_substring_regex(text, WHOLE)).astype(bool)
+            exact = known & array_of(pc.match_substring_regex(text, WHOLE)).astype(bool)
             whole = text.filter(numeric(exact)).cast(pa.int64())
             time_ns[exact] = self.count_whole(whole)
         return time_ns, known
@@ -197,21 +198,17 @@ class TimeColumn:
     def count(self, values: pa.Array) -> tuple[IntArray, BoolArray]:
         """(n,) numbers as ns, and which of them are times."""
         assert self.counted is not None
-        return to_ns(_array(values).astype(np.float64), self.counted.unit_ns, self.counted.origin)
+        return to_ns(array_of(values).astype(np.float64), self.counted.unit_ns, self.counted.origin)
 
     def count_whole(self, values: pa.Array) -> IntArray:
         """(n,) whole numbers as ns, exactly."""
         assert self.counted is not None
-        return (_array(values).astype(np.int64) - int(self.counted.origin)) * self.counted.unit_ns
+        return (array_of(values).astype(np.int64) - int(self.counted.origin)) * self.counted.unit_ns
 
 
 def turn_of(counted: TimeUnit) -> Turn:
     """When a counter of this unit begins anew; dates do not."""
     return NO_TURN if counted.origin else COUNTERS.get(counted.unit, NO_TURN)
-
-
-def _array(values: pa.Array) -> FloatArray:
-    return np.asarray(values.to_numpy(zero_copy_only=False))
 
 
 def joined(texts: Sequence[pa.Array], glue: str) -> pa.Array:
@@ -220,54 +217,6 @@ def joined(texts: Sequence[pa.Array], glue: str) -> pa.Array:
     for sign, text in zip(glue, texts[1:], strict=True):
         whole = pc.binary_join_element_wise(whole, text, sign)
     return whole
-
-
-def columns_of(named: Sequence[tuple[str, str]], rows: Sequence[Sequence[str]]) -> list[Column]:
-    """Columns with their kind, as most of their cells in the first rows tell it.
-
-    Parameters
-    ----------
-    named : (name, unit) of each.
-    rows : cells of the first rows.
-    """
-    told = [[row[i] for row in rows if row[i] not in MISSING] for i in range(len(named))]
-    plain = [_are_numbers(cells) and not may_group(cells) for cells in told]
-    words = [not is_plain and _holds_words(cells) for cells, is_plain in zip(told, plain, strict=True)]
-    table = PLAIN_SIGNS
-    if not all(map(or_, plain, words)):
-        numbers = [cells for cells, is_text in zip(told, words, strict=True) if not is_text]
-        table = signs_of([cell for cells in numbers for cell in cells])
-    found = []
-    for (name, unit), cells, is_plain, is_text in zip(named, told, plain, words, strict=True):
-        if is_text or (is_plain and not table.commas):
-            found.append(Column(name, unit, is_text))
-        else:
-            found.append(_column(name, unit, cells, table))
-    return found
-
-
-def _are_numbers(cells: Sequence[str]) -> bool:
-    """Whether all cells are numbers in the plain style, or infinite."""
-    return are_plain(cells) or not floats(strings(cells), PLAIN)[1].any()
-
-
-def _holds_words(cells: Sequence[str]) -> bool:
-    """Whether most cells cannot be numbers, in whatever style."""
-    return 2 * sum(map(bool, map(_DIGIT.search, cells))) < len(cells)
-
-
-def values_of(rows: Sequence[Sequence[str]], index: int, style: Style) -> FloatArray:
-    """(n,) the numbers of a column in the first rows; NaN where a cell is none."""
-    return _array(floats(strings([row[index] for row in rows]), style)[0]).astype(np.float64)
-
-
-def _column(name: str, unit: str, cells: Sequence[str], table: Signs) -> Column:
-    """A column is text where fewer than half of its cells are numbers."""
-    style = style_of(cells, table)
-    count = len(numbers_in(cells, style)) if cells else 0
-    if 2 * count < len(cells):
-        return Column(name, unit, is_text=True)
-    return Column(name, unit or unit_in(style.unit) or "", style=style)
 
 
 # ----------------------------------------------------------------------------------------- finding
@@ -279,15 +228,16 @@ def find_time(columns: Sequence[Column], rows: Sequence[Sequence[str]]) -> TimeC
     Rows without a time are counted as lost. Numbering all rows for their sake would invent times. Stamps in
     text need no name.
     """
-    best: tuple[int, int, float] = (0, 0, 0.0)
+    best: tuple[int, int, float, bool] = (0, 0, 0.0, False)
     found = None
     for time, says in _candidates(columns, rows):
         if not rises(time.first, MOVING if says is None or says.is_plain else MOSTLY):
             continue
         rank = 0 if says is None else 1 + says.is_plain
         moving = float(np.mean(np.diff(time.first) > 0)) if len(time.first) > 1 else 0.0
-        if (len(time.first), rank, moving) > best:
-            best, found = (len(time.first), rank, moving), time
+        merits = (len(time.first), rank, moving, time.has_one_unit)
+        if merits > best:
+            best, found = merits, time
     return found if 2 * best[0] >= len(rows) else None
 
 
@@ -299,9 +249,12 @@ def unused_times(columns: Sequence[Column], rows: Sequence[Sequence[str]]) -> di
         if says is None or not says.is_plain:
             continue
         told = [row[index] for row in rows if row[index] not in MISSING]
-        read = [each for each in _candidates(columns, rows) if index in each[0].parts]
+        read = [time.first for time, _ in _candidates(columns, rows) if index in time.parts]
         if 2 * len(told) < len(rows):
             why = "fewer than half of the rows have one"
+        elif read and (np.diff(read[0]) >= 0).all():
+            count = len(read[0]) / len(np.unique(read[0]))
+            why = f"it stands still while rows follow: about {count:.0f} rows share each of its values"
         elif read:
             why = "its values do not rise from row to row"
         else:
@@ -330,8 +283,10 @@ def _candidates(
                 for time in _stamps(rows, (day, index), " ", name):
                     yield from ((each, plain) for each in _with_fractions(time, columns, rows))
     fractions = {name: beside for name in names if (beside := fraction_beside(name, names))}
+    dated = [i for i in range(len(columns)) if _counts_from_1970(columns, rows, i)]
+    fractions |= {names[i]: names[i + 1] for i in dated if _has_nanoseconds_behind(columns, rows, i)}
     for index, column in enumerate(columns):
-        says = time_name(column.name)
+        says = time_name(column.name) or (_BY_SIZE if index in dated else None)
         if column.name in fractions.values() or (says is None and not column.is_text):
             continue
         if column.is_text:
@@ -342,6 +297,19 @@ def _candidates(
                 yield packed, says
             other = names.index(fractions[column.name]) if column.name in fractions else -1
             yield _numbers(column, index, other, says, columns, rows), says
+
+
+def _counts_from_1970(columns: Sequence[Column], rows: Sequence[Sequence[str]], index: int) -> bool:
+    """Whether a column without a name holds numbers that are dates in one of the usual units."""
+    return are_dates(nameless_numbers(columns, rows, index))
+
+
+def _has_nanoseconds_behind(columns: Sequence[Column], rows: Sequence[Sequence[str]], index: int) -> bool:
+    """Whether a nameless column of nanoseconds follows whole seconds, as `ros2 topic echo --csv` has it."""
+    whole, rest = (nameless_numbers(columns, rows, i) for i in (index, index + 1))
+    is_fraction = bool(((rest >= 0) & (rest < SECOND_NS) & (rest % 1 == 0)).all()) and bool(rest.any())
+    is_still = bool((np.diff(whole) == 0).any()) and not (whole % 1).any()
+    return is_fraction and is_still and rises(whole + rest / SECOND_NS, MOSTLY)
 
 
 def _holds_dates(column: Column, rows: Sequence[Sequence[str]], index: int) -> bool:

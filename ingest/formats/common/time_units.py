@@ -164,6 +164,11 @@ def is_too_fast(times: FloatArray, unit: str) -> bool:
     return 0.0 < _pace(times) * seconds_in(unit) < FASTEST_S and not _is_dated(times, unit)
 
 
+def are_dates(times: FloatArray) -> bool:
+    """Whether numbers are dates of our years, in seconds or parts of them since 1970."""
+    return len(times) > 0 and any(0.0 in _dates(times, unit) for unit in SHORT)
+
+
 def seconds_in(unit: str) -> float:
     """Seconds per unit."""
     return TIME_UNITS_NS[unit] / 1e9

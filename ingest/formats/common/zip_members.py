@@ -20,7 +20,7 @@ from flysid.ingest.formats.base import map_file
 from flysid.ingest.formats.common.compression import CompressionError, inflated_pieces, unpacked_pieces
 
 ZIP_MAGICS = (b"PK\x03\x04", b"PK\x05\x06", b"PK\x07\x08PK\x03\x04")
-ZSTANDARD = 93
+PACKED_AS_FILES = (zipfile.ZIP_BZIP2, 93, 95)  # bzip2, zstd, xz
 _LOCAL = struct.Struct("<4s5H3I2H")
 _IN_ZIP64 = 0xFFFFFFFF
 _ZIP64 = struct.Struct("<QQ")
@@ -76,7 +76,12 @@ def _read_archive(path: Path, size: int, modified_ns: int) -> Archive:  # noqa: 
             fault = "the archive's list of members does not fit it: bytes are missing, or were added"
         if fault:
             found = list(_met(view)) or found
-    return Archive(_name(_bound(found)), fault)
+    return Archive(_name([each for each in _bound(found) if not _is_note_of_macos(each.name)]), fault)
+
+
+def _is_note_of_macos(name: str) -> bool:
+    """Whether a member holds what the Finder notes about another one."""
+    return name.startswith("__MACOSX/") and name.rpartition("/")[2].startswith("._")
 
 
 def _is_in_place(view: memoryview, member: Member) -> bool:
@@ -112,7 +117,7 @@ def member_pieces(view: memoryview, member: Member, max_ratio: float) -> Iterato
 def _unpack(packed: memoryview, method: int, max_ratio: float, *, piece: int = 1 << 20) -> Iterator[bytes]:
     if method == ZIP_DEFLATED:
         return inflated_pieces(packed, max_ratio)
-    if method == ZSTANDARD:
+    if method in PACKED_AS_FILES:
         return unpacked_pieces(packed, max_ratio)
     return (bytes(packed[at : at + piece]) for at in range(0, len(packed), piece))
 
@@ -144,7 +149,7 @@ def _list_member(info: zipfile.ZipInfo) -> Member:
 def _fault(method: int, flags: int) -> str:
     if flags & _Flag.ENCRYPTED:
         return "is encrypted; unpack it first"
-    if method not in (ZIP_STORED, ZIP_DEFLATED, ZSTANDARD):
+    if method not in (ZIP_STORED, ZIP_DEFLATED, *PACKED_AS_FILES):
         named = zipfile.compressor_names.get(method, f"method {method}")  # type: ignore[attr-defined]
         return f"uses a compression method that is not supported ({named}); unpack it first"
     return ""

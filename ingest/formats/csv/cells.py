@@ -15,8 +15,8 @@ import pyarrow.compute as pc
 
 from flysid.ingest.formats.common.clock import IntArray
 from flysid.ingest.formats.common.columns import as_array, numbers
+from flysid.ingest.formats.common.table_kinds import Column
 from flysid.ingest.formats.common.table_numbers import floats
-from flysid.ingest.formats.common.time_columns import Column
 from flysid.ingest.formats.csv.layouts import BLANKS, Layout
 
 BoolArray = npt.NDArray[np.bool_]

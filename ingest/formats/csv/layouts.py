@@ -7,8 +7,9 @@
 The separator is the one of comma, semicolon, tab, bar and blanks that leaves the most numbers; blanks that
 stand between words of a cell are none where another sign splits as many lines. The first of the lines that it
 splits alike is the header unless it holds numbers where the lines below do; then the comment right above may
-be the header, as NumPy and ROS write it, or a line that damage took out of the table. Units stand in
-brackets, or in a line of their own below the names. Other lines above a header are facts about the log.
+be the header, as NumPy and ROS write it, or a line that damage took out of the table. Of several lines of
+names the last one names, and those above tell equal names apart. Units stand in brackets, or in a line of
+their own below the names. Other lines above a header are facts about the log.
 """
 
 from __future__ import annotations
@@ -18,14 +19,19 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
+from itertools import takewhile
 
 from flysid.ingest.formats.common.stamps import is_stamp
-from flysid.ingest.formats.common.table_columns import named_and_measured, once_each, unit_in
+from flysid.ingest.formats.common.table_columns import (
+    named_and_measured,
+    names_in_groups,
+    once_each,
+    unit_in,
+)
+from flysid.ingest.formats.common.table_kinds import Column, columns_of
 from flysid.ingest.formats.common.table_numbers import MISSING, MOSTLY, are_plain, is_number
 from flysid.ingest.formats.common.time_columns import (
-    Column,
     TimeColumn,
-    columns_of,
     find_time,
     unused_times,
 )
@@ -39,8 +45,8 @@ _OTHER_TEXT = re.compile(r"^\s*([$!][A-Z]{2}[A-Z0-9]{1,},|[\[{]\s*([\[{\"\d-]|$)
 LONGEST_UNIT = 12
 ERASED = b"\xff"
 _LETTER = re.compile(r"[^\W\d_]")
-_BLANK = "\t\u00a0\u2007\u2009\u202f\u3000"  # Python counts no-break and thin blanks as not printable
-_WITHOUT_BLANKS = dict.fromkeys(map(ord, _BLANK))
+_CONTROL = re.compile(r"[\x00-\x08\x0a-\x1f\x7f-\x9f]")
+_WIDE_BLANK = re.compile(r"\s{2,}|\t")  # between names of which some are two words
 
 
 @dataclass(frozen=True)
@@ -195,7 +201,7 @@ def _lines(head: bytes) -> _Head:
 
 def _cleaned(line: bytes) -> str:
     """The text of a line without erased flash in front, and without control characters."""
-    return "".join(c for c in text_of(line.lstrip(ERASED)) if c.isprintable() or c in _BLANK)
+    return _CONTROL.sub("", text_of(line.lstrip(ERASED)))
 
 
 def text_of(line: bytes) -> str:
@@ -213,9 +219,8 @@ def is_instruction(text: str) -> bool:
 
 def is_printable(line: bytes) -> bool:
     """Whether a line can be a header or a row: no control characters, and no erased flash in front."""
-    text = line.decode("utf-8", "replace").strip("\r")
-    is_text = text.isprintable() or text.translate(_WITHOUT_BLANKS).isprintable()
-    return is_text and not line.startswith(ERASED)
+    text = text_of(line)
+    return not line.startswith(ERASED) and (text.isprintable() or not _CONTROL.search(text))
 
 
 def cells_of(line: str, separator: bytes) -> list[str]:
@@ -243,13 +248,16 @@ def _header(table: _Table, head: _Head) -> _Header:
     first = rows[0]
     told = table.columns
     if _names(first, told):
-        units = _units(rows[1]) if len(rows) > 2 else []
-        count = 2 if units else 1
-        start = table.places[count] if len(rows) > count else table.places[0]
-        return _Header(_name(first, units), rows[count:], start, table.places[0])
+        lines, units, below = _heading(rows, told)
+        groups = [rows[i] for i in lines[:-1]]
+        start = table.places[below] if len(rows) > below else table.places[0]
+        header = names_in_groups(groups, rows[lines[-1]])
+        return _Header(_name(header, units), rows[below:], start, table.places[lines[-1]])
     above = [line for line in head.lines if line.at < table.places[0]]
     for line in _lines_above(above):
         names = _fitted(cells_of(line.text, table.separator), rows)
+        if not names and table.separator == BLANKS:
+            names = _fitted(_WIDE_BLANK.split(line.text.strip()), rows)
         words = [bool(_LETTER.search(names[i])) for i in told if names and names[i]]
         if names and _names(names, told) and 2 * sum(words) >= len(words):
             return _Header(_name(names, []), rows, table.places[0], line.at)
@@ -259,6 +267,30 @@ def _header(table: _Table, head: _Head) -> _Header:
     if named and len(named[0]) == len(first) and not all(map(_is_value, named[0])):
         return _Header(_name(named[0], units), rows, table.places[0], 0)
     return _Header(_name([""] * len(first), units), rows, table.places[0])
+
+
+def _heading(rows: Sequence[Sequence[str]], told: Sequence[int]) -> tuple[list[int], list[str], int]:
+    """The lines of names, the units, and how many lines stand above the rows.
+
+    Motion capture, pandas and laboratories write names in several lines: bodies above their coordinates.
+    Those are the lines above the first row of numbers that hold no number themselves.
+    """
+    judged = told or range(len(rows[0]))
+    above = list(takewhile(lambda i: not all(_is_value(rows[i][k]) for k in judged), range(len(rows))))
+    lines = above if len(above) < len(rows) else above[:1]
+    names = [i for i in lines if _is_named_throughout(rows[i], judged)] or [0]
+    units = _units(rows[names[-1]]) if len(names) > 1 else []
+    if units and all(rows[names[-2]][i] for i, cell in enumerate(rows[names[-1]]) if cell):
+        return names[:-1], units, names[-1] + 1
+    last = names[-1]
+    units = _units(rows[last + 1]) if len(rows) > last + 2 else []
+    return names, units, last + (2 if units else 1)
+
+
+def _is_named_throughout(cells: Sequence[str], judged: Sequence[int]) -> bool:
+    """Whether no cell above numbers is a number, and one is a word."""
+    filled = [cells[i] for i in judged if cells[i] not in MISSING]
+    return not any(map(_is_value, filled)) and any(map(_LETTER.search, filled))
 
 
 def _lines_above(above: Sequence[_Line]) -> list[_Line]:

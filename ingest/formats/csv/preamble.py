@@ -33,7 +33,7 @@ def read_preamble(layout: Layout, before: bytes, tally: Tally) -> dict[str, str]
         text = text_of(line)
         cells = cells_of(text, layout.separator)
         is_row = len(cells) == len(layout.columns) and text.count('"') % 2 == 0
-        is_read = is_row or text.startswith(COMMENT) or is_instruction(text)
+        is_read = (is_row and at >= layout.header) or text.startswith(COMMENT) or is_instruction(text)
         is_header = is_open or at == layout.header
         is_open = is_header and is_open != (text.count('"') % 2 == 1)
         if not line.strip():

@@ -30,10 +30,11 @@ from flysid.ingest.formats.common.instance_names import table_key
 from flysid.ingest.formats.common.line_batches import whole_lines
 from flysid.ingest.formats.common.odd_cells import OddCells
 from flysid.ingest.formats.common.table_columns import once_each
+from flysid.ingest.formats.common.table_kinds import Column
 from flysid.ingest.formats.common.table_numbers import MISSING, numbers_in
 from flysid.ingest.formats.common.table_times import TableClock
 from flysid.ingest.formats.common.tally import Tally
-from flysid.ingest.formats.common.time_columns import Column
+from flysid.ingest.formats.common.transfer import is_text
 from flysid.ingest.formats.csv.cells import Lines, cells_in, column_of, split_lines
 from flysid.ingest.formats.csv.endings import last_line
 from flysid.ingest.formats.csv.layouts import BLANKS, Layout, cells_of, layout_of
@@ -41,6 +42,7 @@ from flysid.ingest.formats.csv.preamble import read_preamble
 
 STREAM = "table"
 MAX_LINE_BYTES = 1 << 20
+SNIFFED_BYTES = 1 << 12
 TAIL_BYTES = 1 << 12
 BATCH_BYTES = 1 << 22
 _AROUND = re.compile(rb"(?m)^[ \t]+|[ \t]+(?=\r?$)")
@@ -53,7 +55,9 @@ BLOCK_BYTES = 1 << 19  # stays in a processor's cache while Arrow takes it apart
 
 def sniff(head: bytes, name: str) -> float:  # noqa: ARG001
     """Confidence that these bytes begin a table: less than any real log can claim."""
-    return 0.5 if b"\0" not in head[:4096] and layout_of(head) is not None else 0.0
+    first = head[:SNIFFED_BYTES]
+    is_likely = b"\0" not in first or is_text(first.replace(b"\0", b""))  # a lost sector reads as zeros
+    return 0.5 if is_likely and layout_of(head) is not None else 0.0
 
 
 @dataclass

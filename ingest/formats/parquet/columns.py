@@ -16,11 +16,11 @@ import pyarrow.compute as pc
 from flysid.flight import BOOT, TIME
 from flysid.ingest.formats.common.arrow_arrays import free_name
 from flysid.ingest.formats.common.table_columns import fraction_beside, named_and_measured, time_name, unit_in
+from flysid.ingest.formats.common.table_kinds import Column as TextColumn
+from flysid.ingest.formats.common.table_kinds import columns_of as text_columns
 from flysid.ingest.formats.common.table_numbers import MISSING, Style
 from flysid.ingest.formats.common.table_times import MOSTLY, MOVING, NO_TURN, Turn
-from flysid.ingest.formats.common.time_columns import Column as TextColumn
 from flysid.ingest.formats.common.time_columns import TimeColumn as TextTime
-from flysid.ingest.formats.common.time_columns import columns_of as text_columns
 from flysid.ingest.formats.common.time_columns import turn_of
 from flysid.ingest.formats.common.time_units import TIME_UNITS_NS, TimeUnit
 from flysid.ingest.formats.parquet.stretches import DAMAGE
@@ -31,6 +31,7 @@ UNIT_KEYS = (b"unit", b"units", b"Unit", b"Units")
 KEPT_KEYS = (b"scale", b"enum", b"description")  # of flysid's own tables
 DATES = "date and time"
 DEEPEST = 8  # structs in structs
+_NUMBERS = (pa.types.is_integer, pa.types.is_floating, pa.types.is_decimal)
 
 
 @dataclass(frozen=True)
@@ -287,7 +288,7 @@ def time_candidates(schema: pa.Schema) -> list[TimeColumn]:
         is_plain = name in index or (says is not None and says.is_plain)
         if pa.types.is_timestamp(kind) or pa.types.is_duration(kind) or pa.types.is_time64(kind):
             (found if is_plain else late).append(TimeColumn(name, DATES))
-        elif not (pa.types.is_integer(kind) or pa.types.is_floating(kind)):
+        elif not any(is_kind(kind) for is_kind in _NUMBERS):
             continue
         elif says is not None or (name.startswith(UNNAMED) and pa.types.is_floating(kind)):
             stated = (_metadata(field, unit) or {}).get(b"unit", b"").decode("utf-8", "replace")

@@ -196,7 +196,7 @@ def times_in(
     column = cells(table, time.name)
     origin = time.counted.origin if time.counted is not None else 0.0
     unit_ns = TIME_UNITS_NS[column.type.unit if time.counted is None else time.counted.unit]
-    if pa.types.is_floating(column.type):
+    if not pa.types.is_integer(column.type) and time.unit != DATES:
         values = column.cast(pa.float64()).to_numpy(zero_copy_only=False)
         return to_ns(values, unit_ns, origin)
     whole = column.cast(pa.int64(), safe=False)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
+from flysid.ingest.formats.common.packed_names import PACKED_SUFFIXES
 from flysid.ingest.formats.recordings.continued import Heard, goes_on
 from flysid.ingest.formats.recordings.names import (
     METADATA,
@@ -115,7 +116,7 @@ def present(entry: str, files: Sequence[str]) -> str:
 
 
 def _packed(name: str) -> tuple[str, ...]:
-    return tuple(name + suffix for suffix in (".zstd", ".zst", ".gz"))
+    return tuple(name + suffix for suffix in PACKED_SUFFIXES)
 
 
 def _last_number(names: Sequence[str]) -> int:

@@ -18,23 +18,25 @@ from collections import Counter
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 
+from flysid.ingest.formats.common.packed_names import PACKED_SUFFIXES
+
 METADATA = "metadata.yaml"
 MARK = "rosbag2_bagfile_information:"
+_PACKED = "(?:" + "|".join(map(re.escape, PACKED_SUFFIXES)) + ")?"
 _PART = re.compile(
-    r"(?P<stem>.+)_(?P<number>\d{1,9})(?P<ending>\.(?:db3|mcap|bag))(?P<behind>(?:\.active)?(?:\.gz|\.zst|\.zstd)?)",
+    r"(?P<stem>.+)_(?P<number>\d{1,9})(?P<ending>\.(?:db3|mcap|bag))(?P<behind>(?:\.active)?" + _PACKED + ")",
     re.IGNORECASE,
 )
 _CAPTURES = (
-    re.compile(r"(?P<stem>.+)(?P<ending>\.p?cap)(?P<number>\d{0,9})(?P<behind>(?:\.gz|\.zst|\.zstd)?)", re.I),
+    re.compile(r"(?P<stem>.+)(?P<ending>\.p?cap)(?P<number>\d{0,9})(?P<behind>" + _PACKED + ")", re.I),
     re.compile(
-        r"(?P<stem>.+)_(?P<number>\d{5})_\d{14}(?P<ending>\.pcapng|\.pcap)(?P<behind>(?:\.gz|\.zst|\.zstd)?)",
+        r"(?P<stem>.+)_(?P<number>\d{5})_\d{14}(?P<ending>\.pcapng|\.pcap)(?P<behind>" + _PACKED + ")",
         re.I,
     ),
 )
 CAPTURE = ".pcap"
-_SPLITTABLE = re.compile(
-    r".+(?P<ending>\.(?:db3|mcap|bag))(?:\.active)?(?:\.gz|\.zst|\.zstd)?", re.IGNORECASE
-)
+_LISTABLE = (".db3", ".mcap")
+_SPLITTABLE = re.compile(r".+(?P<ending>\.(?:db3|mcap|bag))(?:\.active)?" + _PACKED, re.IGNORECASE)
 _DATED = re.compile(r"(?P<prefix>.*?)(?P<date>\d{4}(?:-\d\d){5})")
 _LISTED = re.compile(r"\s*-\s+(?P<key>path:\s*)?[\"']?(?P<path>[^\"']+\.(?:db3|mcap)[^\"'\s]*)[\"']?\s*")
 _COUNT = re.compile(r"\s+message_count:\s*(\d+)\s*")
@@ -104,6 +106,24 @@ def possible_parts(names: Collection[str]) -> frozenset[str]:
     if METADATA in names:
         found |= {METADATA, *(name for name in names if ending_of(name))}
     return frozenset(found)
+
+
+def companies(names: Collection[str]) -> list[tuple[str, ...]]:
+    """Files of a folder that may be one recording, in groups of two or more; contents may part a group.
+
+    Examples
+    --------
+    >>> companies(["a_0.bag", "a_1.bag", "b_0.bag", "notes.txt"])
+    [('a_0.bag', 'a_1.bag')]
+    """
+    parts = possible_parts(names)
+    groups: dict[tuple[str, str], list[str]] = {}
+    for name in sorted(parts):
+        part = part_named(name)
+        is_listed = METADATA in parts and (name == METADATA or ending_of(name) in _LISTABLE)
+        if is_listed or part is not None:
+            groups.setdefault(("", METADATA) if is_listed or part is None else part.family, []).append(name)
+    return [tuple(group) for group in groups.values() if len(group) > 1]
 
 
 def relatives(part: Part, names: Iterable[str]) -> list[Part]:

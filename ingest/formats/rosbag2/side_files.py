@@ -19,13 +19,14 @@ The journal is rolled back first. Frames count up to the last that commits.
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 
 import numpy as np
 import numpy.typing as npt
 
+from flysid.ingest.formats.recordings.names import companies, ending_of
 from flysid.ingest.formats.rosbag2.sqlite_pages import HEADER_BYTES, MAGIC
 
 WAL = "-wal"
@@ -44,6 +45,18 @@ _WHOLE_FILE = 0xFFFFFFFF
 _CHECKED_BYTES = 1 << 22  # of frames at a time
 
 Words = npt.NDArray[np.uint32]
+
+
+def names_beside(name: str, names: Callable[[], Collection[str]]) -> list[str]:
+    """Files that may lie beside a log and that it is read with: side files, and others of its recording.
+
+    `names` lists the folder; it is called where the log's own name is that of a part.
+    """
+    family: Sequence[str] = ()
+    if ending_of(name):
+        family = next((group for group in companies(names()) if name in group), ())
+    files = [name, *(other for other in family if other != name)]
+    return [*files[1:], *(file + suffix for file in files for suffix in READ)]
 
 
 @dataclass

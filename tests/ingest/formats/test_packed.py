@@ -314,7 +314,7 @@ def test_an_encrypted_member_is_named_with_the_way_out(tmp_path: Path) -> None:
     blob[6] |= 1
     blob[blob.index(b"PK\x01\x02") + 8] |= 1
     path = put(tmp_path / "a.zip", bytes(blob))
-    with pytest.raises(FormatError, match="is encrypted; unpack it first"):
+    with pytest.raises(FormatError, match=r"is encrypted .*unpack it first"):
         flysid.read(path)
 
 
