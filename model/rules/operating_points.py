@@ -148,6 +148,7 @@ class _Asked:
             overshoot=np.array([float(a.overshoot[output]) for a in answers]),
             wrong_way=np.array([float(a.wrong_way[output]) for a in answers]),
             shares=place.shares,
+            sample_s=dt,
         )
 
     def _figures(self, model: SteadyMap, place: Place, samples: int | None) -> FloatArray | None:
