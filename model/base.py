@@ -86,6 +86,7 @@ class OperatingPoint:
     dead_s : (n_u,) seconds in which nothing can follow, beyond the sample that holds the input.
     overshoot, wrong_way : (n_u,) shares of the final change.
     shares : (R,) how loudly each rule speaks here; NaN: it is of another model, and has no say.
+    sample_s : what lies between two samples: a shorter time is no figure; 0 in files that do not tell.
     """
 
     output: int
@@ -99,6 +100,7 @@ class OperatingPoint:
     overshoot: FloatArray
     wrong_way: FloatArray
     shares: FloatArray
+    sample_s: float = 0.0
 
 
 @runtime_checkable

@@ -82,7 +82,13 @@ def points_as_json(points: Sequence[OperatingPoint]) -> list[dict[str, Any]]:
 def points_from(documents: Sequence[Mapping[str, Any]]) -> tuple[OperatingPoint, ...]:
     """What `points_as_json` wrote; files of before operating points hold none."""
     return tuple(
-        OperatingPoint(**{f.name: _number_or_array(document[f.name]) for f in fields(OperatingPoint)})
+        OperatingPoint(
+            **{
+                f.name: _number_or_array(document[f.name])
+                for f in fields(OperatingPoint)
+                if f.name in document
+            }
+        )
         for document in documents
     )
 

@@ -12,7 +12,12 @@ of tapered away, one record is enough, and the residual gives the noise, hence i
 Which band and which degree of T: of three widths and two degrees the pair with the smallest random error; too
 wide a band or too stiff a transient shows in the residual. (Degree 2 takes what a chirp does in its first
 seconds for a transient; degree 0 leaves it to the input.) Where the input has only a few lines (a sparse
-multisine), G is taken as constant.
+multisine), G is a line or a constant, and a constant belongs where the power of its lines lies.
+
+What G and T bend within a band is an error that all points nearby share, and that a residual hides under its
+noise. So every point is fitted once more with two degrees more of both: what the two part by, beyond chance,
+over the points that share its lines, counts as noise. Beyond the last line of an input, where all it holds is
+leakage that looks like a transient, nothing is left to trust.
 
 In a loop the input answers the noise, and that G is no plant. With references R that drive the loop from
 outside, inputs and output are both fitted to them, and the quotient is the plant's (joint input-output:
@@ -22,13 +27,13 @@ Pintelon & Schoukens, 2012, 2.6.4, 7.2.7; of several references the one of least
 
 its error is what Y - G U leaves over, in which the noise that the loop brought back cancels to first order.
 
-Cost: one transform per segment and three small least-squares problems per frequency.
+Cost: one transform per segment and seven small least-squares problems per frequency.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -60,12 +65,25 @@ class _Lines:
     first: int
 
 
+@dataclass(frozen=True)
+class _Place:
+    """A band: its middle (rad/s), its half width as a share of that, degree of the transients, and of G."""
+
+    omega: float
+    width: float
+    transient: int
+    degree: int | None = None
+    """None: as high as the lines carry, at most DEGREE."""
+
+
 @dataclass(frozen=True, eq=False)
 class _LocalPoint:
-    """One frequency: gains, their variances at a noise of 1 (complex), noise power, degrees of freedom,
-    averages, how every line enters the gains (weights (n_u, M) on lines `where`), and the least coherence of
-    the references with an input or the output (1 without references)."""
+    """One frequency: where (rad/s), gains, their variances at a noise of 1 (complex), noise power, degrees of
+    freedom, averages, how every line enters the gains (weights (n_u, M) on lines `where`), the least
+    coherence of the references with an input or the output (1 without references), how it was fitted, and
+    what share of the drives' power is no transient."""
 
+    omega: float
     gain: ComplexArray
     unit: FloatArray
     noise: float
@@ -73,12 +91,18 @@ class _LocalPoint:
     averages: float
     weights: ComplexArray
     where: IntArray
+    place: _Place
     driven: float = 1.0
+    heard: float = 1.0
 
     @property
     def error(self) -> float:
         """Largest relative variance over the inputs."""
-        return float(np.max(self.noise * self.unit / np.maximum(np.abs(self.gain) ** 2, 1e-300)))
+        return self.error_with(0.0)
+
+    def error_with(self, left: float | FloatArray) -> float:
+        """The same with more variance of the gains."""
+        return float(np.max((self.noise * self.unit + left) / np.maximum(np.abs(self.gain) ** 2, 1e-300)))
 
 
 def local_response(
@@ -105,14 +129,55 @@ def local_response(
         )
     omega = grid(lowest, dt_s, points, band)
     found = [_best_point(lines, float(w), n_u) for w in omega]
-    kept = [i for i, p in enumerate(found) if p is not None]
-    picked = [p for p in found if p is not None]
-    if len(kept) < 2:
+    picked = _in_order([p for p in found if p is not None], 0.5 * float(np.log(omega[1] / omega[0])))
+    if len(picked) < 2:
         raise DataError(
             "hardly any frequency is excited: no response can be measured",
             hint="fly a sweep, steps or doublets, or fit a model of few parameters (OE, ARX)",
         )
-    return _join(omega[kept], picked)
+    return _join(*_refine(lines, picked, n_u))
+
+
+def _refine(
+    lines: Sequence[_Lines], points: list[_LocalPoint], n_u: int, *, heard: float = 0.5
+) -> tuple[list[_LocalPoint], FloatArray]:
+    """Points, each replaced by its check where that errs less, and the variance by what they leave out.
+
+    A check that takes more of an input for a transient than it leaves (`heard`, a share of the power)
+    replaces nothing: it lives on how the input differs from a transient of that degree.
+    """
+    checks = [_check(lines, p, n_u) for p in points]
+    left = _left_out(points, checks)
+    better = {
+        k: check
+        for k, (point, check) in enumerate(zip(points, checks, strict=True))
+        if check is not None
+        and check.freedom >= FREEDOM
+        and check.heard > heard
+        and check.error < point.error_with(left[k])
+    }
+    if not better:
+        return points, left
+    points = [better.get(k, p) for k, p in enumerate(points)]
+    checks = [_check(lines, p, n_u) if k in better else checks[k] for k, p in enumerate(points)]
+    return points, _left_out(points, checks)
+
+
+def _in_order(points: Sequence[_LocalPoint], least: float) -> list[_LocalPoint]:
+    """By frequency; of points that moved onto the same line, nearer than `least` in ln omega, the best."""
+    kept: list[_LocalPoint] = []
+    for point in sorted(points, key=lambda p: p.omega):
+        if not kept or np.log(point.omega / kept[-1].omega) > least:
+            kept.append(point)
+        elif point.error < kept[-1].error:
+            kept[-1] = point
+    return kept
+
+
+def _check(lines: Sequence[_Lines], point: _LocalPoint, n_u: int, *, more: int = 2) -> _LocalPoint | None:
+    """The same point, degrees of G and T higher by `more`; None where the lines do not carry them."""
+    at = point.place
+    return _fit(lines, replace(at, transient=at.transient + more, degree=(at.degree or 0) + more), n_u)
 
 
 def _transform(records: Sequence[FloatArray], dt_s: float, drives: int) -> list[_Lines]:
@@ -159,40 +224,42 @@ def _best_point(lines: Sequence[_Lines], omega: float, n_u: int) -> _LocalPoint 
         while wide < WIDEST and _free_lines(lines, omega * (1 - wide), omega * (1 + wide), n_u) < FREEDOM:
             wide = min(1.15 * wide, WIDEST)
         widths = [wide]
-    found = [_fit(lines, (omega, w, t), n_u) for w in widths for t in TRANSIENT_DEGREES]
+    found = [_fit(lines, _Place(omega, w, t), n_u) for w in widths for t in TRANSIENT_DEGREES]
     best = [p for p in found if p is not None]
+    few = [p.place for p in best if p.place.degree != DEGREE]
+    full = [_fit(lines, replace(place, degree=DEGREE), n_u) for place in few]
+    best += [p for p in full if p is not None]
     return min(best, key=lambda p: p.error) if best else None
 
 
-def _fit(lines: Sequence[_Lines], place: tuple[float, float, int], n_u: int) -> _LocalPoint | None:
-    """Local least squares; None where the inputs have no power there.
-
-    `place`: frequency, half width of the band as a share of it, degree of the transients.
-    """
-    omega, width, degree = place
+def _fit(lines: Sequence[_Lines], place: _Place, n_u: int) -> _LocalPoint | None:
+    """Local least squares; None where the inputs have no power there."""
+    omega, width = place.omega, place.width
+    powers = (DEGREE if place.degree is None else place.degree) + 1
     blocks = []
+    power = np.zeros(n_u)
     rows = []
     where = []
     for segment in lines:
         at = slice(*np.searchsorted(segment.omega, [omega * (1 - width), omega * (1 + width)]))
         d = (segment.omega[at] - omega) / (omega * width)
-        if len(d) <= degree + 1:
+        if len(d) <= place.transient + 1:
             continue
-        basis, _ = np.linalg.qr(np.vander(d, degree + 1, increasing=True))
+        basis, _ = np.linalg.qr(np.vander(d, place.transient + 1, increasing=True))
         columns = (
-            segment.drives[at][:, None, :] * np.vander(d, DEGREE + 1, increasing=True)[:, :, None]
+            segment.drives[at][:, None, :] * np.vander(d, powers, increasing=True)[:, :, None]
         ).reshape(len(d), -1)
         both = np.column_stack([columns, segment.driven[at]])
         blocks.append(both - basis @ (basis.T @ both))
-        rows.append(len(d) - degree - 1)
+        power += np.sum(np.abs(segment.drives[at]) ** 2, axis=0)
+        rows.append(len(d) - place.transient - 1)
         where.append(np.arange(segment.first + at.start, segment.first + at.stop))
     if not blocks:
         return None
-    stacked = np.concatenate(blocks)
-    columns_of_gain = n_u * (DEGREE + 1)
-    return _solve(
-        stacked[:, :columns_of_gain], stacked[:, columns_of_gain:], sum(rows), n_u, np.concatenate(where)
-    )
+    phi, driven = np.split(np.concatenate(blocks), [n_u * powers], axis=1)
+    point = _solve(phi, driven, sum(rows), n_u, np.concatenate(where), place)
+    heard = np.sum(np.abs(phi[:, :n_u]) ** 2, axis=0) / np.maximum(power, 1e-300)
+    return None if point is None else replace(point, heard=float(heard.min()))
 
 
 def _solve(
@@ -201,24 +268,32 @@ def _solve(
     rows: int,
     n_u: int,
     where: IntArray,
+    place: _Place,
     *,
-    few_lines: float = 6.0,
     leverage: float = 2.25,
+    lines_per_power: float = 2.0,
 ) -> _LocalPoint | None:
     """Gains at the band's middle: the first n_u unknowns, of every driven signal.
 
-    `leverage`: a local parabola's variance in its middle, in units of that of a mean.
+    Parameters
+    ----------
+    leverage : a local parabola's variance in its middle, in units of that of a mean.
+    lines_per_power : lines with power that every power of G needs.
     """
     size = np.abs(phi[:, :n_u]) ** 2
     total = size.sum(axis=0)
     if not (total > 1e-20 * max(float(np.sum(np.abs(driven) ** 2)), 1e-300)).all():
         return None
-    spread = total**2 / np.maximum((size**2).sum(axis=0), 1e-300)
-    averages = float(rows)
-    if spread.min() < few_lines:
-        phi = phi[:, :n_u]
-    else:
-        averages /= leverage
+    omega, degree = place.omega, place.degree
+    if degree is None:
+        spread = total**2 / np.maximum((size**2).sum(axis=0), 1e-300)
+        degree = int(np.clip(spread.min() / lines_per_power - 1.0, 0, DEGREE))
+        place = replace(place, degree=degree)
+        if not degree:
+            off = np.sum(np.conj(phi[:, :n_u]) * phi[:, n_u : 2 * n_u], axis=0).real / total
+            omega *= 1.0 + place.width * float(off.mean())
+        phi = phi[:, : n_u * (degree + 1)]
+    averages = float(rows) if degree < 2 else rows / leverage
     lengths = np.sqrt(np.maximum((np.abs(phi) ** 2).sum(axis=0), 1e-300))
     left, sigma, right = np.linalg.svd(phi / lengths, full_matrices=False)
     kept = sigma > 1e-7 * sigma[0]
@@ -230,11 +305,11 @@ def _solve(
     residual = driven - phi @ theta
     averages = max(averages - n_u + 1, 1.0)
     if driven.shape[1] > 1:
-        return _quotient(theta[:n_u], residual, pseudo[:n_u], (freedom, averages), where)
+        return _quotient(theta[:n_u], residual, pseudo[:n_u], (freedom, averages), where, (omega, place))
     noise = float(np.sum(np.abs(residual) ** 2)) / freedom
     weights = pseudo[:n_u]
     unit = np.asarray((np.abs(weights) ** 2).sum(axis=1), dtype=np.float64)
-    return _LocalPoint(theta[:n_u, 0], unit, noise, freedom, averages, weights, where)
+    return _LocalPoint(omega, theta[:n_u, 0], unit, noise, freedom, averages, weights, where, place)
 
 
 def _quotient(
@@ -243,6 +318,7 @@ def _quotient(
     weights: ComplexArray,
     counts: tuple[int, float],
     where: IntArray,
+    at: tuple[float, _Place],
 ) -> _LocalPoint | None:
     """The plant behind what references (rows of `through`) do to its inputs and, last, to its output."""
     from scipy.special import fdtri
@@ -269,6 +345,7 @@ def _quotient(
     if not chance.max() < 1.0:
         return None
     return _LocalPoint(
+        omega=at[0],
         gain=gain,
         unit=np.asarray(np.diag(unit).real) / (1.0 - chance.max()),
         noise=float(np.sum(np.abs(left) ** 2)) / freedom,
@@ -276,30 +353,58 @@ def _quotient(
         averages=averages,
         weights=solve @ weights,
         where=where,
+        place=at[1],
         driven=float(told.min()),
     )
 
 
-def _join(omega: FloatArray, points: Sequence[_LocalPoint]) -> Spectral:
+def _join(points: Sequence[_LocalPoint], left: FloatArray) -> Spectral:
     gain = np.stack([p.gain for p in points])
     unit = np.stack([p.unit for p in points])
     averages = np.array([p.averages for p in points])[:, None]
     # the input's power is the one that explains the variance that least squares gives with so many averages:
     # an input that looks like a transient has none, whatever its lines are
     explained = np.abs(gain) ** 2 / np.maximum(averages * unit, 1e-300)
-    noise = np.maximum(np.array([p.noise for p in points])[:, None], 1e-15 * explained)
+    noise = np.array([p.noise for p in points])[:, None] + left / unit
+    noise = np.maximum(noise, 1e-15 * explained)
     coherence = explained / np.maximum(explained + noise, 1e-300)
     with np.errstate(divide="ignore", over="ignore"):
         error = np.sqrt(noise / (2.0 * averages * explained))
     return Spectral(
-        omega=omega,
+        omega=np.array([p.omega for p in points]),
         response=gain,
         coherence=np.minimum(coherence, np.array([p.driven for p in points])[:, None]),
         error=error,
         averages=np.repeat(averages, gain.shape[1], axis=1),
         freedom=np.array([2.0 * p.freedom for p in points]),
-        correlation=np.stack([_correlation(points, j) for j in range(gain.shape[1])]),
+        correlation=_correlations(points),
     )
+
+
+def _left_out(points: Sequence[_LocalPoint], checks: Sequence[_LocalPoint | None]) -> FloatArray:
+    """(F, n_u) variance of the gains by what the degrees of their points leave out.
+
+    How much more a point and its check part than chance lets them, in units of that chance, is averaged over
+    the points with the squares of their correlations: as far as they share lines.
+    """
+    chance = np.array([p.noise * p.unit for p in points])
+    parted = np.zeros_like(chance)
+    known = np.zeros(len(points))
+    for k, (point, check) in enumerate(zip(points, checks, strict=True)):
+        if check is not None and check.freedom > 2:
+            known[k] = 1.0
+            fair = check.freedom / (check.freedom - 1.0)  # mean of F with 2 and 2 x freedom
+            chance[k] = check.noise * np.maximum(check.unit - point.unit, 0.0)
+            parted[k] = np.abs(check.gain - point.gain) ** 2 / np.maximum(fair * chance[k], 1e-300)
+    weight = _correlations(points) ** 2 * known
+    with np.errstate(invalid="ignore"):
+        ratio = np.einsum("jkl,lj->kj", weight, parted) / weight.sum(axis=2).T
+    return np.asarray(chance * np.maximum(np.nan_to_num(ratio, nan=1.0) - 1.0, 0.0))
+
+
+def _correlations(points: Sequence[_LocalPoint]) -> FloatArray:
+    """(n_u, F, F) of the relative errors."""
+    return np.stack([_correlation(points, j) for j in range(len(points[0].gain))])
 
 
 def _correlation(points: Sequence[_LocalPoint], source: int) -> FloatArray:

@@ -24,7 +24,7 @@ NEIGHBOURS = 5
 """Points of a curve's stretch, at least."""
 POWERS = 3
 DRAWS = 400
-_LEAST_ERROR = 1e-9
+LEAST_ERROR = 1e-9
 Stretch = tuple[int, int]
 
 
@@ -51,7 +51,7 @@ class LoopCurve:
         phase -= 2.0 * np.pi * np.ceil((phase[0] - np.pi / 2) / (2.0 * np.pi))
         x = np.log(measured.omega[inside])
         raw = np.log(np.abs(g)) + 1j * phase
-        error = np.maximum(measured.half_width()[inside, source] / Z95, _LEAST_ERROR)
+        error = np.maximum(measured.half_width()[inside, source] / Z95, LEAST_ERROR)
         smooth = _smoother(x, error, POWERS)
         own = smooth @ raw
         away = _scatter(error, measured.correlation[source][np.ix_(inside, inside)])
@@ -71,17 +71,23 @@ class LoopCurve:
     def fall(self, values: FloatArray, *, last: bool) -> Stretch | None:
         """Where values (K, M) over the curves fall through 0, and stay below.
 
-        First and last index of the stretch from the last point that is clearly above 0 to the first that is
-        clearly below; between, noise may cross 0 again and again. `last`: of several falls the last.
+        First and last index of a stretch. The first fall may begin where the curve is not clearly above 0 any
+        more; the last one (`last`) ends where it stays clearly below. Between, noise may cross 0 again and
+        again.
         """
-        clear = Z95 * np.maximum(values[2:].std(axis=0), _LEAST_ERROR)
-        signs = np.where(values[0] > clear, 1, np.where(values[0] < -clear, -1, 0))
-        known = np.flatnonzero(signs)
-        falls = np.flatnonzero((signs[known[:-1]] > 0) & (signs[known[1:]] < 0))
-        if not len(falls):
+        clear = Z95 * np.maximum(values[2:].std(axis=0), LEAST_ERROR)
+        above = np.flatnonzero(values[0] > clear)
+        below = np.flatnonzero(values[0] < -clear)
+        if not len(above) or not len(below) or below[-1] < above[0]:
             return None
-        k = int(falls[-1] if last else falls[0])
-        return int(known[k]), int(known[k + 1])
+        if last:
+            doubt = np.flatnonzero(values[0] >= -clear)
+            return (
+                None if below[-1] < above[-1] else (int(above[-1]), int(min(doubt[-1] + 1, len(clear) - 1)))
+            )
+        stop = below[below > above[0]][0]
+        doubt = above[0] + np.flatnonzero(values[0, above[0] : stop + 1] <= clear[above[0] : stop + 1])
+        return int(doubt[0] - 1), int(stop)
 
     def place(self, values: FloatArray, stretch: Stretch) -> FloatArray:
         """(K,) x at which values (K, M) fall through 0 in a stretch: its length in which they are above."""

@@ -22,7 +22,7 @@ import numpy as np
 
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import UsageError
-from flysid.model.frequency.loop_curve import NEIGHBOURS, LoopCurve, Stretch, interval
+from flysid.model.frequency.loop_curve import LEAST_ERROR, NEIGHBOURS, LoopCurve, Stretch, interval
 from flysid.model.frequency.response import MeasuredResponse, measure_response
 from flysid.model.polynomials import DB, Z95
 
@@ -172,12 +172,25 @@ def _crossing(curve: LoopCurve) -> list[LoopFigure]:
     stretch = curve.fall(level, last=True)
     if stretch is None:
         return unknown(CROSSING, _never_one(level[0]))
+    if why := _comes_back(curve, stretch, "the loop's gain falls to 1"):
+        return unknown(CROSSING, why)
     x = curve.place(level, stretch)
     margin = 180.0 + np.degrees(curve.at(curve.every.imag, x))
     return [
         _figure(CROSSING[0], x, log=True, lost=_LOST),
         _not_below_0(_figure(CROSSING[1], margin, lost=_LOST)),
     ]
+
+
+def _comes_back(curve: LoopCurve, stretch: Stretch, falls: str) -> str:
+    """That a curve may fall once more, far beyond its first fall; else ""."""
+    first, last = curve.x[stretch[0]], curve.x[stretch[1]]
+    if last - first <= VAGUEST:
+        return ""
+    return (
+        f"{falls} at {np.exp(first):.3g} rad/s, and may once more by {np.exp(last):.3g}: which is the last "
+        "one is not known; fly longer, with more of the input there"
+    )
 
 
 def _never_one(level: FloatArray) -> str:
@@ -213,20 +226,21 @@ def _above_steady(curve: LoopCurve) -> FloatArray | None:
     """(K, M) ln |G| above the steady gain; None where the band does not show one.
 
     Towards frequency 0 the gain of what does not integrate is even in omega: a + b omega^2 over the lowest
-    octave. The second curve takes the lowest point's own gain for steady, so that the interval holds either.
+    octave, every point by how well it is known. The second curve takes their mean for steady, so that the
+    interval holds either.
     """
     level = curve.every.real
     octave = max(int(np.searchsorted(curve.x, curve.x[0] + np.log(2.0))), NEIGHBOURS)
     rising = np.exp(2.0 * (curve.x[:octave] - curve.x[0]))
-    steady, bend = np.linalg.lstsq(
-        np.column_stack([np.ones(octave), rising]), level[:, :octave].T, rcond=None
-    )[0]
+    sure = 1.0 / np.maximum(level[2:, :octave].std(axis=0), LEAST_ERROR)
+    basis = np.column_stack([np.ones(octave), rising]) * sure[:, None]
+    steady, bend = np.linalg.lstsq(basis, (level[:, :octave] * sure).T, rcond=None)[0]
     slope = 2.0 * bend  # of ln |G| over ln omega, at the lowest point
     turn = curve.every[:, 0].imag / (0.5 * np.pi)
     off = turn - 2.0 * np.round(turn[0] / 2.0)  # gain and phase say the same slope (Bode)
     if any(abs(v[0]) > STEEPEST or abs(v[0]) + Z95 * v[2:].std() > INTEGRATOR for v in (slope, off)):
         return None
-    steady[1] = level[1, 0]
+    steady[1] = level[1, :octave] @ sure**2 / np.sum(sure**2)
     return np.asarray(level - steady[:, None])
 
 
@@ -241,6 +255,8 @@ def _half_power(curve: LoopCurve, above: FloatArray) -> LoopFigure:
     stretch = curve.fall(above + HALF_POWER, last=True)
     if stretch is None:
         why = "the gain does not clearly fall by 3 dB in the trusted band"
+        return LoopFigure(COMMAND[0], None, why=why)
+    if why := _comes_back(curve, stretch, "the gain falls by 3 dB"):
         return LoopFigure(COMMAND[0], None, why=why)
     return _figure(COMMAND[0], curve.place(above + HALF_POWER, stretch), log=True, lost=_LOST)
 

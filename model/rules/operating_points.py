@@ -182,6 +182,7 @@ class _Asked:
             overshoot=np.array([a.overshoot for a in answers]),
             wrong_way=np.array([a.wrong_way for a in answers]),
             shares=place.shares,
+            sample_s=dt,
         )
 
     def _figures(self, model: SteadyMap, place: Place, samples: int | None) -> FloatArray | None:

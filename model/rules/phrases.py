@@ -13,7 +13,7 @@ from flysid.model.base import OperatingPoint, Rule
 from flysid.model.polynomials import NEARLY_ONE, ROUNDING
 from flysid.model.rules.linguistics import Piece, words_of_one, words_of_several
 from flysid.model.rules.memberships import Partition
-from flysid.model.rules.operating_words import WORTH, Signals, answers_like, near
+from flysid.model.rules.operating_words import WORTH, Signals, after, answers_like, near
 from flysid.model.rules.vocabulary import Axis
 from flysid.showing import significant
 
@@ -175,8 +175,10 @@ def _at_rest(at: int, rules: Sequence[Rule], signals: Signals) -> list[str]:
         figures = zip(point.gain.tolist(), signals[1], strict=True)
         several = len(signals[1]) > 1
         gain = ", ".join(_gain_text(g, given, output) + several * f" of {given.name}" for g, given in figures)
-        times = " and ".join(dict.fromkeys(significant(t) for t in point.reached_s if np.isfinite(t)))
-        does = f"as {like}" if like else f"gain {gain}" + (f", 63 % after {times} s" if times else "")
+        reached = [float(t) for t in point.reached_s if np.isfinite(t)]
+        times = f"{' and '.join(dict.fromkeys(map(significant, reached)))} s"
+        does = f"as {like}" if like else f"gain {gain}"
+        does += f", 63 % {after(reached, [point], times)}" if reached and not like else ""
         said.append(f"at rest {near(point, output)}: {does}")
     return said
 

@@ -129,6 +129,7 @@ def answers(model: Fitted) -> tuple[OperatingPoint, ...]:
                 overshoot=overshoot,
                 wrong_way=wrong_way,
                 shares=np.ones(1),
+                sample_s=model.dt_s,
             )
         )
     return tuple(found)

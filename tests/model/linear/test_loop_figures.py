@@ -10,6 +10,7 @@ from scipy.signal import lfilter
 
 from bench.closed_loop import Loop, direct
 from bench.loop_margins import flown, truth
+from bench.truth.records import draw_record
 from flysid.dataset import Dataset, FloatArray, Signal
 from flysid.errors import UsageError
 from flysid.model.frequency.loop_curve import LoopCurve
@@ -139,6 +140,23 @@ def test_an_integrator_has_no_bandwidth() -> None:
     (found,) = [f for f in command_figures(measure_response(data)) if f.name == "bandwidth_rads"]
     assert found.value is None
     assert "not shown to be flat" in found.why
+
+
+def test_a_crossing_that_may_come_back_is_not_the_last() -> None:
+    """A resonance that may or may not reach 1 beyond the crossing: 0.24 was printed for 2.93 rad/s."""
+    record = draw_record(700100237, "loops")
+    found = loop_figures(broken_loop(record.data, reference="r", at=record.reference))
+    crossover = found[0]
+    assert crossover.value is None
+    assert "may once more by" in crossover.why
+
+
+def test_nothing_is_read_beyond_the_last_line_of_a_multisine() -> None:
+    """There its lower lines were taken for a constant: a peak of S of 0.07 dB was printed for 5.1."""
+    record = draw_record(700100224, "loops")
+    found = loop_figures(broken_loop(record.data, reference="r", at=record.reference))
+    assert found[3].name == "sensitivity_peak_db"
+    assert found[3].value is None
 
 
 def test_what_flew_has_no_negative_margin() -> None:

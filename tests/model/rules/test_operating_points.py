@@ -126,6 +126,19 @@ def test_one_rule_is_said_once_with_its_dead_time(delay: int) -> None:
     assert "One rule, as asked." in str(model)
 
 
+def test_a_time_that_no_sample_resolves_is_a_bound() -> None:
+    """ "63 % of that is reached after 0.068 s" was said of a log of 9.9 Hz."""
+    dt = 0.1
+    u = np.repeat(np.random.default_rng(4).uniform(-1, 1, 100), 6)
+    quick = np.exp(-dt / 0.03)
+    y = np.asarray(lfilter([0.0, 1.0 - quick], [1.0, -quick], u))
+    y += 0.01 * np.random.default_rng(5).standard_normal(len(u))
+    data = Dataset.from_arrays(u, y, dt, inputs=["u"], outputs=["y"])
+    said = str(over_lags(TS(rules=1, na=1, nb=1, nk=1), data))
+    assert "63 % of that is reached within one sample, 0.1 s" in said
+    assert "reached after" not in said
+
+
 def test_a_first_move_the_wrong_way_is_told() -> None:
     dt = 0.05
     u = np.repeat(np.random.default_rng(2).uniform(-1, 1, 80), 15)

@@ -85,7 +85,7 @@ def test_a_response_that_changes_with_size_is_cautioned_in_both_verbs(tmp_path: 
     """A saturation cuts what is slow and large, and hardly what is quick: no one response does both."""
     rng = np.random.default_rng(6)
     dt_s = 0.02
-    slow = 6.0 * np.repeat(rng.normal(size=12), 500)
+    slow = 3.0 * np.repeat(rng.normal(size=12), 500)
     quick = 0.3 * np.repeat(rng.normal(size=600), 10)
     u = slow + quick
     y = np.zeros(len(u))

@@ -12,6 +12,7 @@ from scipy.signal import lfilter
 
 from bench.closed_loop import SWEPT_HZ, Loop, direct
 from bench.truth.records import draw_record
+from bench.truth.verbs import loop_truth
 from flysid.cli.tf import command
 from flysid.dataset import Dataset
 from flysid.errors import UsageError
@@ -153,6 +154,25 @@ def test_a_closed_loop_is_trusted_where_its_reference_moves_it(tmp_path: Path) -
     wrong = call(*order, "--reference", "sweep", cwd=tmp_path)
     assert wrong.returncode == 2
     assert "no log has a field 'sweep'" in wrong.stderr
+
+
+def test_no_figure_is_read_off_what_a_chirp_leaks(tmp_path: Path) -> None:
+    """Beyond its last frequency all lines are leakage: a peak of S of 6.68 dB [6.67, 6.69] was printed for
+    2.5."""
+    record = draw_record(700100233, "loops")
+    assert record.controller is not None
+    true = loop_truth(record.plant, record.controller, record.data.dt_s)
+    (segment,) = record.data.segments
+    rows = np.column_stack([np.arange(len(segment)) * record.data.dt_s, segment.u, segment.y])
+    log = tmp_path / "loop.csv"
+    np.savetxt(log, rows, delimiter=",", header="time_s,u,r,y", comments="", fmt="%.12g")
+    order = ["tf", str(log), "--from", "u", "--to", "y", "--poles", "1", "--zeros", "0", "--json", "-q"]
+    done = call(*order, "--reference", "r", "--reference-at", record.reference, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    figures = json.loads(done.stdout)["channels"][0]["figures"]["loop"]
+    peak = figures["sensitivity_peak_db"]
+    assert peak["value"] is None or peak["low"] <= true["sensitivity_peak_db"] <= peak["high"]
+    assert sum(figure["value"] is not None for figure in figures.values()) >= 1
 
 
 def test_what_is_said_of_a_loop() -> None:

@@ -11,8 +11,9 @@ from markupsafe import Markup
 
 from flysid.dataset import FloatArray
 from flysid.escaping import one_line
-from flysid.model.base import Fitted
+from flysid.model.base import Fitted, OperatingPoint
 from flysid.model.capabilities import HasOperatingPoints
+from flysid.model.rules.operating_words import after
 from flysid.showing import clock
 from flysid.validate.compare.comparison import Comparison, begin_s, segment_names
 from flysid.validate.compare.trials import StructureTrial
@@ -99,9 +100,9 @@ def answer(comparison: Comparison, place: tuple[int, int]) -> str:
     pair = comparison.verdict.get(comparison.test.outputs[output].name)
     name = comparison.contender if pair is not None and pair.earned else comparison.baseline
     model = comparison.fitted[name or comparison.baseline]
-    found = list(_answers(model, output, signal))
-    gains = np.array([gain for gain, _ in found])
-    seconds = np.array([reached for _, reached in found])
+    found = list(_answers(model, output))
+    gains = np.array([p.gain[signal] for p in found])
+    seconds = np.array([p.reached_s[signal] for p in found])
     if not found or not np.isfinite([gains, seconds]).all() or abs(np.sign(gains).sum()) < len(gains):
         return ""
     y = comparison.test.outputs[output]
@@ -109,15 +110,14 @@ def answer(comparison: Comparison, place: tuple[int, int]) -> str:
     more = f"one more {u.unit} of {u.name}" if u.unit else f"one unit more of {u.name}"
     size = f"{_range(np.abs(gains))} {y.unit}".strip()
     effect = f"adds {size} to {y.name}" if gains[0] > 0 else f"takes {size} from {y.name}"
-    return one_line(f"{more[0].upper()}{more[1:]} {effect}; 63 % of that after {_range(seconds)} s.")
+    time = after(seconds.tolist(), found, f"{_range(seconds)} s")
+    return one_line(f"{more[0].upper()}{more[1:]} {effect}; 63 % of that {time}.")
 
 
-def _answers(model: Fitted, output: int, signal: int) -> Iterator[tuple[float, float]]:
-    """Final change per unit, and seconds until 63 % of it, wherever the model's behaviour is known."""
+def _answers(model: Fitted, output: int) -> Iterator[OperatingPoint]:
+    """Wherever the model's behaviour is known."""
     known = model.operating_points if isinstance(model, HasOperatingPoints) else ()
-    for p in known or answers(model):
-        if p.output == output:
-            yield float(p.gain[signal]), float(p.reached_s[signal])
+    return (p for p in known or answers(model) if p.output == output)
 
 
 def _range(values: FloatArray) -> str:

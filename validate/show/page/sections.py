@@ -231,11 +231,11 @@ def _rule_row(
     """
     j, signal = place
     gain = float(np.asarray(rule.dc_gain)[j, signal])
-    tau = rule.time_constant_s
+    tau, sample_s = rule.time_constant_s, 0.0
     without = UNSTABLE if rule.pole_radius >= 1.0 + ROUNDING else ""
     here = next((p for p in rule.here if p.output == j), alone)
     if here is not None:
-        gain, tau = float(here.gain[signal]), float(here.reached_s[signal])
+        gain, tau, sample_s = float(here.gain[signal]), float(here.reached_s[signal]), here.sample_s
     elif known:
         gain, tau, without = np.nan, np.nan, NOWHERE
     return RuleRow(
@@ -246,10 +246,17 @@ def _rule_row(
         gain=without or (number(gain) if np.isfinite(gain) else "integrates"),
         gain_interval="",
         time_interval="",
-        time_constant=without or (f"{number(tau)} s" if np.isfinite(tau) else "integrates"),
+        time_constant=without or _duration(tau, sample_s),
         pole=f"{rule.pole_radius:.4f}",
         used=float(np.clip(rule.support, 0.0, 1.0)),
     )
+
+
+def _duration(seconds: float, sample_s: float) -> str:
+    """What no sample resolves is a bound."""
+    if not np.isfinite(seconds):
+        return "integrates"
+    return f"< {number(sample_s)} s" if seconds < sample_s else f"{number(seconds)} s"
 
 
 def _typeset(words: str) -> str:
