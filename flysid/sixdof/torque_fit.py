@@ -117,7 +117,7 @@ def fit_torques(
     free = [layout.LAG, layout.DELAY, *range(DAMPING, DAMPING + 3), *range(EFFECTS, layout.count(motors))]
     free += list(range(LEAN, LEAN + 2)) if has_air else []
     limits = layout.limits(motors)
-    measured = [_filtered(sections, np.diff(p.rates, axis=0) / p.dt_s) for p in pieces]
+    measured = [filter_columns(sections, np.diff(p.rates, axis=0) / p.dt_s) for p in pieces]
     scale = np.sqrt(np.mean(np.concatenate(measured) ** 2, axis=0))
     scale[scale <= 0.0] = 1.0
 
@@ -147,7 +147,8 @@ def _left_by_axis(blocks: Sequence[Block]) -> FloatArray:
     return np.asarray(np.sqrt(np.mean(left, axis=0)))
 
 
-def _filtered(sections: Sequence[FloatArray], x: FloatArray) -> FloatArray:
+def filter_columns(sections: Sequence[FloatArray], x: FloatArray) -> FloatArray:
+    """(n, ...) every column through a zero-phase filter, see `band_of`."""
     columns = [run_both_ways(sections, column) for column in x.reshape(len(x), -1).T]
     return np.stack(columns, axis=1).reshape(x.shape)
 
@@ -188,7 +189,7 @@ def _told(basis: FloatArray, theta: FloatArray) -> tuple[FloatArray, FloatArray]
 def _blocks(
     piece: Piece, measured: FloatArray, scale: FloatArray, sections: Sequence[FloatArray], theta: FloatArray
 ) -> list[Block]:
-    told, slopes = _told(_filtered(sections, _basis(piece, theta)), theta)
+    told, slopes = _told(filter_columns(sections, _basis(piece, theta)), theta)
     return cut_into_blocks((measured - told) / scale, slopes / scale[:, None], round(BLOCK_S / piece.dt_s))
 
 
