@@ -141,6 +141,39 @@ def fit_torques(
     return descend(blocks_at, first.theta, free, limits)
 
 
+def odds_of_none(
+    pieces: Sequence[Piece],
+    theta: FloatArray,
+    band_hz: tuple[float, float] = BAND_HZ,
+    *,
+    shifts: int = 400,
+    seed: int = 0,
+) -> float:
+    """Chance that motors explain so much of angular accelerations where nothing follows them.
+
+    Commands that are shifted in time explain nothing, and are as slow as the true ones. Of the three axes
+    that counts which is explained best.
+
+    Parameters
+    ----------
+    shifts : how many are tried; the least chance is 3 over their number.
+    """
+    sections = band_of(pieces[0].dt_s, band_hz)
+    turned = np.concatenate([filter_columns(sections, np.diff(p.rates, axis=0) / p.dt_s) for p in pieces])
+    means = [interval_means(p.halves(theta)[0]) for p in pieces]
+    share = np.concatenate([filter_columns(sections, x - x.mean(axis=0)) for x in means])
+    inverse = np.linalg.pinv(share.T @ share, hermitian=True)
+
+    def explained(shift: int) -> FloatArray:
+        by = share.T @ np.roll(turned, shift, axis=0)
+        return np.asarray((by * (inverse @ by)).sum(axis=0))
+
+    least = min(round(BLOCK_S / pieces[0].dt_s), len(turned) // 3)
+    tried = np.random.default_rng(seed).integers(least, len(turned) - least, shifts)
+    more = np.array([explained(int(shift)) for shift in tried]) >= explained(0)
+    return min(1.0, 3.0 * (1.0 + float(more.sum(axis=0).min())) / (1.0 + shifts))
+
+
 def _left_by_axis(blocks: Sequence[Block]) -> FloatArray:
     """(3,) root mean squares of residuals: a block holds its axes one after another."""
     left = [np.mean(residuals.reshape(3, -1) ** 2, axis=1) for residuals, _ in blocks]
