@@ -1,17 +1,22 @@
 """Hidden vehicles in RotorPy: are their numbers found, do intervals hold, do free runs stay near?
 
-`python -m bench.rotorpy_vehicles [vehicles] [first seed]`: mass, inertias, arms, lag, k_eta, k_m and drag are
-drawn anew. Each vehicle flies two figures under RotorPy's own controller with quick steps on top, logged at
-100 Hz with noise. A third flight, which nothing was fitted to, is flown again for 5 s without a controller:
-by the fit, and by RotorPy with the exported parameters.
+`python -m bench.rotorpy_vehicles [vehicles] [first seed] [--rows FILE]`: mass, inertias, arms, lag, k_eta,
+k_m and drag are drawn anew. Each vehicle flies two figures under RotorPy's own controller with quick steps on
+top, logged at 100 Hz with noise. A third flight, which nothing was fitted to, is flown again for 5 s without
+a controller: by the fit, and by RotorPy with the exported parameters. Vehicles whose rows FILE holds are not
+flown again.
 """
 
 from __future__ import annotations
 
+import argparse
+import json
 import sys
 import time
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from importlib.util import find_spec
+from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
@@ -211,56 +216,104 @@ def apart_m(flown: Flown, vehicle: FittedVehicle, exported: Mapping[str, Any]) -
     return float(np.linalg.norm(states[-1, :3] - there)), float(np.linalg.norm(state["x"] - there))
 
 
-def main(vehicles: int, first_seed: int) -> None:
-    """Print a line a vehicle, and the medians."""
-    off: dict[str, list[float]] = {}
-    hits: list[bool] = []
-    metres: list[tuple[float, float]] = []
-    for seed in range(first_seed, first_seed + vehicles):
-        began = time.process_time()
-        rng = np.random.default_rng(seed)
-        parameters = draw(rng)
-        flights = [fly(parameters, FLIGHT_S, rng) for _ in range(2)]
-        unseen = fly(parameters, 2.0 + AHEAD_S + 0.1, rng)
-        flown_s = time.process_time() - began
-        vehicle = flysid.Vehicle(zero=0.0, full=SPEED_MAX, calm=True).fit(dataset(flights, rng))
-        wrong = []
-        for name, value in truth(parameters).items():
-            number = vehicle[name]
-            off.setdefault(name.rstrip(" 1234").replace(" of motor", ""), []).append(
-                abs(number.value / value - 1.0)
-            )
-            if number.is_determined:
-                hits.append(abs(number.value - value) <= number.half_width)
-                wrong += (
-                    []
-                    if hits[-1]
-                    else [f"{name} {number.value:.4g} +- {number.half_width:.1g} for {value:.4g}"]
-                )
-        arm = float(np.mean([np.linalg.norm(p[:2]) for p in parameters["rotor_pos"].values()]))
-        exported = rotorpy_parameters(vehicle, parameters["mass"], arm)
-        metres.append(apart_m(unseen, vehicle, exported))
-        seconds = time.process_time() - began
-        print(
-            f"{seed}: by {vehicle.method}, {metres[-1][0]:.3f} m, exported {metres[-1][1]:.3f} m, "
-            f"CPU {flown_s:.0f} + {seconds - flown_s:.0f} s; {'; '.join(wrong)}",
-            flush=True,
+def try_vehicle(seed: int) -> Row:
+    """One hidden vehicle: flown, fitted, compared, flown again."""
+    began = time.process_time()
+    rng = np.random.default_rng(seed)
+    parameters = draw(rng)
+    flights = [fly(parameters, FLIGHT_S, rng) for _ in range(2)]
+    unseen = fly(parameters, 2.0 + AHEAD_S + 0.1, rng)
+    flown_s = time.process_time() - began
+    vehicle = flysid.Vehicle(zero=0.0, full=SPEED_MAX, calm=True).fit(dataset(flights, rng))
+    numbers = {}
+    for name, value in truth(parameters).items():
+        found = vehicle[name]
+        numbers[name] = (value, found.value, found.half_width if found.is_determined else None)
+    arm = float(np.mean([np.linalg.norm(p[:2]) for p in parameters["rotor_pos"].values()]))
+    own_m, exported_m = apart_m(unseen, vehicle, rotorpy_parameters(vehicle, parameters["mass"], arm))
+    fitted_s = time.process_time() - began - flown_s
+    return Row(seed, vehicle.method, numbers, own_m, exported_m, flown_s, fitted_s)
+
+
+@dataclass(frozen=True)
+class Row:
+    """What came of one vehicle.
+
+    Attributes
+    ----------
+    numbers : name -> truth, estimate, half of its 95 % interval; None where it is not determined.
+    own_m, exported_m : after 5 s without a controller.
+    """
+
+    seed: int
+    method: str
+    numbers: Mapping[str, tuple[float, float, float | None]]
+    own_m: float
+    exported_m: float
+    flown_s: float
+    fitted_s: float
+
+    @property
+    def hits(self) -> dict[str, bool]:
+        """Of every number that is determined: whether its interval holds the truth."""
+        known = ((name, *values) for name, values in self.numbers.items())
+        return {name: abs(found - value) <= half for name, value, found, half in known if half is not None}
+
+    def __str__(self) -> str:
+        missed = [name for name, hit in self.hits.items() if not hit]
+        words = (f"{name} {self.numbers[name][1]:.4g} for {self.numbers[name][0]:.4g}" for name in missed)
+        return (
+            f"{self.seed}: by {self.method}, {self.own_m:.3f} m, exported {self.exported_m:.3f} m, "
+            f"CPU {self.flown_s:.0f} + {self.fitted_s:.0f} s; {'; '.join(words)}"
         )
-    for name, values in off.items():
-        middle, most = 100 * np.median(values), 100 * np.max(values)
-        print(f"{name:24} off by {middle:.2f} % in the median, {most:.2f} % at most")
-    everything = [100.0 * v for values in off.values() for v in values]
+
+
+def kept_rows(file: Path | None) -> dict[int, Row]:
+    """Rows of a file by seed; none where there is no file."""
+    if file is None or not file.exists():
+        return {}
+    rows = [Row(**json.loads(line)) for line in file.read_text().splitlines()]
+    return {row.seed: row for row in rows}
+
+
+def summarise(rows: Sequence[Row]) -> None:
+    """Print the medians and shares over vehicles."""
+    off: dict[str, list[float]] = {}
+    for row in rows:
+        for name, (value, found, _) in row.numbers.items():
+            kind = name.rstrip(" 1234").replace(" of motor", "")
+            off.setdefault(kind, []).append(100.0 * abs(found / value - 1.0))
+    for kind, values in off.items():
+        print(f"{kind:24} off by {np.median(values):.2f} % in the median, {np.max(values):.2f} % at most")
+    everything = np.concatenate([*off.values()])
     print(f"all numbers: {np.median(everything):.2f} % in the median, goal 5 %")
+    hits = [hit for row in rows for hit in row.hits.values()]
     print(f"intervals hold {100 * np.mean(hits):.1f} % of {len(hits)}, goal 92 to 98 %")
-    own, other = np.median(metres, axis=0)
+    own, other = np.median([(row.own_m, row.exported_m) for row in rows], axis=0)
     print(f"after {AHEAD_S:g} s without a controller: {own:.3f} m, exported {other:.3f} m, goal 0.1 m")
 
 
+def main() -> None:
+    """Print a line a vehicle, and the medians."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("vehicles", nargs="?", type=int, default=20)
+    parser.add_argument("first", nargs="?", type=int, default=0)
+    parser.add_argument("--rows", type=Path)
+    wanted = parser.parse_args()
+    kept = kept_rows(wanted.rows)
+    rows = []
+    for seed in range(wanted.first, wanted.first + wanted.vehicles):
+        row = kept.get(seed) or try_vehicle(seed)
+        if wanted.rows is not None and seed not in kept:
+            with wanted.rows.open("a") as file:
+                file.write(json.dumps(asdict(row)) + "\n")
+        print(row, flush=True)
+        rows.append(row)
+    summarise(rows)
+
+
 if __name__ == "__main__":
-    try:
-        import rotorpy  # noqa: F401
-    except ModuleNotFoundError:
+    if find_spec("rotorpy") is None:
         print("rotorpy is not installed: skipped")
         sys.exit(0)
-    numbers = [int(word) for word in sys.argv[1:]]
-    main(*(numbers + [20, 0][len(numbers) :]))
+    main()

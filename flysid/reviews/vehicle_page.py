@@ -87,7 +87,7 @@ def _head(vehicle: FittedVehicle) -> str:
 def _findings(vehicle: FittedVehicle, judged: Judgement | None) -> Iterator[Finding]:
     """How far it predicts, and how much of it is known."""
     if judged is not None:
-        grade = Grade.GOOD if judged.leads_all else Grade.PLAIN if judged.led else Grade.WATCH
+        grade = Grade.GOOD if judged.leads_all else Grade.PLAIN if judged.stands else Grade.WATCH
         for words in judged.words():
             text, _, more = words.partition(". ")
             yield Finding(capital(text), grade, 1.0, "", more)

@@ -5,6 +5,7 @@ A start is whole if telemetry is undamaged from `BEFORE_S` before it to its hori
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,6 +17,7 @@ from flysid.sixdof.fitted import FittedVehicle
 from flysid.sixdof.layout import ARM, BODY_DRAG, DAMPING, INERTIA, LEAN, ROTOR_DRAG, THRUST, TRIM
 from flysid.sixdof.record import Record
 from flysid.sixdof.rigid_body import GRAVITY
+from flysid.sixdof.rules import ROLL, Conditions, Rule, add_up
 from flysid.sixdof.torque_fit import log_voltage_of
 from flysid.stretch import FloatArray
 
@@ -169,18 +171,50 @@ def averaged(values: FloatArray, time_s: float, dt_s: float) -> FloatArray:
     return np.concatenate([np.zeros((1, *values.shape[1:])), found])
 
 
+def torque_apart(record: Record, driven: Driven, added: FloatArray | None = None) -> FloatArray:
+    """(N - 1, 3) angular acceleration beyond what a vehicle's numbers say, and rules add."""
+    left = np.diff(record.gyro, axis=0) / record.dt_s - driven.torque - driven.turning
+    return np.asarray(left if added is None else left - added)
+
+
 def torque_left(starts: Starts, driven: Driven, time_s: float = TORQUE_S) -> FloatArray:
     """(N, 3) disturbance of angular acceleration, as the samples before show it."""
-    seen = np.diff(starts.record.gyro, axis=0) / starts.dt_s
-    return averaged(seen - driven.torque - driven.turning, time_s, starts.dt_s)
+    return averaged(torque_apart(starts.record, driven), time_s, starts.dt_s)
+
+
+def force_apart(
+    record: Record, driven: Driven, vehicle: FittedVehicle, added: FloatArray | None = None
+) -> FloatArray:
+    """(N - 1, 3) specific force in body axes beyond what a vehicle's numbers say, and rules add."""
+    assert record.velocity is not None
+    assert record.attitude is not None
+    seen = np.diff(record.velocity, axis=0) / record.dt_s + np.array([0.0, 0.0, GRAVITY])
+    body = rotations.to_body(record.attitude[:-1], seen)
+    air = rotations.to_body(record.attitude, record.velocity)[:-1]
+    left = body - _force(vehicle, driven.lift, driven.spin, air)
+    return np.asarray(left if added is None else left - added)
 
 
 def force_left(starts: Starts, driven: Driven, vehicle: FittedVehicle, time_s: float = FORCE_S) -> FloatArray:
     """(N, 3) disturbance of specific force in body axes, as the samples before show it."""
-    seen = np.diff(starts.velocity, axis=0) / starts.dt_s + np.array([0.0, 0.0, GRAVITY])
-    body = rotations.to_body(starts.attitude[:-1], seen)
-    air = rotations.to_body(starts.attitude, starts.velocity)[:-1]
-    return averaged(body - _force(vehicle, driven.lift, driven.spin, air), time_s, starts.dt_s)
+    return averaged(force_apart(starts.record, driven, vehicle), time_s, starts.dt_s)
+
+
+def conditions_of(record: Record, driven: Driven) -> Conditions:
+    """From sample to sample, N - 1 times."""
+    assert record.velocity is not None
+    assert record.attitude is not None
+    assert record.position is not None
+    air = rotations.to_body(record.attitude, record.velocity)[:-1]
+    height = record.position[:-1, 2] - lowest(record)
+    return Conditions(air, driven.lift, driven.torque, height)
+
+
+def lowest(record: Record) -> float:
+    """m, the lowest place whose telemetry is whole."""
+    assert record.position is not None
+    whole = record.position[~record.lost, 2]
+    return float(whole.min()) if len(whole) else 0.0
 
 
 def _force(vehicle: FittedVehicle, lift: FloatArray, spin: FloatArray, air: FloatArray) -> FloatArray:
@@ -193,19 +227,31 @@ def _force(vehicle: FittedVehicle, lift: FloatArray, spin: FloatArray, air: Floa
     return np.asarray(force)
 
 
-def turn_ahead(starts: Starts, vehicle: FittedVehicle, driven: Driven) -> tuple[FloatArray, FloatArray]:
-    """(H, S, 4) attitudes and (H, S, 3) rates by physics, disturbances of torque held."""
+def turn_ahead(
+    starts: Starts, vehicle: FittedVehicle, driven: Driven, rules: Sequence[Rule] = ()
+) -> tuple[FloatArray, FloatArray]:
+    """(H, S, 4) attitudes and (H, S, 3) rates by physics and rules, disturbances of torque held.
+
+    Rules see the speed and the height of the start, and the torques of every step.
+    """
     at = starts.at
     dt = starts.dt_s
     rate = starts.record.gyro[at].copy()
     attitude = starts.attitude[at].copy()
-    held = torque_left(starts, driven)[at]
+    known = conditions_of(starts.record, driven) if rules else None
+    added = None if known is None else add_up(rules, known)[:, ROLL:]
+    held = averaged(torque_apart(starts.record, driven, added), TORQUE_S, dt)[at]
     attitudes = []
     rates = []
     damping = vehicle.theta[DAMPING : DAMPING + 3]
     start = rate.copy()
     for step in range(starts.steps):
         other = driven.turning[at] - damping * driven.spin[at, None] * (rate - start)
+        if known is not None:
+            now = Conditions(
+                known.air[at], driven.lift[at + step], driven.torque[at + step], known.height[at]
+            )
+            other = other + add_up(rules, now)[:, ROLL:]
         after = rate + dt * (driven.torque[at + step] + other + held)
         attitude = rotations.product(attitude, rotations.from_vector(0.5 * dt * (rate + after)))
         rate = after
@@ -215,12 +261,14 @@ def turn_ahead(starts: Starts, vehicle: FittedVehicle, driven: Driven) -> tuple[
 
 
 def move_ahead(
-    starts: Starts, vehicle: FittedVehicle, driven: Driven, attitudes: FloatArray
+    starts: Starts, vehicle: FittedVehicle, driven: Driven, attitudes: FloatArray, rules: Sequence[Rule] = ()
 ) -> tuple[FloatArray, FloatArray]:
-    """(H, S, 3) positions and velocities by physics along these attitudes, disturbances of force held."""
+    """(H, S, 3) positions and velocities along these attitudes, disturbances of force held."""
     at = starts.at
     dt = starts.dt_s
-    held = force_left(starts, driven, vehicle)[at]
+    floor = lowest(starts.record)
+    added = add_up(rules, conditions_of(starts.record, driven))[:, :ROLL] if rules else None
+    held = averaged(force_apart(starts.record, driven, vehicle, added), FORCE_S, dt)[at]
     position = starts.position[at].copy()
     velocity = starts.velocity[at].copy()
     before = starts.attitude[at]
@@ -230,6 +278,10 @@ def move_ahead(
         half_way = rotations.unit(before + attitudes[step])
         air = rotations.to_body(half_way, velocity)
         force = _force(vehicle, driven.lift[at + step], driven.spin[at + step], air) + held
+        if rules:
+            height = position[:, 2] - floor
+            now = Conditions(air, driven.lift[at + step], driven.torque[at + step], height)
+            force = force + add_up(rules, now)[:, :ROLL]
         moved = rotations.to_world(half_way, force) - np.array([0.0, 0.0, GRAVITY])
         position = position + dt * velocity + 0.5 * dt * dt * moved
         velocity = velocity + dt * moved
@@ -239,11 +291,11 @@ def move_ahead(
     return np.array(positions), np.array(velocities)
 
 
-def fly_ahead(starts: Starts, vehicle: FittedVehicle) -> Ahead:
-    """The vehicle alone: physics, with the disturbances that the samples before a start show held."""
+def fly_ahead(starts: Starts, vehicle: FittedVehicle, rules: Sequence[Rule] = ()) -> Ahead:
+    """The vehicle alone: physics and rules, held disturbances that the samples before a start show."""
     driven = drive(starts.record, vehicle)
-    attitudes, rates = turn_ahead(starts, vehicle, driven)
-    return Ahead(*move_ahead(starts, vehicle, driven, attitudes), attitudes, rates)
+    attitudes, rates = turn_ahead(starts, vehicle, driven, rules)
+    return Ahead(*move_ahead(starts, vehicle, driven, attitudes, rules), attitudes, rates)
 
 
 def errors(starts: Starts, ahead: Ahead) -> FloatArray:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -11,12 +11,14 @@ from flysid.sixdof import rotations
 from flysid.sixdof.cleaning import ALIKE
 from flysid.sixdof.frames import likeness, steps_of
 from flysid.sixdof.record import Record
+from flysid.sixdof.rigid_body import GRAVITY
+from flysid.sixdof.thrust_fit import WINDOW_S
 from flysid.stretch import FloatArray
 
-FOLLOWED_S = 0.2
-"""Motors follow their commands well within it."""
-FACTOR = 2.0
-"""A scale is another unit's where it is within this factor of it; a unit is right within it, too."""
+FORCES = {GRAVITY: "m/s^2", 1.0: "g", 100.0 * GRAVITY: "cm/s^2 or mg"}
+"""What gravity reads in a unit. An accelerometer's unit is the one whose reading is nearest, as a ratio."""
+TURNS = {1.0: "rad/s", float(np.degrees(1.0)): "deg/s", 1000.0: "mrad/s"}
+"""A rad/s in a unit."""
 
 
 def check_instruments(records: Sequence[Record]) -> tuple[str, ...]:
@@ -28,7 +30,7 @@ def check_instruments(records: Sequence[Record]) -> tuple[str, ...]:
 
     Raises
     ------
-    DataError : a gyro that stands still, or in degrees; an accelerometer in g.
+    DataError : a gyro that stands still; instruments in other units.
     """
     gyro = np.concatenate([record.gyro for record in records])
     if not np.ptp(gyro, axis=0).any():
@@ -44,10 +46,16 @@ def _check_force(records: Sequence[Record]) -> None:
     if not len(force):
         return
     size = float(np.linalg.norm(force, axis=1).mean())
-    if 1.0 / FACTOR < size < FACTOR:
+    unit = _nearest(FORCES, size)
+    if unit != "m/s^2":
         raise DataError(
-            f"the accelerometer reads {size:.2g} on average, as one in g does", hint="write it in m/s^2"
+            f"the accelerometer reads {size:.2g} on average, as one in {unit} does", hint="write it in m/s^2"
         )
+
+
+def _nearest(readings: Mapping[float, str], value: float) -> str:
+    """The unit whose reading is nearest, as a ratio."""
+    return readings[min(readings, key=lambda reading: abs(np.log(value / reading)))]
 
 
 def _check_attitude(records: Sequence[Record]) -> tuple[str, ...]:
@@ -67,9 +75,10 @@ def _check_attitude(records: Sequence[Record]) -> tuple[str, ...]:
             "the attitude is coarse",
         )
     times = float((gyro**2).sum() / (gyro * rates).sum())
-    if np.degrees(1.0) / FACTOR < times < np.degrees(1.0) * FACTOR:
+    unit = _nearest(TURNS, times)
+    if unit != "rad/s":
         raise DataError(
-            f"the gyro turns {times:.0f} times as fast as the attitude, as one in deg/s does",
+            f"the gyro turns {times:.0f} times as fast as the attitude, as one in {unit} does",
             hint="write it in rad/s",
         )
     return ()
@@ -102,6 +111,6 @@ def check_lift(records: Sequence[Record]) -> None:
 
 def _averages(record: Record, signal: FloatArray, first: int, last: int) -> FloatArray:
     """(N,) means of a stretch over windows that motors follow within."""
-    length = max(round(FOLLOWED_S / record.dt_s), 1)
+    length = max(round(WINDOW_S / record.dt_s), 1)
     count = max((last - first) // length, 1)
     return np.array([part.mean() for part in np.array_split(signal[first:last], count)])

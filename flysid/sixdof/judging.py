@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
+from itertools import takewhile
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,8 @@ from flysid.sixdof.far import fit_far, habits, with_commands, with_vehicle
 from flysid.sixdof.fitted import FittedVehicle
 from flysid.sixdof.horizons import KINDS, Ahead, Starts, errors, fly_ahead, hold, whole_starts
 from flysid.sixdof.records import Scale, flights_of
+from flysid.sixdof.rest import find_rules
+from flysid.sixdof.rules import Rule
 from flysid.sixdof.vehicle import Vehicle
 from flysid.stretch import FloatArray
 
@@ -25,6 +28,7 @@ BLIND = "no inputs"
 AXES = "axis by axis"
 BOX = "black box"
 ALONE = "vehicle alone"
+RULED = "vehicle with rules"
 LOOP = "vehicle in its loop"
 NAMED = {
     HELD: "constant velocity",
@@ -51,11 +55,13 @@ class Judgement:
     table : predictor -> (horizons, 4) mean errors of position, velocity, attitude and rate; NaN: no starts.
     starts : of every horizon.
     tested : flights, or the part of the only one, in words.
+    rules : on what physics leaves, found on the flights that the judged vehicle was fitted to.
     """
 
     table: Mapping[str, FloatArray]
     starts: tuple[int, ...]
     tested: str
+    rules: tuple[Rule, ...] = ()
 
     def lines(self) -> list[str]:
         """For people: position and attitude, and the answer in words."""
@@ -75,14 +81,13 @@ class Judgement:
     @property
     def led(self) -> tuple[float, ...]:
         """Horizons in seconds, from the first on, at which physics alone predicts best."""
-        alone = self._size(ALONE)
-        others = [self._size(name) for name in NAMED]
-        led = []
-        for i in self._known:
-            if not all(alone[i] < size[i] for size in others):
-                break
-            led.append(HORIZONS_S[i])
-        return tuple(led)
+        return self._led_by(ALONE)
+
+    def _led_by(self, name: str) -> tuple[float, ...]:
+        own = self._size(name)
+        others = [self._size(other) for other in NAMED]
+        led = takewhile(lambda i: all(own[i] < size[i] for size in others), self._known)
+        return tuple(HORIZONS_S[i] for i in led)
 
     @property
     def leads_all(self) -> bool:
@@ -90,37 +95,78 @@ class Judgement:
         return len(self.led) == len(self._known)
 
     @property
+    def stands(self) -> bool:
+        """Whether physics, alone or with rules, predicts best at the first horizon."""
+        return bool(self.led or (self.kept and self._led_by(RULED)))
+
+    @property
+    def answer(self) -> str:
+        """What these flights take: "physics", "physics with rules" or "rules alone"."""
+        if not self.stands:
+            return "rules alone"
+        return "physics with rules" if self.kept else "physics"
+
+    @property
+    def kept(self) -> tuple[Rule, ...]:
+        """Rules with which physics predicts the left-out flights better."""
+        gains = self._gains_by_rules
+        return self.rules if gains.size and gains.mean() > 0.0 else ()
+
+    @property
+    def _gains_by_rules(self) -> FloatArray:
+        """(horizons, 4) share of errors that rules take away, as far ahead as physics tells anything."""
+        if RULED not in self.table:
+            return np.zeros((0, len(KINDS)))
+        told = self._size(ALONE) < 1.0
+        return np.asarray(1.0 - (self.table[RULED] / self.table[ALONE])[told])
+
+    @property
     def _known(self) -> list[int]:
         """Horizons that have starts."""
         return [int(i) for i in np.flatnonzero(np.isfinite(self._size(ALONE)))]
 
     def words(self) -> list[str]:
-        """How far physics alone leads, and what predicts best behind it."""
-        others = {name: self._size(name) for name in NAMED}
+        """How far physics alone leads, what predicts best behind it, and what rules add."""
+        first = HORIZONS_S[self._known[0]]
+        gain = 1.0 - self._size(LOOP)[self._known[0]] / self._size(BLIND)[self._known[0]]
+        return [
+            self._about_physics(),
+            f"physics and the habits of its loop together: {100 * gain:.0f} % below the predictor without "
+            f"inputs at {first:g} s",
+            self._about_rules(),
+        ]
+
+    def _about_physics(self) -> str:
         known = self._known
         until = self.led
-        said = []
-        if not until:
-            best = min(others, key=lambda name: others[name][known[0]])
-            said.append(
-                f"physics alone is not the best at {HORIZONS_S[known[0]]:g} s: {NAMED[best]} predicts "
-                "better. Trust no number of this vehicle that has no other proof"
-            )
-        elif self.leads_all:
-            said.append("physics alone is enough: it predicts best at every horizon")
-        else:
-            behind = known[len(until)]
-            best = min(others, key=lambda name: others[name][behind])
-            said.append(
+        if self.leads_all:
+            return "physics alone is enough: it predicts best at every horizon"
+        behind = known[len(until)]
+        best = NAMED[min(NAMED, key=lambda name: self._size(name)[behind])]
+        if until:
+            return (
                 f"physics alone predicts best up to {max(until):g} s. At {HORIZONS_S[behind]:g} s "
-                f"{NAMED[best]} is better: that far ahead, what the controller does decides"
+                f"{best} is better: that far ahead, what the controller does decides"
             )
-        gain = 1.0 - self._size(LOOP)[known[0]] / others[BLIND][known[0]]
-        said.append(
-            f"physics and the habits of its loop together: {100 * gain:.0f} % below the predictor without "
-            f"inputs at {HORIZONS_S[known[0]]:g} s"
+        if self.kept and (ruled := self._led_by(RULED)):
+            return f"physics with rules predicts best up to {max(ruled):g} s, physics alone does not"
+        return (
+            f"physics alone is not the best at {HORIZONS_S[known[0]]:g} s: {best} predicts "
+            "better. Trust no number of this vehicle that has no other proof"
         )
-        return said
+
+    def _about_rules(self) -> str:
+        if not self.rules:
+            return "no rule on what physics leaves holds on flights that are left out in turn"
+        if not self.kept:
+            return "rules on what physics leaves do not predict left-out flights better, and are not kept"
+        gains = self._gains_by_rules
+        at, kind = np.unravel_index(np.argmax(gains), gains.shape)
+        return (
+            f"rules on what physics leaves take up to {100.0 * gains[at, kind]:.0f} % off errors of "
+            f"{KINDS[kind]}, at {HORIZONS_S[at]:g} s. "
+            f"Kept: {'; '.join(map(str, self.kept))}. They are for prediction, and are not exported"
+        )
 
     def _size(self, name: str) -> FloatArray:
         """(horizons,) errors as shares of those of constant velocity, averaged over the four kinds."""
@@ -139,6 +185,8 @@ class Judgement:
             "starts": list(self.starts),
             "kinds": kinds,
             "errors": table,
+            "answer": self.answer,
+            "rules": [asdict(rule) | {"words": str(rule)} for rule in self.kept],
             "words": self.words(),
         }
 
@@ -163,9 +211,10 @@ def judge_vehicle(settings: Vehicle, flights: Dataset, vehicle: FittedVehicle) -
     if not learnt[0] or not tests[0]:
         return None
     fitted = own.fit(known)
+    rules = find_rules([starts.record for starts in learnt[0]], fitted)
     table: dict[str, list[FloatArray]] = {}
     for here, there in zip(learnt, tests, strict=True):
-        for name, predict in _predictors(here, fitted).items():
+        for name, predict in _predictors(here, fitted, rules).items():
             parts = [errors_at_end(starts, predict(starts)) for starts in there] if here else []
             table.setdefault(name, []).append(
                 np.mean(parts, axis=0) if parts else np.full(len(KINDS), np.nan)
@@ -173,7 +222,7 @@ def judge_vehicle(settings: Vehicle, flights: Dataset, vehicle: FittedVehicle) -
     counts = tuple(
         sum(len(s.at) for s in there) if here else 0 for here, there in zip(learnt, tests, strict=True)
     )
-    return Judgement({name: np.array(rows) for name, rows in table.items()}, counts, tested)
+    return Judgement({name: np.array(rows) for name, rows in table.items()}, counts, tested, rules)
 
 
 def errors_at_end(starts: Starts, ahead: Ahead) -> FloatArray:
@@ -183,19 +232,22 @@ def errors_at_end(starts: Starts, ahead: Ahead) -> FloatArray:
     return np.asarray(errors(here, last)[0])
 
 
-def _predictors(flights: Sequence[Starts], vehicle: FittedVehicle) -> Mapping[str, Predict]:
-    names = (HELD, BLIND, AXES, BOX, ALONE, LOOP)
+def _predictors(
+    flights: Sequence[Starts], vehicle: FittedVehicle, rules: Sequence[Rule]
+) -> Mapping[str, Predict]:
+    names = (HELD, BLIND, AXES, BOX, ALONE, *([RULED] if rules else []), LOOP)
     if not flights:
         return dict.fromkeys(names, hold)
-    predictors = (
-        hold,
-        fit_far(flights, habits).predict,
-        fit_axis_wise(flights, vehicle).predict,
-        fit_far(flights, with_commands).predict,
-        lambda starts: fly_ahead(starts, vehicle),
-        fit_far(flights, with_vehicle(vehicle)).predict,
-    )
-    return dict(zip(names, predictors, strict=True))
+    found: dict[str, Predict] = {
+        HELD: hold,
+        BLIND: fit_far(flights, habits).predict,
+        AXES: fit_axis_wise(flights, vehicle).predict,
+        BOX: fit_far(flights, with_commands).predict,
+        ALONE: lambda starts: fly_ahead(starts, vehicle),
+        RULED: lambda starts: fly_ahead(starts, vehicle, rules),
+        LOOP: fit_far(flights, with_vehicle(vehicle)).predict,
+    }
+    return {name: found[name] for name in names}
 
 
 def _parted(flights: Dataset) -> tuple[Dataset, Dataset, str]:

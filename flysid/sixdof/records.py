@@ -8,7 +8,7 @@ A dataset of a vehicle has inputs `motor1`, `motor2`, ... and, where it is measu
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -38,8 +38,10 @@ GROUPS: Mapping[str, tuple[str, ...]] = {
 }
 """Outputs of a dataset by instrument."""
 VOLTAGE = "voltage"
-FULL_SCALES = (1.0, 100.0, 1000.0, 2047.0, 65535.0)
-"""What commands are commonly shares of: one, per cent, per mille, DShot's 11 bits, 16 bits."""
+FULL_SCALES = (1.0, 100.0, 255.0, 1000.0, 2047.0, 4095.0, 65535.0)
+"""What commands are commonly shares of: one, per cent, 8 bits, per mille, DShot's 11 bits, 12 and 16 bits."""
+DSHOT = (48.0, 2047.0)
+"""Of DShot's 11 bits the values below are orders to the speed controller: no motor turns at them."""
 PULSES = (800.0, 2200.0)
 """Commands between these are pulses of 1,000 to 2,000 us."""
 TURNING = 0.05
@@ -57,26 +59,39 @@ VOLTAGE_S = 1.0
 
 @dataclass(frozen=True)
 class Scale:
-    """What commands are shares of: command = (value - zero) / full."""
+    """What commands are shares of: command = (value - zero) / full.
+
+    Attributes
+    ----------
+    largest : command, where the scale was found by it; None where it is stated.
+    """
 
     zero: float
     full: float
+    largest: float | None = field(default=None, compare=False)
 
     def __str__(self) -> str:
+        found = "" if self.largest is None else f", found from commands up to {self.largest:g}"
         if self.zero:
-            return f"motor commands are pulses: {self.zero:g} stops, {self.zero + self.full:g} is full scale"
-        return f"motor commands are shares of {self.full:g}"
+            what = "pulses" if self.zero >= PULSES[0] else "shares"
+            full = self.zero + self.full
+            return f"motor commands are {what}: {self.zero:g} stops, {full:g} is full scale{found}"
+        return f"motor commands are shares of {self.full:g}{found}"
 
 
 def find_scale(values: FloatArray) -> Scale:
-    """The least common full scale that covers nearly all commands."""
+    """The least common full scale that covers nearly all commands, or all where some reach it."""
     turning = values[values > 0.0]
     if not len(turning):
         return Scale(0.0, 1.0)
-    low, high = np.quantile(turning, [1.0 - COVERED, COVERED])
+    most = float(turning.max())
+    low, high = np.quantile(turning, [(1.0 - COVERED) ** 2, COVERED])
     if low >= PULSES[0] and high <= PULSES[1]:
-        return Scale(1000.0, 1000.0)
-    return Scale(0.0, next((full for full in FULL_SCALES if high <= full), float(turning.max())))
+        return Scale(1000.0, 1000.0, float(high))
+    largest = most if most in FULL_SCALES else float(high)
+    full = next((full for full in FULL_SCALES if largest <= full), most)
+    zero = DSHOT[0] if full == DSHOT[1] and low >= DSHOT[0] else 0.0
+    return Scale(zero, full - zero, largest)
 
 
 @dataclass(frozen=True, eq=False)

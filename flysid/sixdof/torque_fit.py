@@ -117,7 +117,7 @@ def fit_torques(
     free = [layout.LAG, layout.DELAY, *range(DAMPING, DAMPING + 3), *range(EFFECTS, layout.count(motors))]
     free += list(range(LEAN, LEAN + 2)) if has_air else []
     limits = layout.limits(motors)
-    measured = [_filtered(sections, np.diff(p.rates, axis=0) / p.dt_s) for p in pieces]
+    measured = [filter_columns(sections, np.diff(p.rates, axis=0) / p.dt_s) for p in pieces]
     scale = np.sqrt(np.mean(np.concatenate(measured) ** 2, axis=0))
     scale[scale <= 0.0] = 1.0
 
@@ -141,13 +141,47 @@ def fit_torques(
     return descend(blocks_at, first.theta, free, limits)
 
 
+def odds_of_none(
+    pieces: Sequence[Piece],
+    theta: FloatArray,
+    band_hz: tuple[float, float] = BAND_HZ,
+    *,
+    shifts: int = 400,
+    seed: int = 0,
+) -> float:
+    """Chance that motors explain so much of angular accelerations where nothing follows them.
+
+    Commands that are shifted in time explain nothing, and are as slow as the true ones. Of the three axes
+    that counts which is explained best.
+
+    Parameters
+    ----------
+    shifts : how many are tried; the least chance is 3 over their number.
+    """
+    sections = band_of(pieces[0].dt_s, band_hz)
+    turned = np.concatenate([filter_columns(sections, np.diff(p.rates, axis=0) / p.dt_s) for p in pieces])
+    means = [interval_means(p.halves(theta)[0]) for p in pieces]
+    share = np.concatenate([filter_columns(sections, x - x.mean(axis=0)) for x in means])
+    inverse = np.linalg.pinv(share.T @ share, hermitian=True)
+
+    def explained(shift: int) -> FloatArray:
+        by = share.T @ np.roll(turned, shift, axis=0)
+        return np.asarray((by * (inverse @ by)).sum(axis=0))
+
+    least = min(round(BLOCK_S / pieces[0].dt_s), len(turned) // 3)
+    tried = np.random.default_rng(seed).integers(least, len(turned) - least, shifts)
+    more = np.array([explained(int(shift)) for shift in tried]) >= explained(0)
+    return min(1.0, 3.0 * (1.0 + float(more.sum(axis=0).min())) / (1.0 + shifts))
+
+
 def _left_by_axis(blocks: Sequence[Block]) -> FloatArray:
     """(3,) root mean squares of residuals: a block holds its axes one after another."""
     left = [np.mean(residuals.reshape(3, -1) ** 2, axis=1) for residuals, _ in blocks]
     return np.asarray(np.sqrt(np.mean(left, axis=0)))
 
 
-def _filtered(sections: Sequence[FloatArray], x: FloatArray) -> FloatArray:
+def filter_columns(sections: Sequence[FloatArray], x: FloatArray) -> FloatArray:
+    """(n, ...) every column through a zero-phase filter, see `band_of`."""
     columns = [run_both_ways(sections, column) for column in x.reshape(len(x), -1).T]
     return np.stack(columns, axis=1).reshape(x.shape)
 
@@ -188,7 +222,7 @@ def _told(basis: FloatArray, theta: FloatArray) -> tuple[FloatArray, FloatArray]
 def _blocks(
     piece: Piece, measured: FloatArray, scale: FloatArray, sections: Sequence[FloatArray], theta: FloatArray
 ) -> list[Block]:
-    told, slopes = _told(_filtered(sections, _basis(piece, theta)), theta)
+    told, slopes = _told(filter_columns(sections, _basis(piece, theta)), theta)
     return cut_into_blocks((measured - told) / scale, slopes / scale[:, None], round(BLOCK_S / piece.dt_s))
 
 

@@ -30,11 +30,11 @@ from flysid.sixdof.layout import (
     THRUST,
     TRIM,
 )
-from flysid.sixdof.record import Record
+from flysid.sixdof.record import LEAST_S, Record
 from flysid.sixdof.records import Flights, Scale, flights_of
 from flysid.sixdof.rigid_body import GRAVITY
 from flysid.sixdof.thrust_fit import OWN, Stretch, fit_thrust, force_of, stretches_of
-from flysid.sixdof.torque_fit import BAND_HZ, Piece, fit_torques, pieces_of, trims
+from flysid.sixdof.torque_fit import BAND_HZ, Piece, fit_torques, odds_of_none, pieces_of, trims
 from flysid.stretch import FloatArray
 
 PLATE = (1.0, 2.0)
@@ -52,8 +52,6 @@ GROWN = 1.5
 """Factor by which longer windows may leave more: beyond it their search went astray."""
 AGREE = 0.2
 """Share by which effects of free runs may differ from those of regression: beyond it gusts bend them."""
-UNBALANCED = 0.5
-"""Share of the motors' torques about an axis that is left over on average: in flight they nearly cancel."""
 SIGNIFICANT = 2.0
 """Standard errors below which a drag, or a damping, is left out."""
 
@@ -68,6 +66,9 @@ class Vehicle:
     band_hz : angular accelerations are compared between these frequencies.
     calm : hold the wind at zero, as indoors; None: where a flight turns too little to tell it.
     free_runs : refine by free runs where these agree with regression.
+    unbalanced : share of the motors' torques about an axis that may be left over on average. In flight they
+        nearly cancel: beyond it a motor is not logged, or is none.
+    chance : of motors seeming to turn a vehicle that does not follow them, as on the ground.
 
     Examples
     --------
@@ -92,6 +93,8 @@ class Vehicle:
     band_hz: tuple[float, float] = BAND_HZ
     calm: bool | None = None
     free_runs: bool = True
+    unbalanced: float = 0.5
+    chance: float = 0.01
 
     @on_one_thread
     def fit(self, flights: Dataset) -> FittedVehicle:
@@ -288,6 +291,17 @@ class _Work:
                     places,
                     f"motors {i + 1} and {j + 1} are commanded alike, so half of their sum stands here",
                 )
+        self.notes += [
+            f"motor {i + 1} is at full scale for {seconds:.0f} s: it gave no more, whatever was demanded"
+            for i, seconds in enumerate(self._seconds_at_full())
+            if seconds >= LEAST_S
+        ]
+        if odds_of_none(self.pieces, self.theta, self.settings.band_hz) > self.settings.chance:
+            self._withdraw(range(self.count), "nothing that turns follows these motors")
+            self.notes.append(
+                "nothing that turns follows these motors: on the ground, or the commands are not theirs. No "
+                "number of this vehicle is known"
+            )
         interval = self._command_interval()
         if interval > self.theta[LAG] + self.theta[DELAY]:
             self._withdraw(
@@ -298,7 +312,7 @@ class _Work:
             places = EFFECTS + k * self.motors + np.arange(self.motors)
             spread = Z95 * np.sqrt(mean @ self.covariance[np.ix_(places, places)] @ mean)
             left = (abs(float(own @ mean)) - float(spread)) / float(np.abs(own) @ mean)
-            if self.inside[places].all() and left > UNBALANCED:
+            if self.inside[places].all() and left > self.settings.unbalanced:
                 self.notes.append(
                     f"{axis} torques of these motors do not cancel ({100.0 * left:.0f} % is left over): a "
                     "motor is not logged, or one of these outputs is no motor but a servo, as on a plane. "
@@ -311,6 +325,10 @@ class _Work:
         self.inside[places] = False
         self.covariance[places] = 0.0
         self.covariance[:, places] = 0.0
+
+    def _seconds_at_full(self) -> FloatArray:
+        """(motors,) how long each is commanded all it has."""
+        return np.asarray(sum((p.commands[p.first :] >= 1.0).sum(axis=0) * p.dt_s for p in self.pieces))
 
     def _command_interval(self) -> float:
         """Seconds from one change of any command to the next, on average."""

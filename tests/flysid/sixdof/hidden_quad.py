@@ -5,6 +5,7 @@ It flies circles and dashes with steps of roll, pitch and yaw torque on top, so 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -22,6 +23,8 @@ SIGNALS = (
     *("gyro_x", "gyro_y", "gyro_z", "acc_x", "acc_y", "acc_z", "q_w", "q_x", "q_y", "q_z"),
     *("v_x", "v_y", "v_z", "p_x", "p_y", "p_z"),
 )
+Beyond = Callable[[FloatArray, float], tuple[FloatArray, float]]
+"""Air speed in body axes and height -> force in m/s^2 beyond the laws, and a factor of torque."""
 
 
 @dataclass(frozen=True)
@@ -42,6 +45,7 @@ class HiddenQuad:
     noise: float = 1.0
     strength: tuple[float, float, float, float] = (1.0, 1.0, 1.0, 1.0)
     trim: tuple[float, float, float] = field(default=(0.5, -0.8, 0.2))
+    beyond: Beyond | None = None
 
 
 def fly(quad: HiddenQuad, seconds: float, seed: int) -> tuple[FloatArray, FloatArray]:
@@ -71,6 +75,8 @@ def fly(quad: HiddenQuad, seconds: float, seed: int) -> tuple[FloatArray, FloatA
         air = r.T @ (v - wind)
         hubs = -quad.drag * np.sqrt(lift)[:, None] * air * [1.0, 1.0, 0.0]  # drag acts at the hubs
         force = hubs.sum(axis=0) + np.array([0.0, 0.0, quad.thrust * lift.sum()])
+        added, factor = (0.0, 1.0) if quad.beyond is None else quad.beyond(air, p[2])
+        force = force + added
         if i % every == 0:
             noise = quad.noise * rng.standard_normal(16)
             q = turn.as_quat()[[3, 0, 1, 2]]
@@ -85,7 +91,7 @@ def fly(quad: HiddenQuad, seconds: float, seed: int) -> tuple[FloatArray, FloatA
         queue.append(u)
         x = x + STEP_S / quad.lag * (queue.pop(0) - x)
         gust += STEP_S / 0.5 * -gust + np.sqrt(2.0 * STEP_S / 0.5) * quad.gust * rng.standard_normal(3)
-        effect = np.array([quad.roll, quad.pitch, quad.yaw]) * (MIX.T @ lift)
+        effect = factor * np.array([quad.roll, quad.pitch, quad.yaw]) * (MIX.T @ lift)
         couple = -_cross(w, inertia * w) / inertia
         dragged = _cross(places, hubs).sum(axis=0) / inertia
         p = p + STEP_S * v

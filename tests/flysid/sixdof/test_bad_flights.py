@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ from click.testing import CliRunner, Result
 from flysid.cli import root
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError
+from flysid.sixdof.records import flights_of
 from flysid.sixdof.vehicle import _Work
 from tests.flysid.sixdof.hidden_quad import LOGGED_S, SIGNALS
 
@@ -64,6 +66,8 @@ def stand(u: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
         (put(GYRO, float(np.degrees(1.0))), "57 times as fast as the attitude, as one in deg/s"),
         (put(GYRO, 0.0), "the gyro never changes"),
         (put(FORCE, 1.0 / 9.81), "as one in g does"),
+        (put(FORCE, 1000.0 / 9.81), "as one in cm/s^2 or mg does"),
+        (put(GYRO, 1000.0), "as one in mrad/s does"),
         (lambda u, y: (1.0 - u, y), "the more these motors are commanded the less they lift"),
         (stand, "nothing flies"),
     ],
@@ -80,6 +84,7 @@ def test_a_wrong_unit_or_sign_is_named(still: Dataset, tmp_path: Path, change: C
         (lambda u, y: (u[:, :3], y), "a motor is not logged, or one of these outputs is no motor"),
         (lambda u, y: (np.repeat(u[::10], 10, axis=0), y), "slower than motors follow"),
         (lambda u, y: (np.hstack([u, u]), y), "motors 1 and 5 are commanded alike"),
+        (lambda u, y: (np.clip(1.6 * u, 0.0, 1.0), y), "it gave no more, whatever was demanded"),
     ],
 )
 def test_what_such_commands_cannot_tell_is_named(
@@ -114,3 +119,41 @@ def test_axes_that_do_not_fit_the_gyro_are_named(still: Dataset, tmp_path: Path)
 
     said = words_of(fit(written(tmp_path / "axes.csv", still, change)))
     assert "gyro and attitude hardly turn alike" in said
+
+
+@pytest.mark.parametrize(
+    "kept", [("time", "motor", "gyro", "acc"), ("time", "motor", "gyro", "acc", "q", "v")]
+)
+def test_a_ground_flight_without_positions_has_no_thrust(
+    still: Dataset, tmp_path: Path, kept: tuple[str, ...]
+) -> None:
+    table = written(tmp_path / "ground.csv", still, stand)
+    lines = [line.split(",") for line in table.read_text("utf-8").splitlines()]
+    columns = [i for i, name in enumerate(lines[0]) if name.startswith(kept)]
+    table.write_text("\n".join(",".join(line[i] for i in columns) for line in lines), "utf-8")
+    said = words_of(fit(table))
+    assert "nothing that turns follows these motors: on the ground" in said
+    assert "thrust of a motor " not in said.partition("not determined")[0]
+    assert "velocities are" not in said
+
+
+@pytest.mark.parametrize(
+    ("order", "signs", "words"),
+    [
+        ([0, 1, 2], [1.0, -1.0, -1.0], "x, y, z are its x, -y, -z"),
+        ([1, 0, 2], [1.0, -1.0, 1.0], "x, y, z are its -y, x, z"),
+        ([2, 1, 0], [-1.0, 1.0, 1.0], "x, y, z are its z, y, -x"),
+    ],
+)
+def test_axes_of_an_accelerometer_are_found(
+    still: Dataset, order: list[int], signs: list[float], words: str
+) -> None:
+    y = still.segments[0].y.copy()
+    y[:, FORCE] = y[:, FORCE][:, order] * signs
+    (said,) = flights_of(still.with_segments([replace(still.segments[0], y=y)])).frames
+    assert words in said
+
+
+def test_commands_of_dshot_are_no_pulses(still: Dataset, tmp_path: Path) -> None:
+    table = written(tmp_path / "dshot.csv", still, lambda u, y: (np.round(48.0 + 1999.0 * u), y))
+    assert "shares: 48 stops, 2047 is full scale" in words_of(fit(table))

@@ -78,6 +78,7 @@ def test_the_verb_prints_it_and_without_positions_does_not(short: Dataset, tmp_p
     assert done.exit_code == 0
     assert "judged on the last third of" in done.stdout
     assert "no inputs" in done.stdout
+    assert "no rule on what physics leaves" in done.stdout
     lines = [line.split(",") for line in table.read_text("utf-8").splitlines()]
     kept = [i for i, name in enumerate(lines[0]) if not name.startswith("p_")]
     table.write_text("\n".join(",".join(line[i] for i in kept) for line in lines), "utf-8")
