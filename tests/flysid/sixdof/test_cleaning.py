@@ -105,7 +105,8 @@ def test_a_wandering_clock_is_measured() -> None:
     gyro = np.stack([sum(np.sin(2 * np.pi * f * t + p + k) for f, p in parts) for k in range(3)], axis=1)
     other = np.stack([np.interp(t - late, t, gyro[:, k]) for k in range(3)], axis=1)
     _, found = clock_offsets(gyro, other, np.ones(len(t), dtype=bool), 0.01)
-    damage = SampleFaults("f", 0.01, len(t), 0, 0, 0, 0.0, 1.0, float(found.std(ddof=1)), float(np.ptp(found)))
+    clock = float(found.std(ddof=1)), float(np.ptp(found))
+    damage = SampleFaults("f", 0.01, len(t), 0, 0, 0, 0.0, 1.0, *clock)
     assert damage.clock_sd_s == pytest.approx(late.std(), rel=0.25)
     assert "wanders" in " ".join(damage.lines)
 
