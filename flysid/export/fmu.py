@@ -22,7 +22,6 @@ from xml.etree import ElementTree
 from flysid.errors import FitError
 from flysid.export.csource import c_files, render, values_of
 from flysid.export.fmu_facts import Facts, as_xml, facts_of
-from flysid.export.fmu_third import fmi3_build, fmi3_description
 from flysid.export.program import Program
 
 EPOCH = (2000, 1, 1, 0, 0, 0)  # dates would make every archive another one
@@ -67,10 +66,10 @@ def packed(
     words = {"guid": identity, "dt_exact": repr(facts.dt_s), "version": version}
     texts = {**sources, f"fmi{version}.c": render({**values, **words}, "fmi.c.j2")}
     files = {f"sources/{f}": text.encode() for f, text in texts.items()}
-    describe = _description if version == 2 else fmi3_description
+    describe = _description if version == 2 else _newer_description
     files["modelDescription.xml"] = describe(facts, identity)
     if version == 3:
-        files["sources/buildDescription.xml"] = fmi3_build(name)
+        files["sources/buildDescription.xml"] = _build(name)
     files["documentation/index.html"] = _documentation(name, paragraphs)
     compiler = shutil.which("cc") or shutil.which("gcc")
     if binary and compiler is not None:
@@ -124,6 +123,45 @@ def _description(facts: Facts, identity: str) -> bytes:
         for at in facts.outputs:
             depends = " ".join(str(j + 1) for j in facts.depends(group == "InitialUnknowns"))
             ElementTree.SubElement(rows, "Unknown", {"index": str(at + 1), "dependencies": depends})
+    return as_xml(root)
+
+
+def _newer_description(facts: Facts, identity: str) -> bytes:
+    """modelDescription.xml of FMI 3.0."""
+    root = facts.root("3.0", instantiationToken=identity)
+    can = {"canGetAndSetFMUState": "true", "canSerializeFMUState": "true"}
+    step = {"canHandleVariableCommunicationStepSize": "false", "fixedInternalStepSize": repr(facts.dt_s)}
+    ElementTree.SubElement(root, "CoSimulation", {"modelIdentifier": facts.name} | can | step)
+    facts.add_units(root)
+    ElementTree.SubElement(root, "DefaultExperiment", {"stepSize": repr(facts.dt_s)})
+    variables = ElementTree.SubElement(root, "ModelVariables")
+    for at, v in enumerate(facts.variables):
+        unit = {"unit": v.unit} if v.unit else {}
+        ElementTree.SubElement(
+            variables, "Float64", {"name": v.name, "valueReference": str(at)} | v.kind | v.begins | unit
+        )
+    names = {v.name for v in facts.variables}
+    clock = next(name for name in ("time", "simulation_time", "fmi_time") if name not in names)
+    independent = {"causality": "independent", "variability": "continuous"}
+    ElementTree.SubElement(
+        variables, "Float64", {"name": clock, "valueReference": str(len(facts.variables))} | independent
+    )
+    structure = ElementTree.SubElement(root, "ModelStructure")
+    for group in ("Output", "InitialUnknown"):
+        for at in facts.outputs:
+            depends = " ".join(map(str, facts.depends(group == "InitialUnknown")))
+            ElementTree.SubElement(structure, group, {"valueReference": str(at), "dependencies": depends})
+    return as_xml(root)
+
+
+def _build(name: str) -> bytes:
+    """sources/buildDescription.xml."""
+    root = ElementTree.Element("fmiBuildDescription", {"fmiVersion": "3.0"})
+    build = ElementTree.SubElement(root, "BuildConfiguration", {"modelIdentifier": name})
+    files = ElementTree.SubElement(build, "SourceFileSet", {"language": "C99"})
+    for file in (f"{name}.c", "fmi3.c"):
+        ElementTree.SubElement(files, "SourceFile", {"name": file})
+    ElementTree.SubElement(build, "Library", {"name": "m", "external": "true"})
     return as_xml(root)
 
 

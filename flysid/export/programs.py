@@ -9,10 +9,9 @@ import numpy as np
 
 from flysid.dataset import FloatArray
 from flysid.errors import UsageError
-from flysid.export.other_rate import resample
 from flysid.export.program import Program
 from flysid.model.base import Fitted
-from flysid.model.capabilities import HasMembers
+from flysid.model.capabilities import HasMembers, HasOtherRates
 from flysid.model.structures import row_of
 from flysid.offers import import_name
 
@@ -41,9 +40,26 @@ def program_of(model: Fitted, rate_hz: float | None = None) -> Program:
             "with --casadi, --jax or --onnx",
         )
     if rate_hz is not None:
-        model = resample(model, rate_hz)
+        model = _resample(model, rate_hz)
     program: Program = import_name(row.program)(model)
     return program
+
+
+def _resample(model: Fitted, rate_hz: float) -> Fitted:
+    """The model at `rate_hz` steps a second, its inputs constant between samples.
+
+    Raises UsageError: a model that has one rate only, one that drifts by itself, or no possible rate.
+    """
+    if not (np.isfinite(rate_hz) and rate_hz > 0.0):
+        raise UsageError(f"a rate of {rate_hz!r} Hz", hint="steps a second, above 0")
+    if abs(rate_hz * model.dt_s - 1.0) < 1e-9:
+        return model
+    if not isinstance(model, HasOtherRates):
+        raise UsageError(
+            f"a model of structure {model.structure!r} runs at {1.0 / model.dt_s:g} Hz only",
+            hint="fit a transfer function in s ('flysid fit -m tf'), or leave out --rate",
+        )
+    return model.at_rate(rate_hz)
 
 
 def members_of(model: Fitted, rate_hz: float | None = None) -> tuple[Member, ...]:
