@@ -102,7 +102,7 @@ class Difference:
 
 @cache
 def _coupled_kernel() -> Any:
-    from numba import njit
+    from flysid.compiling import njit
 
     @njit(cache=True)
     def coupled(a: FloatArray, drive: FloatArray, z0: FloatArray) -> FloatArray:
