@@ -6,8 +6,8 @@ Polynomials stand in rising powers of q⁻¹.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from flysid.compiling import njit
 from flysid.dataset import FloatArray
 from flysid.filters import own
 

@@ -12,8 +12,8 @@ from collections.abc import Callable
 from typing import Protocol
 
 import numpy as np
-from numba import njit
 
+from flysid.compiling import njit
 from flysid.dataset import FloatArray
 from flysid.model.base import Fitted
 from flysid.model.ensemble import FittedEnsemble

@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numba import njit
 
+from flysid.compiling import njit
 from flysid.dataset import FloatArray
 from flysid.design.law import Gains, keeping
 from flysid.design.modelvehicles import ModelVehicle

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
+from flysid.compiling import njit
 from flysid.dataset import FloatArray
 from flysid.design.law import ComplexArray
 from flysid.errors import DataError

@@ -11,8 +11,8 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numba import njit
 
+from flysid.compiling import njit
 from flysid.dataset import FloatArray
 from flysid.design.law import ComplexArray, Gains, keeping
 from flysid.design.rule_plants import RuleLaw, blend, packed_rules

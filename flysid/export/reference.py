@@ -7,8 +7,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
+from flysid.compiling import njit
 from flysid.dataset import FloatArray
 from flysid.export.program import Program
 from flysid.model.arguments import as_columns

@@ -10,8 +10,8 @@ from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
+from flysid.compiling import njit
 from flysid.stretch import FloatArray
 
 LEAST_NOISE = 40  # samples whose noise is compared

@@ -16,9 +16,10 @@ import time
 from dataclasses import dataclass
 from typing import Any
 
-import numba
 import numpy as np
 import numpy.typing as npt
+
+from flysid.compiling import njit
 
 IntArray = npt.NDArray[np.int64]
 ByteArray = npt.NDArray[np.uint8]
@@ -137,7 +138,7 @@ def _rows(array: npt.NDArray[Any]) -> npt.NDArray[np.uint64]:
     return at + np.uint64(array.ctypes.data)
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def gather(slots: ByteArray, sizes: IntArray, addresses: ByteArray, raw: ByteArray) -> npt.NDArray[np.bool_]:
     """Put datagrams one behind the other into `raw`; (n,) where the peer is another than before."""
     changed = np.zeros(len(sizes), np.bool_)

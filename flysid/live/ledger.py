@@ -9,10 +9,10 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
+from flysid.compiling import njit
 from flysid.facts.link import LinkLoss, SequenceCounter
 from flysid.facts.repeats import NO_CLOCK, FrameRows
 from flysid.live.batches import ByteArray, IntArray
@@ -117,7 +117,7 @@ class Ledger:
             counter.shift(step_us)
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def enter(
     raw: ByteArray,
     starts: IntArray,
@@ -187,7 +187,7 @@ def enter(
     return at
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def _new_row(table: Any, used: IntArray, peer: Any, system: Any, component: Any, stamp: Any) -> int:
     if used[0] == len(table):
         return OTHERS

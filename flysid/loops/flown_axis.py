@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numba import njit
 
+from flysid.compiling import njit
 from flysid.dataset import FloatArray
 from flysid.errors import DataError, UsageError
 from flysid.ingest.lake.headers import stated_numbers

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numba import njit
 
+from flysid.compiling import njit
 from flysid.dataset import FloatArray
 from flysid.loops.betaflight import BetaflightLaw
 from flysid.loops.law_parts import Means

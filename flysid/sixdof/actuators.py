@@ -9,8 +9,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from flysid.compiling import njit
 from flysid.sixdof.layout import CURVE, DELAY, LAG, POWER
 from flysid.stretch import FloatArray
 

@@ -7,8 +7,8 @@ Runge-Kutta steps of a sample, and derivatives are those of the very steps.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from flysid.compiling import njit
 from flysid.sixdof.layout import ARM, BODY_DRAG, DAMPING, EFFECTS, INERTIA, LEAN, ROTOR_DRAG, THRUST, TRIM
 from flysid.stretch import FloatArray
 

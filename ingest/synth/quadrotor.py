@@ -18,7 +18,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
+
+from flysid.compiling import njit
 
 STATES = 26
 ROTORS = 4

@@ -21,8 +21,8 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
+from flysid.compiling import njit
 from flysid.dataset import FloatArray
 
 IntArray = npt.NDArray[np.int64]

@@ -18,8 +18,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from flysid.compiling import njit
 from flysid.dataset import FloatArray
 
 NAMES = ("lag", "delay", "curve", "damping", "trim", "hold", "drift")

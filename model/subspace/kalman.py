@@ -144,7 +144,7 @@ def resting_state(system: Realisation, u: FloatArray, y: FloatArray) -> FloatArr
 
 @cache
 def _gains_kernel() -> Any:
-    from numba import njit
+    from flysid.compiling import njit
 
     @njit(cache=True, error_model="numpy")
     def run(
@@ -217,7 +217,7 @@ def _gains_kernel() -> Any:
 
 @cache
 def _filter_kernel() -> Any:
-    from numba import njit
+    from flysid.compiling import njit
 
     @njit(cache=True)
     def run(

@@ -249,7 +249,7 @@ def _swept(
 
 @cache
 def _kernel() -> Any:
-    from numba import njit
+    from flysid.compiling import njit
 
     @njit(cache=True)
     def run(

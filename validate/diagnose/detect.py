@@ -21,11 +21,11 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-import numba
 import numpy as np
 import numpy.typing as npt
 from scipy.special import chdtri
 
+from flysid.compiling import njit
 from flysid.dataset import FloatArray, Segment
 from flysid.errors import DataError
 from flysid.model.base import Fitted
@@ -76,7 +76,7 @@ class Sums:
         self._count = 0
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def _feed(  # type: ignore[no-untyped-def]
     errors: FloatArray,
     drift: float,

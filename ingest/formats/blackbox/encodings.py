@@ -8,9 +8,10 @@ Source: the firmwares' `blackbox_encoding.c`.
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 import numpy.typing as npt
+
+from flysid.compiling import njit
 
 ByteArray = npt.NDArray[np.uint8]
 IntArray = npt.NDArray[np.int64]
@@ -19,12 +20,12 @@ WRONG = -1
 PAST_END = -2
 
 
-@numba.njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True)
 def byte(raw: ByteArray, at: int) -> int:
     return int(np.int64(raw[at]))  # signed, or sums with other numbers would be floats
 
 
-@numba.njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True)
 def unsigned_vb(raw: ByteArray, at: int, stop: int) -> tuple[int, int]:
     """(value, where it ends or an error): 7 bits a byte, the lowest first, bit 7 where more follow."""
     value = 0
@@ -41,21 +42,21 @@ def unsigned_vb(raw: ByteArray, at: int, stop: int) -> tuple[int, int]:
     return 0, WRONG
 
 
-@numba.njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True)
 def signed_vb(raw: ByteArray, at: int, stop: int) -> tuple[int, int]:
     """The same with the sign in the lowest bit."""
     value, at = unsigned_vb(raw, at, stop)
     return (value >> 1) ^ -(value & 1), at
 
 
-@numba.njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True)
 def sign_extend(value: int, bits: int) -> int:
     """The lowest bits as a two's complement number."""
     value &= (1 << bits) - 1
     return value - ((value >> (bits - 1)) << bits)
 
 
-@numba.njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True)
 def tag2(raw: ByteArray, at: int, stop: int, values: IntArray, variable: bool) -> int:
     """Three values; the two highest bits of the first byte say how wide they are."""
     if at >= stop:
@@ -103,7 +104,7 @@ def tag2(raw: ByteArray, at: int, stop: int, values: IntArray, variable: bool) -
     return at + 3
 
 
-@numba.njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True)
 def tag8_4s16(raw: ByteArray, at: int, stop: int, values: IntArray) -> int:
     """Four values of 0, 4, 8 or 16 bits; the tag has two bits for each, the first field's lowest.
 
@@ -135,7 +136,7 @@ def tag8_4s16(raw: ByteArray, at: int, stop: int, values: IntArray) -> int:
     return at
 
 
-@numba.njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True)
 def old_tag8_4s16(raw: ByteArray, at: int, stop: int, values: IntArray) -> int:
     """The same in logs of data version 1: two values of 4 bits share a byte, 16 bits are little-endian."""
     if at >= stop:
@@ -162,7 +163,7 @@ def old_tag8_4s16(raw: ByteArray, at: int, stop: int, values: IntArray) -> int:
     return at
 
 
-@numba.njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True)
 def tag8_8svb(raw: ByteArray, at: int, stop: int, values: IntArray, span: int) -> int:
     """Up to eight values; bit k of the tag is set where value k is not 0. A value alone has no tag."""
     if at >= stop:

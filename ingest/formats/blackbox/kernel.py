@@ -12,10 +12,10 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
+from flysid.compiling import njit
 from flysid.ingest.formats.blackbox.codes import Encoding, EventKind, Predictor
 from flysid.ingest.formats.blackbox.encodings import (
     PAST_END,
@@ -106,7 +106,7 @@ STATE = np.dtype(
 )  # fmt: skip
 
 
-@numba.njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True)
 def next_iteration(state: State, iteration: int) -> int:
     """The loop iteration after `iteration` that is logged: (i mod I + num - 1) mod den < num."""
     interval = state.interval
@@ -123,13 +123,13 @@ def next_iteration(state: State, iteration: int) -> int:
     return due
 
 
-@numba.njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True)
 def longest_frame(fields: int) -> int:
     """Bytes that a frame of so many fields may take."""
     return max(LONGEST_FRAME, LONGEST_FIELD * fields)
 
 
-@numba.njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True)
 def read_fields(
     raw: ByteArray,
     at: int,
@@ -213,7 +213,7 @@ def read_fields(
     return at
 
 
-@numba.njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True)
 def read_event(raw: ByteArray, at: int, stop: int, found: IntArray) -> int:
     """Read an event from behind its letter: number, value, other value, place and size of its text."""
     if at >= stop:
@@ -266,7 +266,7 @@ def read_event(raw: ByteArray, at: int, stop: int, found: IntArray) -> int:
     return WRONG
 
 
-@numba.njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True)
 def kind_of(letter: int) -> int:
     """The frame that a letter begins; -1 where it begins none."""
     for k in range(len(LETTERS)):
@@ -275,19 +275,19 @@ def kind_of(letter: int) -> int:
     return -1
 
 
-@numba.njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True)
 def may_end(raw: ByteArray, at: int, state: State) -> bool:
     """Whether a frame may end here: another begins, or nothing follows."""
     return at >= state.content_end or kind_of(raw[at]) >= 0
 
 
-@numba.njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True)
 def unwrap(now: int, last_us: int) -> int:
     """A 32-bit time as one that goes on from the last: it wraps after 71.6 minutes."""
     return last_us + sign_extend(now - last_us, 32)
 
 
-@numba.njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True)
 def close_group(state: State, keep: bool) -> int:
     """End the group of the last I frame, and keep its rows or take them back; how many main rows went."""
     gone = 0
@@ -311,7 +311,7 @@ def close_group(state: State, keep: bool) -> int:
     return gone
 
 
-@numba.njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True)
 def _keep(
     table: Any, times: IntArray, spans: IntArray, row: int, values: IntArray, us: int, at: int, end: int
 ) -> None:
@@ -322,7 +322,7 @@ def _keep(
     spans[1, row] = end
 
 
-@numba.njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True)
 def walk(
     raw: ByteArray,
     at: int,

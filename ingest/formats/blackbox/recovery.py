@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 
+from flysid.compiling import njit
 from flysid.ingest.formats.blackbox.codes import EventKind
 from flysid.ingest.formats.blackbox.encodings import ByteArray, IntArray, sign_extend
 from flysid.ingest.formats.blackbox.kernel import (
@@ -31,7 +31,7 @@ GROUPS_AT_FIRST = 16
 """And as much as these groups of frames, so that a wound may hold such bytes by the hundred."""
 
 
-@numba.njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True)
 def is_confirmed(
     raw: ByteArray, at: int, program: Program, state: State, scratch: IntArray, found: IntArray
 ) -> int:
@@ -88,7 +88,7 @@ def is_confirmed(
     return 1
 
 
-@numba.njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True)
 def find_intra(
     raw: ByteArray, at: int, program: Program, state: State, scratch: IntArray, found: IntArray
 ) -> int:

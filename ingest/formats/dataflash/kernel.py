@@ -8,8 +8,7 @@ from __future__ import annotations
 from types import FunctionType
 from typing import Any
 
-import numba
-
+from flysid.compiling import njit
 from flysid.ingest.formats.dataflash import rules
 
 IN_ORDER = (
@@ -34,7 +33,7 @@ def compile_rules() -> Any:
     """`rules.walk` as machine code, kept on the disk by numba."""
     names: dict[str, Any] = dict(vars(rules))
     for plain in IN_ORDER:
-        names[plain.__name__] = numba.njit(cache=True, nogil=True)(
+        names[plain.__name__] = njit(cache=True, nogil=True)(
             FunctionType(plain.__code__, names, plain.__name__)
         )
     return names["walk"]
