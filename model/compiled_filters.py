@@ -39,7 +39,7 @@ def free_responses(a: FloatArray, rows: int) -> FloatArray:
 
 def lengths(columns: FloatArray) -> FloatArray:
     """(k,) of columns (N, k); 1 where there is nothing."""
-    found = np.sqrt(_squares(np.ascontiguousarray(columns)))
+    found = np.sqrt(squares(columns))
     return np.where(found > 0, found, 1.0)
 
 
@@ -49,7 +49,8 @@ def is_stable(a: FloatArray, radius: float = 1.0) -> bool:
 
 
 @compiled
-def _squares(columns: FloatArray) -> FloatArray:
+def squares(columns: FloatArray) -> FloatArray:
+    """(k,) sums of squares of columns (N, k), row by row, however they lie in memory."""
     total = np.zeros(columns.shape[1])
     for k in range(columns.shape[0]):
         for i in range(columns.shape[1]):

@@ -21,6 +21,7 @@ import numpy as np
 from flysid.dataset import FloatArray
 from flysid.errors import FitError
 from flysid.model.bordered import Bordered
+from flysid.model.compiled_filters import squares
 
 Residuals: TypeAlias = tuple[FloatArray, FloatArray]
 """(N,) residuals r and their (N, n) Jacobian dr/dtheta."""
@@ -127,7 +128,7 @@ def _evaluate(
             return _Point(theta, float(total), jtr, jtj.diagonal().copy(), jtj, None, None)
         residual, jacobian = answer
         total = float(residual @ residual)
-        diagonal = np.einsum("ij,ij->j", jacobian, jacobian)
+        diagonal = squares(jacobian)
     if not (np.isfinite(total) and np.isfinite(diagonal).all()):
         return None
     triangle, rotated = _triangle(residual, jacobian)

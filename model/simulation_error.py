@@ -163,10 +163,15 @@ def _free_space(denominator: bytes, rows: int) -> FloatArray:
 
 def without(space: FloatArray, columns: FloatArray) -> FloatArray:
     """The columns minus their projection on `space`, which lives on the first rows."""
-    rows = len(space)
     out = columns.copy()
-    out[:rows] -= space @ (space.T @ columns[:rows])
+    _take_out(space, columns, out)
     return out
+
+
+def _take_out(space: FloatArray, columns: FloatArray, out: FloatArray) -> None:
+    """Their projection on `space` out of a copy of the columns, or of themselves."""
+    rows = len(space)
+    out[:rows] -= space @ (space.T @ columns[:rows])
 
 
 @dataclass(frozen=True)
@@ -265,12 +270,13 @@ class OutputError:
         """(M,) errors and their (M, count) Jacobian in difference coordinates."""
         transfer = to_transfer(theta, self.orders)
         parts = [self._record_jacobian(transfer, record) for record in self.usable()]
-        return np.concatenate([p[0] for p in parts]), np.concatenate([p[1] for p in parts])
+        residual, jacobian = parts[0] if len(parts) == 1 else map(np.concatenate, zip(*parts, strict=True))
+        return residual, jacobian
 
     def jacobians(self, theta: FloatArray) -> list[FloatArray]:
         """Jacobian of every usable record."""
         transfer = to_transfer(theta, self.orders)
-        return [self._record_jacobian(transfer, record)[1] for record in self.usable()]
+        return [np.ascontiguousarray(self._record_jacobian(transfer, r)[1]) for r in self.usable()]
 
     def _record_jacobian(self, transfer: Transfer, record: Record) -> tuple[FloatArray, FloatArray]:
         orders = self.orders
@@ -288,7 +294,8 @@ class OutputError:
         through = apply_filter(ONE, transfer.a, response)
         past = -differences(through, orders.na, 0, rows, monic=True)
         jacobian = np.hstack([past, *self._driven_columns(record.u, transfer.a, rows)])
-        return residual, without(space, jacobian)
+        _take_out(space, jacobian, jacobian)
+        return residual, jacobian
 
     def refine(self, theta: FloatArray, *, max_iterations: int) -> Refinement:
         """Levenberg-Marquardt from a stable start."""
