@@ -9,6 +9,7 @@ import pytest
 from scipy.signal import lfilter
 
 from flysid.dataset import Dataset, FloatArray
+from flysid.model.fir import FIR
 from flysid.model.in_pieces import in_pieces
 from flysid.model.linear.difference_equation import FittedLinear
 from flysid.model.noise import coloured_gram, k_step_ahead
@@ -55,6 +56,17 @@ def test_a_gram_of_coloured_noise_is_that_of_its_covariance() -> None:
     answer = lfilter([1.0], d, np.eye(15)[0])
     through = np.array([[answer[i - j] if i >= j else 0.0 for j in range(15)] for i in range(15)])
     assert coloured_gram([jacobian], d) == pytest.approx(jacobian.T @ through @ through.T @ jacobian)
+
+
+def test_what_taps_leave_over_has_the_colour_of_the_noise() -> None:
+    rng = np.random.default_rng(6)
+    u = rng.normal(size=3000)
+    noise = lfilter([1.0], [1.0, -0.8], 0.1 * rng.normal(size=3000))
+    data = Dataset.from_arrays(u, 5.0 + lfilter([0.0, 1.0, 0.5], [1.0], u) + noise, 0.02)
+    model = FIR(taps=4, nk=0).fit(data)
+    assert model.noise is not None
+    assert model.noise[1, 0] == pytest.approx(-0.8, abs=0.06)  # four standard errors
+    assert np.abs(model.noise[2:]).max(initial=0.0) < 0.08
 
 
 def ramp(n: int) -> Record:
