@@ -114,4 +114,4 @@ def _but_constants(problem: Problem) -> FloatArray:
     """(n_b, n_b) the metric of a departure of one rule's coordinates in which its constant is free."""
     constant = np.array([float(column < 0) for column, _ in problem.layout.regressors])
     along = np.linalg.lstsq(problem.basis.T, constant, rcond=None)[0]
-    return np.eye(len(along)) - np.outer(along, along) / (along @ along)
+    return np.asarray(np.eye(len(along)) - np.outer(along, along) / (along @ along))
