@@ -61,6 +61,7 @@ STEPS: Mapping[str, Step] = {
     "short records": lambda: patch.object(learning, "_HIGHEST_LINEAR", learning._DEEPEST_DELAY),
     "ends of travel": lambda: patch.object(learning, "saturation_limits", nowhere),
     "different starts": lambda: patch.object(search, "different", list),
+    "dry friction": lambda: patch.object(search, "rubbing", lambda *_: []),
     "first width": lambda: patch.object(growth, "first_width", half_spread),
     "merge and split": lambda: patch.object(edits, "merge_and_split", lambda _, models, at: models[at]),
 }

@@ -218,7 +218,17 @@ def fewest_rules(family: Family, plain: Family, gain: float) -> int:
     plain : judges a single rule, the best of all starts.
     gain : share of the mean square that a rule must win, however sure it is.
     """
-    units = sweep(family, plain)
+    return simplest_of(sweep(family, plain), family, gain)
+
+
+def simplest_of(units: Sequence[FloatArray], family: Family, gain: float) -> int:
+    """Index of the first of several models, simplest first, that is not clearly worse than the best.
+
+    Parameters
+    ----------
+    units : `Family.units` of every model, over the folds of `family`.
+    gain : as in `fewest_rules`.
+    """
     best = _best(units, family)
     clear = _CLEAR if len(family.folds) > 1 else 1.0
     for i in range(best):

@@ -17,6 +17,7 @@ import numpy as np
 
 from flysid.model.linear.data import SEARCH_ROWS
 from flysid.model.polynomials import VANISHING
+from flysid.model.rules.friction import rubbing
 from flysid.model.rules.growth import Insertion, Training, one_rule_more, same_insertion, thin
 from flysid.model.rules.judging import Family, tolerant
 from flysid.model.rules.regressor_layout import Orders
@@ -59,10 +60,10 @@ def search(context: SearchContext, plain: Family, starts: Sequence[Family]) -> t
         return plain, -np.inf
     screened = _screen(context, able)
     fit = _change(*(min(s.fits[rules] for s in screened) for rules in (1, 0)))
+    tried = rubbing(context, starts)
     if context.auto and min(s.change for s in screened) > -context.promise:
-        return plain, fit
+        return min([plain, *tried], key=context.error), fit
     kept = [context.completed(s.family) for s in screened[: context.settings.search.lanes]]
-    tried: list[Family] = []
     for ridge in context.ridges:
         tried += [grown(context, s, ridge, at / len(kept)) for at, s in enumerate(kept)]
         best = min(tried, key=context.error)

@@ -146,6 +146,12 @@ class SearchContext:
         return self.settings.rules == "auto"
 
     @property
+    def asks_nothing(self) -> bool:
+        """The number of rules, their antecedents and all orders are chosen."""
+        s = self.settings
+        return all(asked == "auto" for asked in (s.rules, s.antecedents, s.na, s.nb, s.nk))
+
+    @property
     def most_rules(self) -> int:
         """Where growth stops."""
         return self.settings.most_rules if self.settings.rules == "auto" else self.settings.rules
@@ -293,7 +299,11 @@ class SearchContext:
         """The data hold these lags, and none is shorter than the dead time that the log shows."""
         least = tuple(self.settings.nk_least) or (0,) * len(orders.nk)
         late = all(k >= floor or not b for k, floor, b in zip(orders.nk, least, orders.nb, strict=True))
-        return late and orders.depth + FEWEST <= self.least
+        return late and self.holds(orders)
+
+    def holds(self, orders: Orders) -> bool:
+        """The segments of every part are long enough for these lags."""
+        return orders.depth + FEWEST <= self.least
 
     def completed(self, start: Family) -> Family:
         """A linear start beside itself on the parts that other folds hold out, refitted without them.
