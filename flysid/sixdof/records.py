@@ -257,6 +257,18 @@ def _aloft(records: Sequence[Record]) -> list[Record]:
         flying = record.flying & (record.commands > TURNING).all(axis=1)
         if record.position is not None and record.flight in ground:
             flying &= record.position[:, 2] - ground[record.flight] > ALOFT_M
-        clipped = np.clip(record.commands, 0.0, 1.0)
-        found.append(replace(record, commands=clipped, lost=~record.flying, flying=flying))
+        found.append(replace(record, commands=_bridged(record), lost=~record.flying, flying=flying))
     return found
+
+
+def _bridged(record: Record) -> FloatArray:
+    """(N, motors) commands within full scale, those before and after a loss joined by straight lines.
+
+    When telemetry is whole again motors still follow what the loss hid: never what it invents.
+    """
+    whole = np.flatnonzero(record.flying)
+    if not len(whole):
+        return np.clip(record.commands, 0.0, 1.0)
+    every = np.arange(len(record))
+    joined = [np.interp(every, whole, column) for column in record.commands[whole].T]
+    return np.clip(np.stack(joined, axis=1), 0.0, 1.0)

@@ -16,6 +16,8 @@ from flysid.cli import root
 from flysid.dataset import Dataset
 from flysid.ingest.align.resample import lowpass
 from flysid.sixdof.cleaning import SampleFaults, clock_offsets, straight_lines
+from flysid.sixdof import layout
+from flysid.sixdof.cleaning import Damage, clock_offsets, straight_lines
 from flysid.sixdof.fitted import FittedVehicle
 from flysid.sixdof.records import Scale, find_scale, flights_of
 from tests.flysid.sixdof.hidden_quad import write_table
@@ -49,6 +51,18 @@ def test_a_link_loss_changes_no_number(still: Dataset, regressed: FittedVehicle)
         with_loss["roll of motor 1"].value, regressed["roll of motor 1"].value, rtol=0.1
     )
     assert any("straight" in line for line in with_loss.lines())
+
+
+def test_motors_follow_no_command_that_a_loss_invents(still: Dataset, regressed: FittedVehicle) -> None:
+    """Ten losses of half a second, behind each of which motors would come down from full scale."""
+    data = still
+    for first in range(200, 2300, 210):
+        data = damaged(data, first, 50, 70.0)
+    record = flights_of(data, Scale(0.0, 1.0)).records[0]
+    assert np.abs(np.diff(record.commands[200:252], axis=0)).max() < 0.2
+    found = layout.effects(flysid.Vehicle(free_runs=False).fit(data).theta)
+    wanted = layout.effects(regressed.theta)
+    assert np.linalg.norm(found - wanted) < 0.2 * np.linalg.norm(wanted)
 
 
 def test_a_whole_flight_has_no_damage(still: Dataset) -> None:
