@@ -15,9 +15,8 @@ import flysid
 from flysid.cli import root
 from flysid.dataset import Dataset
 from flysid.ingest.align.resample import lowpass
-from flysid.sixdof.cleaning import SampleFaults, clock_offsets, straight_lines
 from flysid.sixdof import layout
-from flysid.sixdof.cleaning import Damage, clock_offsets, straight_lines
+from flysid.sixdof.cleaning import SampleFaults, clock_offsets, straight_lines
 from flysid.sixdof.fitted import FittedVehicle
 from flysid.sixdof.records import Scale, find_scale, flights_of
 from tests.flysid.sixdof.hidden_quad import write_table
