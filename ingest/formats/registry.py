@@ -11,7 +11,7 @@ import pkgutil
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 from flysid.errors import FormatError, UsageError
 from flysid.flight import Flight
@@ -186,9 +186,10 @@ def known_suffixes() -> tuple[str, ...]:
 
 
 def sole_log(path: Path) -> Path:
-    """`path`, or, for a .zip archive, its only member that is called like a log.
+    """`path`, or, for a .zip archive, its only member that is called like a log; hidden files are none.
 
     Where that says nothing, `path` comes back: opening it names the members.
     """
-    named = [name for name in members_of(path) if own_name(name).lower().endswith(known_suffixes())]
+    seen = [name for name in members_of(path) if not PurePosixPath(name).name.startswith(".")]
+    named = [name for name in seen if own_name(name).lower().endswith(known_suffixes())]
     return path / named[0] if len(named) == 1 else path

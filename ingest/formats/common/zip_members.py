@@ -76,12 +76,7 @@ def _read_archive(path: Path, size: int, modified_ns: int) -> Archive:  # noqa: 
             fault = "the archive's list of members does not fit it: bytes are missing, or were added"
         if fault:
             found = list(_met(view)) or found
-    return Archive(_name([each for each in _bound(found) if not _is_note_of_macos(each.name)]), fault)
-
-
-def _is_note_of_macos(name: str) -> bool:
-    """Whether a member holds what the Finder notes about another one."""
-    return name.startswith("__MACOSX/") and name.rpartition("/")[2].startswith("._")
+    return Archive(_name(_bound(found)), fault)
 
 
 def _is_in_place(view: memoryview, member: Member) -> bool:
