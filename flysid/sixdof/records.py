@@ -269,4 +269,4 @@ def _bridged(record: Record) -> FloatArray:
         return np.clip(record.commands, 0.0, 1.0)
     every = np.arange(len(record))
     joined = [np.interp(every, whole, column) for column in record.commands[whole].T]
-    return np.clip(np.stack(joined, axis=1), 0.0, 1.0)
+    return np.asarray(np.clip(np.stack(joined, axis=1), 0.0, 1.0))
