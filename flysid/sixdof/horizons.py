@@ -17,7 +17,7 @@ from flysid.sixdof.fitted import FittedVehicle
 from flysid.sixdof.layout import ARM, BODY_DRAG, DAMPING, INERTIA, LEAN, ROTOR_DRAG, THRUST, TRIM
 from flysid.sixdof.record import Record
 from flysid.sixdof.rigid_body import GRAVITY
-from flysid.sixdof.rules import ROLL, Conditions, Rule, add_up
+from flysid.sixdof.rules import ROLL, Conditions, HingeRule, add_up
 from flysid.sixdof.torque_fit import log_voltage_of
 from flysid.stretch import FloatArray
 
@@ -228,7 +228,7 @@ def _force(vehicle: FittedVehicle, lift: FloatArray, spin: FloatArray, air: Floa
 
 
 def turn_ahead(
-    starts: Starts, vehicle: FittedVehicle, driven: Driven, rules: Sequence[Rule] = ()
+    starts: Starts, vehicle: FittedVehicle, driven: Driven, rules: Sequence[HingeRule] = ()
 ) -> tuple[FloatArray, FloatArray]:
     """(H, S, 4) attitudes and (H, S, 3) rates by physics and rules, disturbances of torque held.
 
@@ -261,7 +261,11 @@ def turn_ahead(
 
 
 def move_ahead(
-    starts: Starts, vehicle: FittedVehicle, driven: Driven, attitudes: FloatArray, rules: Sequence[Rule] = ()
+    starts: Starts,
+    vehicle: FittedVehicle,
+    driven: Driven,
+    attitudes: FloatArray,
+    rules: Sequence[HingeRule] = (),
 ) -> tuple[FloatArray, FloatArray]:
     """(H, S, 3) positions and velocities along these attitudes, disturbances of force held."""
     at = starts.at
@@ -291,7 +295,7 @@ def move_ahead(
     return np.array(positions), np.array(velocities)
 
 
-def fly_ahead(starts: Starts, vehicle: FittedVehicle, rules: Sequence[Rule] = ()) -> Ahead:
+def fly_ahead(starts: Starts, vehicle: FittedVehicle, rules: Sequence[HingeRule] = ()) -> Ahead:
     """The vehicle alone: physics and rules, held disturbances that the samples before a start show."""
     driven = drive(starts.record, vehicle)
     attitudes, rates = turn_ahead(starts, vehicle, driven, rules)

@@ -18,7 +18,7 @@ from flysid.sixdof.fitted import FittedVehicle
 from flysid.sixdof.horizons import KINDS, Ahead, Starts, errors, fly_ahead, hold, whole_starts
 from flysid.sixdof.records import Scale, flights_of
 from flysid.sixdof.rest import find_rules
-from flysid.sixdof.rules import Rule
+from flysid.sixdof.rules import HingeRule
 from flysid.sixdof.vehicle import Vehicle
 from flysid.stretch import FloatArray
 
@@ -61,7 +61,7 @@ class Judgement:
     table: Mapping[str, FloatArray]
     starts: tuple[int, ...]
     tested: str
-    rules: tuple[Rule, ...] = ()
+    rules: tuple[HingeRule, ...] = ()
 
     def lines(self) -> list[str]:
         """For people: position and attitude, and the answer in words."""
@@ -107,7 +107,7 @@ class Judgement:
         return "physics with rules" if self.kept else "physics"
 
     @property
-    def kept(self) -> tuple[Rule, ...]:
+    def kept(self) -> tuple[HingeRule, ...]:
         """Rules with which physics predicts the left-out flights better."""
         gains = self._gains_by_rules
         return self.rules if gains.size and gains.mean() > 0.0 else ()
@@ -233,7 +233,7 @@ def errors_at_end(starts: Starts, ahead: Ahead) -> FloatArray:
 
 
 def _predictors(
-    flights: Sequence[Starts], vehicle: FittedVehicle, rules: Sequence[Rule]
+    flights: Sequence[Starts], vehicle: FittedVehicle, rules: Sequence[HingeRule]
 ) -> Mapping[str, Predict]:
     names = (HELD, BLIND, AXES, BOX, ALONE, *([RULED] if rules else []), LOOP)
     if not flights:

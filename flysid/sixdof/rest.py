@@ -11,7 +11,7 @@ from flysid.sixdof.descent import Places
 from flysid.sixdof.fitted import FittedVehicle
 from flysid.sixdof.horizons import conditions_of, drive, force_apart, torque_apart
 from flysid.sixdof.record import Record
-from flysid.sixdof.rules import CANDIDATES, QUANTITIES, ROLL, Conditions, Rule, base_of, hinge
+from flysid.sixdof.rules import CANDIDATES, QUANTITIES, ROLL, Conditions, HingeRule, base_of, hinge
 from flysid.sixdof.thrust_fit import WINDOW_S
 from flysid.sixdof.torque_fit import BLOCK_S, band_of, filter_columns
 from flysid.stretch import FloatArray
@@ -142,7 +142,7 @@ def find_rules(
     chance: float = 0.05,
     far: float = 0.98,
     folds: int = 3,
-) -> tuple[Rule, ...]:
+) -> tuple[HingeRule, ...]:
     """Rules that make smaller what is left of flights which are left out in turn.
 
     Parameters
@@ -179,7 +179,9 @@ def find_rules(
         for k, place in zip(chosen, places, strict=False):
             each = own[k]
             plain = numbers.pop(sums.base_at[k], 0.0)  # once, whatever leans on it
-            found.append(Rule(axis, each.base, each.quantity, each.above, plain, numbers[place], each.reach))
+            found.append(
+                HingeRule(axis, each.base, each.quantity, each.above, plain, numbers[place], each.reach)
+            )
     return tuple(found)
 
 

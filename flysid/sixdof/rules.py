@@ -88,7 +88,7 @@ def base_of(conditions: Conditions, axis: int, base: str) -> FloatArray:
 
 
 @dataclass(frozen=True)
-class Rule:
+class HingeRule:
     """One rule.
 
     Attributes
@@ -137,7 +137,7 @@ def hinge(conditions: Conditions, quantity: str, above: float, reach: float) -> 
     return np.asarray(np.clip(QUANTITIES[quantity].read(conditions), above, reach) - above)
 
 
-def add_up(rules: Sequence[Rule], conditions: Conditions) -> FloatArray:
+def add_up(rules: Sequence[HingeRule], conditions: Conditions) -> FloatArray:
     """(n, 6) what rules add to the accelerations."""
     found = np.zeros((len(conditions.air), SIZE))
     for rule in rules:

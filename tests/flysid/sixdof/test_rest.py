@@ -19,7 +19,7 @@ from flysid.sixdof.horizons import KINDS, drive
 from flysid.sixdof.judging import ALONE, AXES, BLIND, BOX, HELD, HORIZONS_S, LOOP, RULED, Judgement
 from flysid.sixdof.records import Scale, flights_of
 from flysid.sixdof.rest import find_rules
-from flysid.sixdof.rules import LEFT, LIFT, PITCH, SPEED, UP, Rule
+from flysid.sixdof.rules import LEFT, LIFT, PITCH, SPEED, UP, HingeRule
 from flysid.sixdof.vehicle import _Work
 from tests.flysid.sixdof.hidden_quad import write_table
 
@@ -74,14 +74,20 @@ def test_a_lift_that_sinking_adds_is_found(gusty: Dataset, gusty_regressed: Fitt
 @pytest.mark.parametrize(
     ("rule", "words"),
     [
-        (Rule(UP, LIFT, "sink", 1.0, 0.0, -0.05, 3.0), "faster than 1 m/s thrust falls: -10 % at 3 m/s"),
-        (Rule(UP, LIFT, "low", -0.5, 0.0, 0.5, -0.1), "below 0.5 m from the lowest place thrust grows: +20"),
-        (Rule(LEFT, SPEED, "aside", 0.0, 0.0, -0.2, 5.0), "drag grows with the square: +5 m/s^2 at 5 m/s"),
-        (Rule(LEFT, SPEED, "aside", 6.0, 0.0, -0.2, 9.0), "above 6 m/s to either side drag grows"),
-        (Rule(PITCH, SPEED, "forward", 2.0, 0.0, 0.5, 4.0), "turns it in pitch: +4 rad/s^2 at 4 m/s"),
+        (HingeRule(UP, LIFT, "sink", 1.0, 0.0, -0.05, 3.0), "faster than 1 m/s thrust falls: -10 % at 3 m/s"),
+        (
+            HingeRule(UP, LIFT, "low", -0.5, 0.0, 0.5, -0.1),
+            "below 0.5 m from the lowest place thrust grows: +20",
+        ),
+        (
+            HingeRule(LEFT, SPEED, "aside", 0.0, 0.0, -0.2, 5.0),
+            "drag grows with the square: +5 m/s^2 at 5 m/s",
+        ),
+        (HingeRule(LEFT, SPEED, "aside", 6.0, 0.0, -0.2, 9.0), "above 6 m/s to either side drag grows"),
+        (HingeRule(PITCH, SPEED, "forward", 2.0, 0.0, 0.5, 4.0), "turns it in pitch: +4 rad/s^2 at 4 m/s"),
     ],
 )
-def test_rules_are_sentences(rule: Rule, words: str) -> None:
+def test_rules_are_sentences(rule: HingeRule, words: str) -> None:
     assert words in str(rule)
 
 
@@ -110,7 +116,7 @@ def test_the_answer_follows_the_table(alone: float, ruled: float | None, answer:
         ALONE: alone * one,
         LOOP: 0.9 * one,
     }
-    rules = () if ruled is None else (Rule(UP, LIFT, "sink", 1.0, 0.0, -0.05, 3.0),)
+    rules = () if ruled is None else (HingeRule(UP, LIFT, "sink", 1.0, 0.0, -0.05, 3.0),)
     if ruled is not None:
         table[RULED] = ruled * one
     judged = Judgement(table, (1, 1, 1, 1), "1 flight", rules)
