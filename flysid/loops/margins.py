@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from weakref import WeakKeyDictionary
 
 import numpy as np
 import numpy.typing as npt
@@ -219,11 +219,18 @@ def _known_band(loop: Loop) -> tuple[float, float, npt.NDArray[np.bool_]]:
     return low, high, (loop.f >= low) & (loop.f <= high)
 
 
-@lru_cache(maxsize=2)
+_kept: WeakKeyDictionary[Loop, tuple[ComplexArray, ComplexArray, ComplexArray]] = WeakKeyDictionary()
+
+
 def _least_off(loop: Loop) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
-    """As `least_off`, where the loop is known; kept for the next controller: a tuner asks what several do."""
-    *_, at = _known_band(loop)
-    return least_off(loop, at)
+    """As `least_off`, where the loop is known; kept for the next controller: a tuner asks what several do.
+
+    It goes when the loop goes: a loop and what is resampled of it are large.
+    """
+    if loop not in _kept:
+        *_, at = _known_band(loop)
+        _kept[loop] = least_off(loop, at)
+    return _kept[loop]
 
 
 def least_off(loop: Loop, at: npt.NDArray[np.bool_]) -> tuple[ComplexArray, ComplexArray, ComplexArray]:

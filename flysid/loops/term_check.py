@@ -39,12 +39,12 @@ def check_terms(
     if not law.step_s:
         return (), Means()
     rebuilt = rebuild(law, rows, step_s)
-    rounded = rebuild(law, _round_again(rows), step_s)
+    of_rounding = _subtract(rebuild(law, _round_again(rows), step_s), rebuilt)
     of_record = np.random.default_rng(1).uniform(-0.5, 0.5, len(rows.loop))
     flown = recorded["I"] != 0.0  # on the ground the integral is held at 0
     found = []
     for term in (t for t in "PID" if t in recorded):
-        noise = _term(rounded, term) - _term(rebuilt, term) + of_record
+        noise = _term(of_rounding, term) + of_record
         own = recorded[term] + (0.5 * np.sign(recorded[term]) if law.cut_terms else 0.0)
         check = compare(term, own, _term(rebuilt, term), flown, rate_hz, noise)
         if check is not None and not check.fits and not check.cause:
@@ -150,6 +150,14 @@ def _round_again(rows: Rows) -> Rows:
         for values in (rows.setpoint, rows.rate)
     )
     return replace(rows, setpoint=setpoint, rate=rate)
+
+
+def _subtract(one: Rebuilt, other: Rebuilt) -> Rebuilt:
+    """The terms of one without those of another, in the memory of the first: a flight's terms are large."""
+    for term in "PID":
+        own = _term(one, term)
+        own -= _term(other, term)
+    return one
 
 
 def _even_out(values: FloatArray, block: int) -> FloatArray:

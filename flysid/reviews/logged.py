@@ -32,7 +32,8 @@ class LoggedFlight(ClockedLog):
     def judged(self) -> tuple[Judged, ...]:
         """The rate loops of roll and pitch and their margins; () of a log whose gains are not read.
 
-        What is resampled of them is not kept: it is large, and soon made again.
+        What is resampled of them is not kept, and one axis is done before the next: it is large, and soon
+        made again.
         """
         from flysid.loops.judged import judge, states_gains
 
@@ -40,5 +41,6 @@ class LoggedFlight(ClockedLog):
             return ()
         return tuple(
             replace(found, loop=replace(found.loop)) if found.loop is not None else found
-            for found in judge([self.log])
+            for axis in ("roll", "pitch")
+            for found in judge([self.log], [axis])
         )

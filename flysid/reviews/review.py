@@ -8,8 +8,12 @@ from importlib import import_module
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+import numpy as np
+
+from flysid.dataset import FloatArray
 from flysid.errors import FormatError, UsageError
 from flysid.extras import Extra, Missing, extra
+from flysid.flight import split_address
 from flysid.ingest.lake.crash import end_at_crash
 from flysid.ingest.lake.timeline import Timeline, Trace, happenings, with_gaps
 from flysid.progress import tell
@@ -102,12 +106,12 @@ def review_flight(flight: LoggedFlight, *, with_evidence: bool = False) -> Revie
     with broken.gathering():
         flight = extra(Extra.REVIEWED, partial(end_at_crash, flight), None, of="crash") or flight
         for i, key in enumerate(SECTIONS):
+            if not with_evidence:
+                flight.forget()
             tell(f"reviewing: {key}", log=flight.name, share=i / len(SECTIONS))
             made = extra(Extra.REVIEWED, partial(_review, key, flight), None, of=key)
             if made is not None:
                 sections.append(made)
-            if not with_evidence:
-                flight.forget()
         facts = [fact for section in sections for fact in section.facts]
         if with_evidence:
             timeline = extra(Extra.REVIEW_PICTURE, partial(_evidence, flight, facts), timeline, of="evidence")
@@ -130,18 +134,26 @@ def _review(key: str, flight: LoggedFlight) -> Section:
 
 
 def _evidence(flight: LoggedFlight, facts: Iterable[Fact]) -> Timeline:
-    """The fields of facts, in their order: those of one fact and unit share a panel."""
+    """The fields of facts, in their order: those of one fact and unit share a panel.
+
+    A column is given up as its trace is made, and traces of a stream share their times: either is large.
+    """
     panels: list[tuple[Trace, ...]] = []
-    drawn: set[str] = set()
+    times: dict[str, FloatArray] = {}
     for fact in facts:
-        new = [flight.read[a] for a in fact.fields if a in flight.read and a not in drawn]
+        new = [flight.read.pop(a) for a in dict.fromkeys(fact.fields) if a in flight.read]
         units = dict.fromkeys(column.unit for column in new)
-        panels += [tuple(_trace(column) for column in new if column.unit == unit) for unit in units]
-        drawn |= set(fact.fields)
+        panels += [tuple(_trace(column, times) for column in new if column.unit == unit) for unit in units]
     seen = happenings(flight.log, flight.clock.offsets_s, flight.duration_s)
     return Timeline(flight.name, tuple(panels), *seen, flight.clock.words)
 
 
-def _trace(column: Column) -> Trace:
+def _trace(column: Column, times: dict[str, FloatArray]) -> Trace:
+    """A column with its pauses; `times` holds those of the traces before, by stream, and takes its own."""
     time_s, values = with_gaps(column.time_s, column.values)
+    stream, _ = split_address(column.address)
+    before = times.get(stream)
+    if before is not None and np.array_equal(before, time_s):
+        time_s = before
+    times[stream] = time_s
     return Trace(column.address, column.unit, time_s, values)

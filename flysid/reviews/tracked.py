@@ -94,6 +94,7 @@ def track(flight: LoggedFlight) -> Tracked:
     """Measure the loops of a flight."""
     judged = flight.judged  # first: it takes most memory, and of the pairs below nothing is held yet
     counts = in_control(flight)
+    controllers = tuple(controller_limits(flight, counts))  # it adds terms up, before the pairs are held
     held = list(pairs(flight))
     followed = tuple(found for pair in held if (found := _follow(pair, counts)) is not None)
     shaken = dict(_oscillations(flight, held, counts))
@@ -102,7 +103,7 @@ def track(flight: LoggedFlight) -> Tracked:
         followed,
         shaken,
         tuple(resting_motors(flight, counts)) if any(found.rms for found in shaken.values()) else (),
-        tuple(controller_limits(flight, counts)),
+        controllers,
         judged,
     )
 
