@@ -24,7 +24,7 @@ from flysid.laws.described import BLACKBOX, blackbox_law
         ("INAV 5.1.0 (x) Y", (2, 6)),
         ("INAV 6.1.1 (x) Y", (6, 0)),
         ("INAV 7.1.2 (8ae2c5b) X", (7, 0)),
-        ("INAV 8.0.1 (x) Y", (7, 0)),
+        ("INAV 8.0.1 (x) Y", (8, 0)),
     ],
 )
 def test_a_version_gets_the_law_of_its_range(revision: str, since: tuple[int, int]) -> None:

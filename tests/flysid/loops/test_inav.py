@@ -94,7 +94,7 @@ def test_another_profile_in_the_middle_of_a_flight_is_named_with_its_time() -> N
 
 
 def test_tpa_ends_at_the_full_throttle_that_the_header_states() -> None:
-    """It ended at 2000 us, and `max_throttle` is 1850 by default up to 7.1: at 1850 us P counted as 5 % higher."""
+    """It ended at 2000 us, and up to 7.1 `max_throttle` is 1850 by default: P counted as up to 5 % higher."""
     throttle = np.array([1200.0, 1525.0, 1850.0, 2000.0])
     stated = BetaflightLaw.of(HEADER | {"maxthrottle": "1850"}, "roll")
     assert stated.kept(throttle) == pytest.approx([1.0, 0.9, 0.8, 0.8])
