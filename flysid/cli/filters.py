@@ -58,9 +58,10 @@ def command(
 ) -> int:
     """Show what the gyro's filters cost and remove, beside other filters.
 
-    The chain is rebuilt from the parameters in the log (Betaflight 3.1 on, PX4 1.10 on, ArduPilot 4.0 on), at
-    the real time of an iteration. It is run again on the raw gyro, where the log has it, and compared with
-    what the vehicle logged. Notches whose frequencies are not in the log are named, and not run.
+    The chain is rebuilt from the parameters in the log (Betaflight 3.1 on, INAV 6 on, PX4 1.10 on, ArduPilot
+    4.0 on), at the real time of an iteration. It is run again on the raw gyro, where the log has it, and
+    compared with what the vehicle logged. Notches whose frequencies are not in the log, and filters that
+    INAV's headers do not state, are named, and not run.
     """
     from flysid.reviews.filter_trial import crossover_of, stage_of, try_filters
 

@@ -33,7 +33,7 @@ from flysid.loops.stages import ComplexArray, Filters, filters_of
 
 AXES = {"roll": "rollPID", "pitch": "pitchPID", "yaw": "yawPID"}
 FULL_THROTTLE = 2000.0
-"""us."""
+"""us, where the law has no setting for it."""
 IDLE_STICK = 1050.0
 """us of throttle below which the motors idle (`min_check`), which headers do not state."""
 ANTI_GRAVITY = 1 << 28
@@ -111,7 +111,9 @@ class BetaflightLaw:
     `cut_terms`: the log has terms without their fractions.
     `title`: version, and which law stands in for an unknown one.
     `not_described`: settings of this log that change the law in a way that is not described.
-    `not_stated`: settings that this header lacks and others of its version have, by the term that they move.
+    `not_stated`: settings that the header lacks, by the term that they move: lost, or never in those of the
+        version.
+    `full_throttle`: us at which TPA takes its whole share.
     """
 
     stated: Mapping[str, float]
@@ -148,6 +150,7 @@ class BetaflightLaw:
     has_forward: bool = False
     not_described: tuple[str, ...] = field(default=())
     not_stated: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    full_throttle: float = FULL_THROTTLE
 
     @classmethod
     def of(cls, settings: Mapping[str, str], axis: str) -> BetaflightLaw:
@@ -210,12 +213,9 @@ class BetaflightLaw:
             law.title,
             law.exact,
             bool(law.scale["f"]) and forward > 0.0,
-            tuple(
-                f"{what} ({name})"
-                for name, what in law.not_described.items()
-                if stated_number(settings, name, otherwise=0.0)
-            ),
-            {term: read.lost(roles) for term, roles in law.part("expected").items()},
+            _not_described(law, read),
+            {term: _not_stated(law, read, term) for term in "PID"},
+            read.one("full_throttle", FULL_THROTTLE),
         )
 
     @property
@@ -226,9 +226,10 @@ class BetaflightLaw:
     def kept(self, throttle: FloatArray) -> FloatArray:
         """(N,) what TPA leaves of its terms."""
         share, begins = self.tpa
-        if begins >= FULL_THROTTLE:
+        full = self.full_throttle
+        if begins >= full:
             return np.ones(len(throttle))
-        return np.asarray(1.0 - share * np.clip((throttle - begins) / (FULL_THROTTLE - begins), 0.0, 1.0))
+        return np.asarray(1.0 - share * np.clip((throttle - begins) / (full - begins), 0.0, 1.0))
 
     def filters_at(self, lowpass_hz: float) -> Filters:
         """The derivative's low-passes with the moving one at a cut-off (Hz)."""
@@ -301,6 +302,23 @@ class _Header:
     def needed(self, name: str) -> tuple[float, ...]:
         """The numbers of a setting that the law cannot do without."""
         return needed_numbers(self.settings, *self.law.names[name])
+
+
+def _not_described(law: Law, read: _Header) -> tuple[str, ...]:
+    """Settings of this log that change the law in a way that its entry leaves out."""
+    switched = [
+        f"{what} ({name})"
+        for name, what in law.not_described.items()
+        if stated_number(read.settings, name, otherwise=0.0)
+    ]
+    known = len(law.part("derivative")["kinds"])
+    types = [role for role in ("lowpass_1_type", "lowpass_2_type") if read.one(role, 0.0) >= known]
+    return (*switched, *(f"D low-pass type {read.one(role, 0.0):g}" for role in types))
+
+
+def _not_stated(law: Law, read: _Header, term: str) -> tuple[str, ...]:
+    """Settings that move a term and are not in the header: lost, or never in one of the version."""
+    return (*read.lost(law.part("expected").get(term, ())), *law.part("unstated").get(term, ()))
 
 
 def _kind(law: Law, read: _Header, name: str) -> str:

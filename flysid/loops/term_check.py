@@ -200,11 +200,11 @@ def _cause(
 
 
 def _name_unknown(law: BetaflightLaw, term: str) -> str:
-    """Settings that the header lost, or that the law does not describe; "" where there are none."""
-    if lost := ", ".join(law.not_stated.get(term, ())):
-        return f"the log's header does not state {lost}"
-    named = ", ".join(law.not_described)
-    return f"the log has {named}, which the law leaves out" if named else ""
+    """Settings that the law does not describe, or that the header lacks; "" where there are none."""
+    if named := ", ".join(law.not_described):
+        return f"the log has {named}, which the law leaves out"
+    lacking = ", ".join(law.not_stated.get(term, ()))
+    return f"the log's header does not state {lacking}" if lacking else ""
 
 
 def _changes(law: BetaflightLaw, term: str) -> list[tuple[str, BetaflightLaw]]:

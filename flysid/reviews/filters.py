@@ -18,6 +18,7 @@ from flysid.reviews.remedies import remedy
 from flysid.spectra.ardupilot import Sources, ardupilot_chain
 from flysid.spectra.betaflight import betaflight_chain
 from flysid.spectra.chain import Chain
+from flysid.spectra.inav import inav_chain
 from flysid.spectra.px4 import px4_chain
 from flysid.spectra.replay import Replayed, Rows, compare
 from flysid.spectra.spectrum import whole_stretches
@@ -29,9 +30,11 @@ def gyro_chain(flight: LoggedFlight, gyro: LoggedGyro) -> Chain:
     Raises DataError: they are not known: another firmware, or the log does not state them.
     """
     if flight.family == "betaflight":
-        loops = flight.quantity("main.loopIteration")
-        late = slower(loops.time_s, loops.values, stated_step_s(flight.headers)) if loops is not None else 1.0
-        return betaflight_chain(flight.headers, late, throttle_of(flight), list(motors_hz(flight).values()))
+        return betaflight_chain(
+            flight.headers, _lateness(flight), throttle_of(flight), list(motors_hz(flight).values())
+        )
+    if flight.family == "inav":
+        return inav_chain(flight.headers, _lateness(flight))
     if flight.family == "px4":
         return px4_chain(flight.parameters, _rate(flight, gyro), list(motors_hz(flight).values()))
     if flight.family == "ardupilot":
@@ -45,8 +48,14 @@ def gyro_chain(flight: LoggedFlight, gyro: LoggedGyro) -> Chain:
         return ardupilot_chain(flight.parameters, _rate(flight, gyro), sources)
     raise DataError(
         f"the filters of {flight.info.get('autopilot') or 'this firmware'} are not known here",
-        hint="those of ArduPilot, PX4 and Betaflight are; the spectrum itself: flysid spectrum LOG",
+        hint="those of ArduPilot, PX4, Betaflight and INAV are; the spectrum itself: flysid spectrum LOG",
     )
+
+
+def _lateness(flight: LoggedFlight) -> float:
+    """Real time of an iteration of a blackbox log's loop over the stated one."""
+    loops = flight.quantity("main.loopIteration")
+    return slower(loops.time_s, loops.values, stated_step_s(flight.headers)) if loops is not None else 1.0
 
 
 BOTH = "log both at the gyro's rate"

@@ -1,7 +1,7 @@
 """The gyro's filters of Betaflight, from the settings in a blackbox header.
 
 Since 4.2 the second low-pass filter runs with every sample of the gyro, and all others with every PID loop.
-Before, all ran with every sample. INAV and EmuFlight state other settings, and are refused.
+Before, all ran with every sample. EmuFlight states other settings, and is refused; INAV is apart.
 """
 
 from __future__ import annotations

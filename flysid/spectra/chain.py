@@ -11,6 +11,9 @@ from flysid.dataset import FloatArray
 from flysid.spectra.stages import ComplexArray, Stage, run_sections
 
 AtTimes = Callable[[FloatArray], Stage]
+REMEDY = (
+    "switch them off for one flight; Betaflight 4.5 and later log the motors' RPM with bidirectional DShot"
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,6 +43,7 @@ class Chain:
     `steps`: in the order in which the signal passes them; a later one never runs faster.
     `unknown`: filters that were on but whose frequencies the log does not hold, a sentence each.
     `idle`: filters that are set but did not run, a sentence each.
+    `remedy`: what would make the unknown ones known.
 
     >>> from flysid.spectra.stages import Kind
     >>> chain = Chain((Step(Stage(Kind.BIQUAD, 40.0), 1000.0, "IMU_GYRO_CUTOFF 40"),))
@@ -50,6 +54,7 @@ class Chain:
     steps: tuple[Step, ...]
     unknown: tuple[str, ...] = field(default=())
     idle: tuple[str, ...] = field(default=())
+    remedy: str = REMEDY
 
     def response(self, hz: FloatArray) -> ComplexArray:
         """(F,) gain and phase of all of them together, as complex numbers."""

@@ -89,11 +89,7 @@ def compare(chain: Chain, pieces: Sequence[Rows], row_hz: float, step: float) ->
     DataError : frequencies of the chain are not in the log, or no piece is long enough.
     """
     if chain.unknown:
-        raise DataError(
-            "; ".join(chain.unknown),
-            hint="switch them off for one flight; Betaflight 4.5 and later log the motors' RPM with "
-            "bidirectional DShot",
-        )
+        raise DataError("; ".join(chain.unknown), hint=chain.remedy)
     settled = int(np.ceil(3.0 * chain.slowest_s * row_hz))
     errors, removed, weight = 0.0, 0.0, 0
     for rows in pieces:

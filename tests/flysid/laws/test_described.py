@@ -21,7 +21,10 @@ from flysid.laws.described import BLACKBOX, blackbox_law
         ("Betaflight 4.5.1 (x) Y", (4, 4)),
         ("Betaflight 4.6.0 () SITL", (4, 6)),
         ("Betaflight 2025.12.0 (x) Y", (4, 6)),
-        ("INAV 8.0.0 (x) Y", (2, 6)),
+        ("INAV 5.1.0 (x) Y", (2, 6)),
+        ("INAV 6.1.1 (x) Y", (6, 0)),
+        ("INAV 7.1.2 (8ae2c5b) X", (7, 0)),
+        ("INAV 8.0.1 (x) Y", (8, 0)),
     ],
 )
 def test_a_version_gets_the_law_of_its_range(revision: str, since: tuple[int, int]) -> None:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from flysid.loops.betaflight import BetaflightLaw
 from flysid.loops.judged import judge
 from tests.flysid.loops.test_loops import Log
 
@@ -22,6 +23,7 @@ HEADER = {
     "yaw_lpf_hz": "0",
     "tpa_rate": "20",
     "tpa_breakpoint": "1200",
+    "maxthrottle": "2000",
     "looptime": "1000",
     "pid_process_denom": "1",
 }
@@ -89,3 +91,29 @@ def test_another_profile_in_the_middle_of_a_flight_is_named_with_its_time() -> N
     assert re.search(
         r"is 1\.00 until 2[56] s and 1\.50 from there: gains were changed in flight", found.refused
     )
+
+
+def test_tpa_ends_at_the_full_throttle_that_the_header_states() -> None:
+    """It ended at 2000 us, and up to 7.1 `max_throttle` is 1850 by default: P counted as up to 5 % higher."""
+    throttle = np.array([1200.0, 1525.0, 1850.0, 2000.0])
+    stated = BetaflightLaw.of(HEADER | {"maxthrottle": "1850"}, "roll")
+    assert stated.kept(throttle) == pytest.approx([1.0, 0.9, 0.8, 0.8])
+    assert BetaflightLaw.of(HEADER, "roll").kept(throttle)[-1] == pytest.approx(0.8)
+
+
+@pytest.mark.parametrize(("version", "limit"), [("6.1.1", 500.0), ("7.1.2", 165.0), ("8.0.1", 165.0)])
+def test_the_integral_ends_where_its_version_ends_it(version: str, limit: float) -> None:
+    law = BetaflightLaw.of(HEADER | {"Firmware revision": f"INAV {version} (8ae2c5b) X"}, "roll")
+    assert law.largest_i == limit
+
+
+def test_what_headers_of_inav_never_state_is_named_with_the_term_that_misses() -> None:
+    """A Smith predictor gives another P, and no header of 6 to 8 says that it is on."""
+    (found,) = judge([inav_log(p=60.0)], ["roll"])
+    assert "the log's header does not state smith_predictor_delay, tpa_on_yaw" in found.refused
+
+
+def test_a_low_pass_of_an_unknown_type_counts_as_not_described() -> None:
+    """INAV 8 has a LULU filter, type 4, which was taken for a PT1."""
+    assert BetaflightLaw.of(HEADER | {"dterm_lpf_type": "4"}, "roll").not_described == ("D low-pass type 4",)
+    assert not BetaflightLaw.of(HEADER, "roll").not_described
