@@ -119,6 +119,13 @@ def default_guard(dt_s: float) -> float:
     return max(1.0, 20 * dt_s)
 
 
+def resolve_way(by: By, flights: int) -> By:
+    """What "auto" stands for with so many flights: "flight" from three on, else "time"."""
+    if by != "auto":
+        return by
+    return "flight" if flights >= MIN_FLIGHTS else "time"
+
+
 def plan_split(
     data: Splittable,
     *,
@@ -143,7 +150,7 @@ def plan_split(
     if by not in ("auto", "flight", "time"):
         raise UsageError(f"no way to split by {by!r}", hint="flight or time")
     flights = list(dict.fromkeys(s.flight for s in data.segments))
-    way = ("flight" if len(flights) >= MIN_FLIGHTS else "time") if by == "auto" else by
+    way = resolve_way(by, len(flights))
     guard = default_guard(data.dt_s) if guard_s is None else guard_s
     rng = np.random.default_rng(seed)
     if way == "flight":

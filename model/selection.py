@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import replace
 from typing import Protocol
 
@@ -12,7 +12,8 @@ from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError
 from flysid.model.base import Fitted
 from flysid.model.start import Timed, drifting_of, judging_rows, run_from_window
-from flysid.split import cut
+from flysid.sharing import once
+from flysid.split import cut, resolve_way
 
 LEVEL = 0.01
 """Relative difference in mean square that nobody would pay an order for."""
@@ -53,6 +54,13 @@ def in_flight_order(data: Dataset) -> Dataset:
     return data if ordered == data.segments else data.with_segments(ordered)
 
 
+def _asked(train: Dataset, *, seed: int = 0, guard_s: float | None = None) -> Hashable:
+    """All that a part holds, segments as the objects they are; a guard counts only where time is split."""
+    guard = guard_s if resolve_way("auto", len(train.flights)) == "time" else None
+    return train.dt_s, train.inputs, train.outputs, train.name, train.segments, seed, guard
+
+
+@once(_asked)
 def parts_to_choose_on(
     train: Dataset, *, seed: int = 0, guard_s: float | None = None
 ) -> tuple[Dataset, Dataset]:
@@ -60,7 +68,7 @@ def parts_to_choose_on(
 
     Whoever chooses on whole flights takes the same, so that a fit which several need is done once. A held-out
     block of a flight begins with the guard before it, which serves neither part: runs start there, and few
-    rows of the block are lost to their start.
+    rows of the block are lost to their start. Within `sharing()` the same segments are split once.
 
     `seed`, `guard_s`: as `flysid.Dataset.split` takes them.
     Raises DataError: there is too little.

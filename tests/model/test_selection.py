@@ -2,16 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import chain
+
 import numpy as np
 import pytest
 
-from flysid.dataset import Dataset, FloatArray
+from flysid import split as splitting
+from flysid.dataset import Dataset, FloatArray, Segment
+from flysid.errors import DataError
+from flysid.leakage.copies import Copy
 from flysid.model import arx, iv, selection, statespace, transfer_function
 from flysid.model.arx import ARX
 from flysid.model.base import Estimator, Fitted
 from flysid.model.iv import IV
 from flysid.model.linear import output_error
 from flysid.model.oe import OE
+from flysid.model.shared import sharing
 from flysid.model.start import run_from_window
 from flysid.model.statespace import StateSpace
 from flysid.model.subspace import order_search
@@ -64,3 +72,69 @@ def test_a_held_out_block_begins_with_its_guard() -> None:
     assert rows(fit) == rows(plain_fit)
     assert not rows(fit) & rows(check)
     assert 0 < len(lead) <= len(held.segments) * round(split.guard_s / train.dt_s)
+
+
+def flown(flights: int, samples: int = 300) -> Dataset:
+    rng = np.random.default_rng(flights)
+    return Dataset.from_arrays(
+        [rng.standard_normal(samples) for _ in range(flights)],
+        [rng.standard_normal(samples) for _ in range(flights)],
+        0.05,
+    )
+
+
+@pytest.fixture
+def searches(monkeypatch: pytest.MonkeyPatch) -> list[float]:
+    """The sample time of every search for copies."""
+    found: list[float] = []
+    search = splitting.find_copy
+
+    def counted(train: Sequence[Segment], test: Sequence[Segment], dt_s: float) -> Copy | None:
+        found.append(dt_s)
+        return search(train, test, dt_s)
+
+    monkeypatch.setattr(splitting, "find_copy", counted)
+    return found
+
+
+@pytest.mark.parametrize(("flights", "splits"), [(4, 1), (2, 2)])
+def test_the_same_segments_are_split_once(flights: int, splits: int, searches: list[float]) -> None:
+    """A guard counts only where blocks of time are held out."""
+    train = flown(flights)
+    again = train.with_segments(train.segments)
+    with sharing():
+        parts = selection.parts_to_choose_on(train)
+        assert selection.parts_to_choose_on(again) is parts
+        selection.parts_to_choose_on(again, guard_s=0.2)
+        selection.parts_to_choose_on(train, guard_s=0.2)
+    assert len(searches) == splits
+    selection.parts_to_choose_on(train)
+    assert len(searches) == splits + 1
+
+
+def test_what_differs_is_split_anew(searches: list[float]) -> None:
+    """What a fit remembers holds for these flights at this rate alone."""
+    train = flown(4)
+    first, *others = train.segments
+    changed = [
+        train.with_segments(others),
+        train.with_segments([replace(first, t0_ns=10**9), *others]),
+        train.with_segments([replace(first, flight="other"), *others]),
+        train.with_segments([replace(first, marks={"mode": "LOITER"}), *others]),
+        replace(train, dt_s=0.1),
+        replace(train, name="pitch"),
+    ]
+    with sharing():
+        selection.parts_to_choose_on(train)
+        for data in changed:
+            parts = selection.parts_to_choose_on(data)
+            assert {part.name for part in parts} == {data.name}
+            assert {part.dt_s for part in parts} == {data.dt_s}
+            whole = {(s.flight, s.t0_ns, *s.marks) for s in data.segments}
+            assert {(s.flight, s.t0_ns, *s.marks) for s in chain(*(part.segments for part in parts))} == whole
+        selection.parts_to_choose_on(train, seed=1)
+        assert len(searches) == 1 + len(changed) + 1
+        copied = train.with_segments([replace(s, u=first.u, y=first.y) for s in train.segments])
+        for _ in range(2):
+            with pytest.raises(DataError, match="repeats training flight"):
+                selection.parts_to_choose_on(copied)

@@ -19,7 +19,6 @@ from flysid.leakage.copies import find_copy
 from flysid.showing import counted
 from flysid.split import (
     BLOCKS,
-    MIN_FLIGHTS,
     MIN_PIECE,
     By,
     Piece,
@@ -27,6 +26,7 @@ from flysid.split import (
     default_guard,
     flights_to_hold,
     held_pieces,
+    resolve_way,
     way_of,
 )
 
@@ -136,7 +136,7 @@ def plan_on_disk(file: DatasetFile, *, holdout: float, by: By = "auto", seed: in
     size: dict[str, int] = {}
     for e in entries:
         size[e.flight] = size.get(e.flight, 0) + e.rows
-    way = ("flight" if len(size) >= MIN_FLIGHTS else "time") if by == "auto" else by
+    way = resolve_way(by, len(size))
     guard = default_guard(file.dt_s) if way == "time" else 0.0
     rng = np.random.default_rng(seed)
     if way == "flight":
