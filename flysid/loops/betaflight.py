@@ -7,7 +7,8 @@ motors' range, with the error e = r - y and the derivative's filters F, first or
     P: p e      I: i integral of e      D: d (w r - F y)'      F: f r', shaped, and recorded by the log
 
 In 3.1 the weighed setpoint goes through the filters as well; its weight w is w0 min(|stick| / ratio, 1) where
-the header states a ratio between 0 and 1. Above a throttle of `tpa_breakpoint` D, or P and D, shrink (TPA).
+the header states a ratio between 0 and 1. Above a throttle of `tpa_breakpoint` D, or P and D, shrink (TPA),
+with `tpa_low_always` also below `tpa_low_breakpoint`.
 The integral slows down while the axes ask for more than a share of the motors' range (windup) and while the
 setpoint moves quickly (relax), and runs faster while the throttle moves (anti-gravity). D grows from its
 least to its most with quick motions (d_min, d_max). The first low-pass may follow the throttle.
@@ -24,11 +25,20 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from flysid.dataset import FloatArray
-from flysid.errors import DataError
-from flysid.ingest.lake.headers import WHOLE, needed_numbers, stated_number, stated_numbers
+from flysid.ingest.lake.headers import needed_numbers, stated_number, stated_numbers
 from flysid.laws.described import Law, blackbox_law
 from flysid.loops.controller import Controller
-from flysid.loops.law_parts import AntiGravity, Boost, Means, Moving, Relax, TermCheck
+from flysid.loops.law_parts import (
+    NO_THROTTLE,
+    AntiGravity,
+    Boost,
+    Means,
+    Moving,
+    Relax,
+    TermCheck,
+    taper,
+    unpack_limit,
+)
 from flysid.loops.stages import ComplexArray, Filters, filters_of
 
 AXES = {"roll": "rollPID", "pitch": "pitchPID", "yaw": "yawPID"}
@@ -114,6 +124,7 @@ class BetaflightLaw:
     `not_stated`: settings that the header lacks, by the term that they move: lost, or never in those of the
         version.
     `full_throttle`: us at which TPA takes its whole share.
+    `low_tpa`: share that TPA takes at no throttle, and where it ends, us.
     """
 
     stated: Mapping[str, float]
@@ -151,6 +162,7 @@ class BetaflightLaw:
     not_described: tuple[str, ...] = field(default=())
     not_stated: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     full_throttle: float = FULL_THROTTLE
+    low_tpa: tuple[float, float] = (0.0, NO_THROTTLE)
 
     @classmethod
     def of(cls, settings: Mapping[str, str], axis: str) -> BetaflightLaw:
@@ -208,7 +220,8 @@ class BetaflightLaw:
             moving,
             faster,
             str(derived.get("setpoint", "setpoint")),
-            ACCELERATION * _unpack(read.one("yaw_acceleration" if axis == "yaw" else "acceleration", 0.0)),
+            ACCELERATION
+            * unpack_limit(read.one("yaw_acceleration" if axis == "yaw" else "acceleration", 0.0)),
             bool(law.part("record").get("cut", False)),
             law.title,
             law.exact,
@@ -216,6 +229,7 @@ class BetaflightLaw:
             _not_described(law, read),
             {term: _not_stated(law, read, term) for term in "PID"},
             read.one("full_throttle", FULL_THROTTLE),
+            _low_tpa(read),
         )
 
     @property
@@ -225,11 +239,9 @@ class BetaflightLaw:
 
     def kept(self, throttle: FloatArray) -> FloatArray:
         """(N,) what TPA leaves of its terms."""
-        share, begins = self.tpa
-        full = self.full_throttle
-        if begins >= full:
-            return np.ones(len(throttle))
-        return np.asarray(1.0 - share * np.clip((throttle - begins) / (full - begins), 0.0, 1.0))
+        above = taper(throttle, *self.tpa, self.full_throttle)
+        below = taper(-throttle, self.low_tpa[0], -self.low_tpa[1], -NO_THROTTLE)
+        return np.asarray(1.0 - above - below)
 
     def filters_at(self, lowpass_hz: float) -> Filters:
         """The derivative's low-passes with the moving one at a cut-off (Hz)."""
@@ -410,6 +422,17 @@ def _tpa_terms(law: Law, read: _Header, axis: str) -> tuple[str, ...]:
     return ("D",) if mode[0] == 1.0 else ("P", "D")
 
 
+def _low_tpa(read: _Header) -> tuple[float, float]:
+    """Share and end of TPA below a throttle, where it stays on in flight.
+
+    Without `tpa_low_always` it is gone for good once the throttle has passed its end: before the flight.
+    """
+    if not read.one("tpa_low_always", 0.0):
+        return 0.0, NO_THROTTLE
+    ends = min(read.one("tpa_low_breakpoint", NO_THROTTLE), read.one("tpa_breakpoint", FULL_THROTTLE))
+    return read.one("tpa_low_rate", 0.0) / 100.0, ends
+
+
 def _of_axis(values: tuple[float, ...], axis: str) -> float:
     """Of three values that of an axis; 0 where there are none."""
     return values[list(AXES).index(axis)] if len(values) == len(AXES) else 0.0
@@ -423,16 +446,3 @@ def _name_gains(
     if least < d:
         named["D least"] = least
     return named | ({"F": forward} if has_forward else {})
-
-
-def _unpack(value: float) -> float:
-    """A limit of the setpoint's acceleration; 3.1 prints the bits of a float, which counts ten times as much.
-
-    >>> _unpack(100.0), _unpack(1092616192.0)
-    (100.0, 100.0)
-    """
-    if value < 2.0**24:
-        return value
-    if value >= 2.0**32:
-        raise DataError(f"the log's header limits the acceleration by {value:.0f}", hint=WHOLE)
-    return 10.0 * float(np.array(int(value), dtype=np.uint32).view(np.float32))

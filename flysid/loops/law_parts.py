@@ -7,8 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from flysid.dataset import FloatArray
+from flysid.errors import DataError
+from flysid.ingest.lake.headers import WHOLE
 from flysid.loops.stages import Filters
 
+NO_THROTTLE = 1000.0
+"""us."""
 LARGEST_MISS = 0.15
 """Of a term, root mean square: the share up to which the law counts as the one that flew."""
 
@@ -109,3 +113,29 @@ class TermCheck:
         """What is off, for people."""
         by = f"recorded over rebuilt is {self.slope:.2f}"
         return f"the {self.term} term is {100.0 * self.miss:.0f} % off ({self.cause or by})"
+
+
+def taper(throttle: FloatArray, share: float, begins: float, ends: float) -> FloatArray:
+    """(N,) what TPA takes of a gain: nothing up to where it begins, more and more up to its share at the end.
+
+    It takes nothing where it begins at its end or beyond.
+
+    >>> taper(np.array([1200.0, 1500.0, 2000.0]), 0.6, 1500.0, 2000.0).tolist()
+    [0.0, 0.0, 0.6]
+    """
+    if begins >= ends:
+        return np.zeros(len(throttle))
+    return np.asarray(share * np.clip((throttle - begins) / (ends - begins), 0.0, 1.0))
+
+
+def unpack_limit(value: float) -> float:
+    """A limit of the setpoint's acceleration; 3.1 prints the bits of a float, which counts ten times as much.
+
+    >>> unpack_limit(100.0), unpack_limit(1092616192.0)
+    (100.0, 100.0)
+    """
+    if value < 2.0**24:
+        return value
+    if value >= 2.0**32:
+        raise DataError(f"the log's header limits the acceleration by {value:.0f}", hint=WHOLE)
+    return 10.0 * float(np.array(int(value), dtype=np.uint32).view(np.float32))

@@ -225,7 +225,7 @@ def _changes(law: BetaflightLaw, term: str) -> list[tuple[str, BetaflightLaw]]:
 
 def _tpa_changed(law: BetaflightLaw, term: str) -> list[tuple[str, BetaflightLaw]]:
     """The law whose TPA takes a term in, or leaves it out."""
-    if not law.tpa[0]:
+    if not (law.tpa[0] or law.low_tpa[0]):
         return []
     taken = tuple(t for t in "PD" if (t in law.tpa_terms) != (t == term))
     within = "without TPA" if term in law.tpa_terms else "with TPA"

@@ -7,10 +7,12 @@ import re
 from collections.abc import Mapping
 from pathlib import Path
 
+import numpy as np
 import pytest
 from click.testing import CliRunner, Result
 
 from flysid.cli.gains import command as gains
+from flysid.cli.predict import command as predict
 from flysid.loops.betaflight import BetaflightLaw
 from flysid.loops.judged import sets_of_gains
 from flysid.loops.new_settings import value_of, with_settings
@@ -148,3 +150,37 @@ def test_an_adjustment_that_the_log_itself_states_is_named(firmware_log: Path, t
 def test_integrated_yaw_is_no_law_that_is_known() -> None:
     law = BetaflightLaw.of(stated_in("4.5.1") | {"use_integrated_yaw": "1"}, "yaw")
     assert law.not_described == ("integrated yaw (use_integrated_yaw)",)
+
+
+LOW = {"tpa_rate": "65", "tpa_breakpoint": "1750", "tpa_low_rate": "60", "tpa_low_breakpoint": "1700"}
+
+
+def test_tpa_below_a_throttle_counts_where_it_stays_on() -> None:
+    """On a flight of 4.6 with `tpa_low_always` P was 14 % off and D too; now 0.3 and 0.05 %."""
+    throttle = np.array([1000.0, 1350.0, 1700.0, 1750.0, 2000.0])
+    for version in ("4.5.1", "4.6.0"):
+        stated = stated_in(version) | LOW
+        on = BetaflightLaw.of(stated | {"tpa_low_always": "1"}, "roll").kept(throttle)
+        off = BetaflightLaw.of(stated | {"tpa_low_always": "0"}, "roll").kept(throttle)
+        assert on == pytest.approx([0.4, 0.7, 1.0, 1.0, 0.35])
+        assert off == pytest.approx([1.0, 1.0, 1.0, 1.0, 0.35])  # gone before the flight
+    capped = BetaflightLaw.of(stated | {"tpa_low_always": "1", "tpa_breakpoint": "1350"}, "roll")
+    assert capped.kept(throttle)[:2] == pytest.approx([0.4, 1.0])
+
+
+def test_low_tpa_is_a_setting_to_predict_with(firmware_log: Path) -> None:
+    """The flight hovered at 1590 us: with it on, P and D are 60 % * 110 / 700 = 9 % lower."""
+    crossovers = []
+    for always in ("OFF", "ON"):
+        words = ",".join(f"{name}={value}" for name, value in LOW.items())
+        new = f"{words},tpa_mode=0,tpa_low_always={always}"
+        shown = ran(predict, str(firmware_log), "--axis", "roll", "--set", new).stdout
+        found = re.search(r"crossover [\d.]+ Hz \[[^]]+\] -> ([\d.]+) Hz", shown)
+        assert found is not None
+        crossovers.append(float(found[1]))
+    assert crossovers[1] < crossovers[0] - 0.1
+
+
+def test_the_hyperbolic_curve_of_tpa_is_no_law_that_is_known() -> None:
+    law = BetaflightLaw.of(stated_in("4.6.0") | {"tpa_curve_type": "1"}, "roll")
+    assert law.not_described == ("the hyperbolic curve of TPA (tpa_curve_type)",)
