@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from bench import faulty_blackbox
 from bench.faulty_carriers import travel
 from bench.faulty_kinds import CARRIERS
 from bench.faulty_logging import DEFAULT, TUNING
@@ -117,6 +118,16 @@ def test_a_hard_landing_without_an_attitude_is_no_crash(
     text = first_sentence(write(trial, flights["dropped"], tmp_path, "log"))
     assert "Landed hard" in text
     assert "Crashed" not in text
+
+
+def test_an_emergency_landing_that_drifts_is_no_flyaway(
+    flights: Mapping[str, Flight], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """INAV holds no position then: the target in the log is that of the mode before."""
+    monkeypatch.setattr(faulty_blackbox, "HOLDING", 23.0)
+    trial = Trial("flyaway", FAULTY["flyaway"], "inav", rpm=True)
+    text = first_sentence(write(trial, flights["flyaway"], tmp_path, "log"))
+    assert "Flew away" not in text
 
 
 def test_a_blackbox_without_speeds_names_the_motor_that_was_driven_up(
