@@ -16,12 +16,11 @@ from flysid.reviews.motor_loss import first_lasting
 from flysid.reviews.pairs import Pair, pairs
 
 KEY = "happened.flyaway"
-LASTS_S = 3.0
-"""It moves away for so long: a turn at a waypoint takes less."""
-NAVIGATES = 6.0
-"""INAV's navState from which on it holds a position: below, its target is that of another time."""
-AWAY = 0.5
-"""Of the limit, in that time: a vehicle that is late for its target gains on it."""
+HOLDS_POSITION = (*range(6, 22), 35, 36)
+"""Of INAV's navState (navigationPersistentId_e): position hold, way home and waypoints, with their pauses.
+
+In others, such as an emergency landing (22 to 24), a launch or a cruise, its target is that of another time.
+"""
 
 
 @dataclass(frozen=True)
@@ -45,8 +44,13 @@ class Flyaway:
         return Finding(text, limit(KEY).grade(self.away_m), 0.95, KEY, more)
 
 
-def find_flyaway(flight: LoggedFlight) -> Flyaway | None:
-    """The first time it flew away from the position that it was to hold; None where it never did."""
+def find_flyaway(flight: LoggedFlight, *, lasts_s: float = 3.0, away: float = 0.5) -> Flyaway | None:
+    """The first time it flew away from the position that it was to hold; None where it never did.
+
+    `lasts_s`: it moves away for so long: a turn at a waypoint takes less.
+    `away`: share of the figure's limit that it moves in that time: a vehicle that is late for its target
+        gains on it.
+    """
     if not is_multicopter(flight):
         return None
     held = {pair.axis: pair for pair in pairs(flight) if pair.loop.key == "position"}
@@ -54,18 +58,18 @@ def find_flyaway(flight: LoggedFlight) -> Flyaway | None:
         return None
     north, east = held["north"], held["east"]
     time_s = north.measured.time_s
-    now, before = (_distance(north, east, time_s, late_s) for late_s in (0.0, LASTS_S))
+    now, before = (_distance(north, east, time_s, late_s) for late_s in (0.0, lasts_s))
     bound = limit(KEY).watch
     navigates = flight.quantity("main.navState")
     holds = flight.flying(time_s)
     if navigates is not None:
-        holds &= navigates.held(time_s) >= NAVIGATES
-    going = holds & (now >= bound) & (now - before >= AWAY * bound)
-    at = first_lasting(going, max(2, round(LASTS_S * north.measured.rate_hz)))
+        holds &= np.isin(navigates.held(time_s), HOLDS_POSITION)
+    going = holds & (now >= bound) & (now - before >= away * bound)
+    at = first_lasting(going, max(2, round(lasts_s * north.measured.rate_hz)))
     if at is None:
         return None
     later = holds & (time_s >= time_s[at]) & np.isfinite(now)
-    return Flyaway(float(time_s[at]) - LASTS_S, float(now[later].max()), north.measured.address)
+    return Flyaway(float(time_s[at]) - lasts_s, float(now[later].max()), north.measured.address)
 
 
 def _distance(north: Pair, east: Pair, time_s: FloatArray, late_s: float) -> FloatArray:

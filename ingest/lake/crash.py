@@ -22,11 +22,14 @@ UPRIGHT_DEG = 30.0
 """ArduPilot's crash check: it leans more, or is so far from its commanded tilt."""
 BACK = 1.0 / 3.0
 """Of `UPRIGHT_DEG`: closer than that to its command it is under control again."""
-BACK_S = 1.0
+RESTS_DEG_S = 20.0
+"""PX4's LNDMC_ROT_MAX: what turns faster is not at rest."""
+BACK_S = 2.0 * BACK * UPRIGHT_DEG / RESTS_DEG_S
+"""What tumbles passes through its command, from `BACK` on one side to the other, in less than this."""
 FALLING_M_S = 5.0
 """Faster than any landing: the fall from little more than a metre."""
-STANDS_M_S = 0.5
-"""Of an estimate that settles: what stands on the ground."""
+STANDS_M_S = 1.0
+"""ArduPilot's LAND_DETECTOR_VEL_Z_MAX: slower than that a vehicle may stand on the ground."""
 STOPS_S = 2.0
 """A pilot disarms so soon after a crash."""
 BEFORE_S = 5.0
@@ -177,7 +180,7 @@ def _never_moves(flight: ClockedLog, impact_s: float) -> bool:
     after = speed.where(speed.time_s > impact_s + BEFORE_S)
     if len(before) < 3 or len(after) < 3:
         return False
-    return bool(np.median(before.values) > FALLING_M_S and after.values.max() < 1.0)
+    return bool(np.median(before.values) > FALLING_M_S and after.values.max() < STANDS_M_S)
 
 
 def _never_carries(motors: tuple[Motor, ...], impact_s: float, first_s: float) -> bool:

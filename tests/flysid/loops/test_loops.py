@@ -97,7 +97,7 @@ def test_margins_hold_the_truth_of_a_known_loop() -> None:
 
 
 def test_a_loop_goes_when_its_margins_are_known() -> None:
-    """A review of a long blackbox log held the two loops before it, 45 MB each with what is resampled."""
+    """A review of a blackbox log of 10 MB held its two loops with what is resampled of them, 45 MB."""
     loop = Loop.of([fly(Vehicle(), PID, 60.0, 1)])
     kept = weakref.ref(loop)
     assert margins(loop, PID).phase_deg.value is not None

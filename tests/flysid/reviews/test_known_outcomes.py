@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from bench import faulty_blackbox, faulty_dataflash, faulty_ulog
 from bench.faulty_carriers import travel
 from bench.faulty_kinds import CARRIERS
 from bench.faulty_logging import DEFAULT, TUNING
@@ -119,6 +120,35 @@ def test_a_hard_landing_without_an_attitude_is_no_crash(
     assert "Crashed" not in text
 
 
+@pytest.mark.parametrize(
+    ("firmware", "words"),
+    [
+        ("copter", "EKF3 lane switch 1"),
+        ("copter", "Yaw Imbalance 82%"),
+        ("px4", "Compass needs calibration - Land now!"),
+    ],
+)
+def test_a_warning_of_the_firmware_leads(
+    flights: Mapping[str, Flight], firmware: str, words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It acts on none of them, and states no error beside."""
+    monkeypatch.setitem(faulty_dataflash.INCIDENTS, "yaw", ((), (words,), 0))
+    monkeypatch.setitem(faulty_ulog.INCIDENTS, "yaw", (words, faulty_ulog.INCIDENTS["yaw"][1]))
+    warned = replace(FAULTY["station"], incident="yaw")
+    flight = replace(flights["station"], vehicle=warned)
+    check_lead(Trial("warning", warned, firmware, rpm=True), flight, tmp_path, "At 27 s: ", words)
+
+
+def test_an_emergency_landing_that_drifts_is_no_flyaway(
+    flights: Mapping[str, Flight], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """INAV holds no position then: the target in the log is that of the mode before."""
+    monkeypatch.setattr(faulty_blackbox, "HOLDING", 23.0)
+    trial = Trial("flyaway", FAULTY["flyaway"], "inav", rpm=True)
+    text = first_sentence(write(trial, flights["flyaway"], tmp_path, "log"))
+    assert "Flew away" not in text
+
+
 def test_a_blackbox_without_speeds_names_the_motor_that_was_driven_up(
     flights: Mapping[str, Flight], tmp_path: Path
 ) -> None:
@@ -168,6 +198,9 @@ def test_messages_that_only_sound_like_failures() -> None:
         "[logger] Opened full log file: /fs/microsd/log/lost.ulg",
         "EKF3 IMU0 is using GPS",
         "GPS Glitch cleared",
+        "primary EKF changed 0 -> 1 (user selected)",
+        "Compass calibration failed",
+        "EKF primary changed:0",
         "Mission: 3 WP",
     ]
     told = log(MSG=stream([1.0 + i for i in range(len(texts))], Message=texts))
@@ -184,6 +217,12 @@ def test_messages_that_only_sound_like_failures() -> None:
         "RC Short Failsafe On",
         "Crash: Going to HOLD",
         "EKF variance: over thresholds",
+        "EKF3 lane switch 1",
+        "NavEKF2: lane switch 1",
+        "primary EKF changed 0 (filter fault) -> 1",
+        "Yaw Imbalance 82%",
+        "Compass needs calibration - Land now!\t",
+        "[health_and_arming_checks] Compass 0 fault",
     ],
 )
 def test_messages_of_failures(text: str) -> None:
