@@ -9,10 +9,9 @@ from itertools import chain
 import numpy as np
 import pytest
 
-from flysid import split as splitting
 from flysid.dataset import Dataset, FloatArray, Segment
 from flysid.errors import DataError
-from flysid.leakage.copies import Copy
+from flysid.leakage.copies import Copy, find_copy
 from flysid.model import arx, iv, selection, statespace, transfer_function
 from flysid.model.arx import ARX
 from flysid.model.base import Estimator, Fitted
@@ -88,13 +87,12 @@ def flown(flights: int, samples: int = 300) -> Dataset:
 def searches(monkeypatch: pytest.MonkeyPatch) -> list[float]:
     """The sample time of every search for copies."""
     found: list[float] = []
-    search = splitting.find_copy
 
     def counted(train: Sequence[Segment], test: Sequence[Segment], dt_s: float) -> Copy | None:
         found.append(dt_s)
-        return search(train, test, dt_s)
+        return find_copy(train, test, dt_s)
 
-    monkeypatch.setattr(splitting, "find_copy", counted)
+    monkeypatch.setattr("flysid.split.find_copy", counted)
     return found
 
 
