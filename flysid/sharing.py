@@ -17,6 +17,19 @@ R = TypeVar("R")
 _known: ContextVar[dict[Hashable, Any] | None] = ContextVar("answers", default=None)
 
 
+class Itself:
+    """An object as part of a key: equal to itself alone, and kept for as long as the key is."""
+
+    def __init__(self, it: object) -> None:
+        self.it = it
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Itself) and other.it is self.it
+
+    def __hash__(self) -> int:
+        return id(self.it)
+
+
 @contextmanager
 def sharing() -> Iterator[None]:
     """The scope in which answers are shared; a scope within a scope is part of it."""

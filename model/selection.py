@@ -11,8 +11,8 @@ import numpy as np
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError
 from flysid.model.base import Fitted
+from flysid.model.shared import Itself, digest, once
 from flysid.model.start import Timed, drifting_of, judging_rows, run_from_window
-from flysid.sharing import once
 from flysid.split import cut, resolve_way
 
 LEVEL = 0.01
@@ -55,9 +55,10 @@ def in_flight_order(data: Dataset) -> Dataset:
 
 
 def _asked(train: Dataset, *, seed: int = 0, guard_s: float | None = None) -> Hashable:
-    """All that a part holds, segments as the objects they are; a guard counts only where time is split."""
+    """All that a part holds; a guard counts only where time is split."""
     guard = guard_s if resolve_way("auto", len(train.flights)) == "time" else None
-    return train.dt_s, train.inputs, train.outputs, train.name, train.segments, seed, guard
+    places = tuple((s.t0_ns, *s.marks.items()) for s in train.segments)
+    return digest(train), train.name, places, seed, guard
 
 
 @once(_asked)
@@ -68,7 +69,7 @@ def parts_to_choose_on(
 
     Whoever chooses on whole flights takes the same, so that a fit which several need is done once. A held-out
     block of a flight begins with the guard before it, which serves neither part: runs start there, and few
-    rows of the block are lost to their start. Within `sharing()` the same segments are split once.
+    rows of the block are lost to their start. Within `sharing()` equal data are split once.
 
     `seed`, `guard_s`: as `flysid.Dataset.split` takes them.
     Raises DataError: there is too little.
@@ -113,21 +114,32 @@ def judge_free_runs(models: Mapping[str, FreeRunning], check: Dataset) -> dict[s
     scored = [(s, w) for s, w in zip(check.segments, windows, strict=True) if len(s) >= w + FEWEST]
     if not scored:
         raise DataError(f"no segment has {FEWEST} samples beside those that start the models")
+    judged = check.with_segments([s for s, _ in scored])
+    starts = tuple(w for _, w in scored)
+    drifting = drifting_of(models.values())
+    return {name: _judge_free_run(model, judged, starts, drifting) for name, model in models.items()}
+
+
+@once(lambda model, data, windows, drifting: (Itself(model), digest(data), windows, drifting))
+def _judge_free_run(
+    model: FreeRunning, data: Dataset, windows: tuple[int, ...], drifting: tuple[bool, ...] | None
+) -> tuple[FloatArray, bool]:
+    """One model's answer of `judge_free_runs`; within `sharing()` it runs over equal data once.
+
+    `windows`: rows of every segment that start the model.
+    """
+    scored = list(zip(data.segments, windows, strict=True))
     scale = np.std(np.concatenate([s.y[w:] for s, w in scored]), axis=0)
     scale = np.where(scale > 0.0, scale, 1.0)
-    drifting = drifting_of(models.values())
-    found = {}
-    for name, model in models.items():
-        squares = []
-        lost = False
-        (low, high) = model.output_limits
-        for s, window in scored:
-            run = run_from_window(model, s, window, drifting)[window:]
-            lost = lost or bool(((run <= low) | (run >= high) | ~np.isfinite(run)).any())
-            gaps = np.nan_to_num((s.y[window:] - run) / scale, nan=LOST, posinf=LOST, neginf=-LOST)
-            squares.append(np.mean(np.clip(gaps, -LOST, LOST) ** 2, axis=1))
-        found[name] = (block_means(squares), lost)
-    return found
+    squares = []
+    lost = False
+    (low, high) = model.output_limits
+    for s, window in scored:
+        run = run_from_window(model, s, window, drifting)[window:]
+        lost = lost or bool(((run <= low) | (run >= high) | ~np.isfinite(run)).any())
+        gaps = np.nan_to_num((s.y[window:] - run) / scale, nan=LOST, posinf=LOST, neginf=-LOST)
+        squares.append(np.mean(np.clip(gaps, -LOST, LOST) ** 2, axis=1))
+    return block_means(squares), lost
 
 
 def block_means(squares: Sequence[FloatArray], *, blocks: int = 16) -> FloatArray:

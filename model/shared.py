@@ -12,6 +12,7 @@ from collections.abc import Hashable
 import numpy as np
 
 from flysid.dataset import Dataset
+from flysid.sharing import Itself as Itself
 from flysid.sharing import once as once
 from flysid.sharing import sharing as sharing
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -36,6 +37,7 @@ from flysid.ingest.align.recipe import Recipe, SignalSpec, load_recipe
 from flysid.ingest.align.report import AlignReport, FlightReport, SignalReport
 from flysid.ingest.align.resample import RecordedSignal, Span
 from flysid.ingest.align.signals import FlightLog, Loaded, Log, find_source, load_signal, missing
+from flysid.sharing import sharing
 from flysid.showing import counted
 from flysid.stretch import FloatArray
 
@@ -74,8 +76,10 @@ def align(
     Raises RecipeError: no such channel; no flight has the streams; a unit is missing. Raises DataError: no
     segment is long enough, or an input or output never changes.
     """
-    job, logs, dt_ns = _prepare(flights, recipe, channel)
-    parts = [job.align_log(log, dt_ns) for log in logs]
+    logs = _logs_of(flights)
+    with _signals_kept(logs):
+        job, dt_ns = _prepare(logs, recipe, channel)
+        parts = [job.align_log(log, dt_ns) for log in logs]
     segments = tuple(s for _, found, _ in parts for s in found)
     report = AlignReport(job.recipe.name, channel, 1e9 / dt_ns, tuple(part for part, _, _ in parts))
     if not segments:
@@ -102,7 +106,8 @@ def align_to_file(
 
     Raises as `align`, except that inputs which never move are written too; and UsageError, WriteError.
     """
-    job, logs, dt_ns = _prepare(flights, recipe, channel)
+    logs = _logs_of(flights)
+    job, dt_ns = _prepare(logs, recipe, channel)
     first = next(log for log in logs if job.absent(log) is None)
     steps = {n: load_signal(n, spec, first).resolution for n, spec in job.specs.items()}
     inputs = job.signals_as(job.inputs, [steps])
@@ -127,23 +132,30 @@ def segments_of(
 
     Raises RecipeError: no such channel; a unit is missing.
     """
-    flown = FlightLog(log) if isinstance(log, Flight) else log
-    job = _Job(recipe, channel, held_specs(recipe, channel, [flown]))
-    report, segments, _ = job.align_log(flown, round(dt_s * 1e9))
+    logs = _logs_of([log])
+    with _signals_kept(logs):
+        job = _Job(recipe, channel, held_specs(recipe, channel, logs))
+        report, segments, _ = job.align_log(logs[0], round(dt_s * 1e9))
     return report, segments
 
 
-def _prepare(
-    flights: Iterable[Flight | Log], recipe: Recipe | str | Path, channel: str
-) -> tuple[_Job, list[Log], int]:
-    """The job, the logs and the sample time in ns."""
+def _logs_of(flights: Iterable[Flight | Log]) -> list[Log]:
+    return [FlightLog(f) if isinstance(f, Flight) else f for f in flights]
+
+
+def _signals_kept(logs: Sequence[Log]) -> AbstractContextManager[None]:
+    """A scope in which one log's signals are loaded once; of several, one at a time is in memory."""
+    return sharing() if len(logs) == 1 else nullcontext()
+
+
+def _prepare(logs: Sequence[Log], recipe: Recipe | str | Path, channel: str) -> tuple[_Job, int]:
+    """The job and the sample time in ns."""
     recipe = recipe if isinstance(recipe, Recipe) else load_recipe(recipe)
-    logs = [FlightLog(f) if isinstance(f, Flight) else f for f in flights]
     job = _Job(recipe, channel, held_specs(recipe, channel, logs))
     usable = [log for log in logs if job.absent(log) is None]
     if not usable:
         raise job.nothing_found(logs)
-    return job, logs, job.sample_time_ns(usable)
+    return job, job.sample_time_ns(usable)
 
 
 def check_excitation(data: Dataset) -> None:

@@ -47,7 +47,7 @@ from flysid.ingest.align.values import (
 from flysid.ingest.formats.common.arrow_arrays import numeric
 from flysid.ingest.formats.common.units import factor, is_known
 from flysid.ingest.formats.keyed import key_fields
-from flysid.sharing import once
+from flysid.sharing import Itself, once
 from flysid.showing import one_of
 from flysid.stretch import FloatArray
 
@@ -244,8 +244,7 @@ def load_signal(name: str, spec: SignalSpec, log: Log) -> Loaded:
 
 
 def _ask(source: Source, stream: str, unit: str, log: Log, *, resolved: bool = True) -> Hashable:
-    """Of a log that outlives the scope of `sharing`."""
-    return repr(source), stream, unit, id(log), resolved
+    return repr(source), stream, unit, Itself(log), resolved
 
 
 @once(_ask)

@@ -9,14 +9,14 @@ from itertools import chain
 import numpy as np
 import pytest
 
-from flysid import split as splitting
 from flysid.dataset import Dataset, FloatArray, Segment
 from flysid.errors import DataError
-from flysid.leakage.copies import Copy
+from flysid.leakage.copies import Copy, find_copy
 from flysid.model import arx, iv, selection, statespace, transfer_function
 from flysid.model.arx import ARX
 from flysid.model.base import Estimator, Fitted
 from flysid.model.iv import IV
+from flysid.model.last_gates import HeldValue
 from flysid.model.linear import output_error
 from flysid.model.oe import OE
 from flysid.model.shared import sharing
@@ -87,21 +87,20 @@ def flown(flights: int, samples: int = 300) -> Dataset:
 def searches(monkeypatch: pytest.MonkeyPatch) -> list[float]:
     """The sample time of every search for copies."""
     found: list[float] = []
-    search = splitting.find_copy
 
     def counted(train: Sequence[Segment], test: Sequence[Segment], dt_s: float) -> Copy | None:
         found.append(dt_s)
-        return search(train, test, dt_s)
+        return find_copy(train, test, dt_s)
 
-    monkeypatch.setattr(splitting, "find_copy", counted)
+    monkeypatch.setattr("flysid.split.find_copy", counted)
     return found
 
 
 @pytest.mark.parametrize(("flights", "splits"), [(4, 1), (2, 2)])
-def test_the_same_segments_are_split_once(flights: int, splits: int, searches: list[float]) -> None:
+def test_equal_data_are_split_once(flights: int, splits: int, searches: list[float]) -> None:
     """A guard counts only where blocks of time are held out."""
     train = flown(flights)
-    again = train.with_segments(train.segments)
+    again = flown(flights)
     with sharing():
         parts = selection.parts_to_choose_on(train)
         assert selection.parts_to_choose_on(again) is parts
@@ -138,3 +137,38 @@ def test_what_differs_is_split_anew(searches: list[float]) -> None:
         for _ in range(2):
             with pytest.raises(DataError, match="repeats training flight"):
                 selection.parts_to_choose_on(copied)
+
+
+def test_a_model_runs_over_equal_data_once() -> None:
+    """Gates, and the choice of the baseline, judge the same models over the training data."""
+    runs: list[int] = []
+
+    class Counted(HeldValue):
+        def simulate(self, u: FloatArray, y0: FloatArray) -> FloatArray:
+            runs.append(len(u))
+            return super().simulate(u, y0)
+
+    train = flown(2)
+    first, second = train.segments
+    model = Counted(train.dt_s, 1)
+    deeper = HeldValue(train.dt_s, 1, n_init=40)
+    changed = [
+        train.with_segments([first]),
+        train.with_segments([first, replace(second, y=2.0 * second.y)]),
+        replace(train, dt_s=0.5),
+    ]
+    with sharing():
+        found = selection.free_run_errors({"one": model}, train)["one"]
+        once = len(runs)
+        again = selection.free_run_errors({"one": model, "other": HeldValue(train.dt_s, 1)}, flown(2))["one"]
+        assert (len(runs), again.tobytes()) == (once, found.tobytes())
+        for i, data in enumerate(changed):
+            before = len(runs)
+            anew = selection.free_run_errors({"one": model}, data)["one"]
+            assert len(runs) > before, i
+            assert anew.tobytes() != found.tobytes(), i
+        before = len(runs)
+        selection.free_run_errors({"one": model, "deeper": deeper}, train)
+        selection.free_run_errors({"one": Counted(train.dt_s, 1)}, train)
+        assert len(runs) > before + once
+    assert selection.free_run_errors({"one": model}, train)["one"].tobytes() == found.tobytes()

@@ -1,4 +1,5 @@
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -12,9 +13,10 @@ from scipy.spatial.transform import Rotation
 from flysid.dataset import BEGAN
 from flysid.errors import DataError, RecipeError
 from flysid.flight import ClockMap, Flight, Source, field_metadata
-from flysid.ingest.align.align import align, dataset
+from flysid.ingest.align.align import align, dataset, segments_of
 from flysid.ingest.align.recipe import Recipe, load_recipe, parse_recipe
 from flysid.ingest.align.resample import period_ns
+from flysid.ingest.align.signals import FlightLog
 from flysid.ingest.align.things import autopilot_system, find_stream
 
 MS = 1_000_000
@@ -525,3 +527,25 @@ def test_a_condition_says_one_thing() -> None:
     for kinds in ({}, {"any_of": [1], "above": 2.0}):
         with pytest.raises(RecipeError, match="must say one thing"):
             recipe(conditions=[{"name": "c", "sources": source, **kinds}])
+
+
+def test_signals_of_one_log_are_loaded_once_and_those_of_the_next_log_anew() -> None:
+    """A channel asks for an input three times: for its pauses, its rate, and its samples."""
+    read: Counter[str] = Counter()
+
+    class Counting(FlightLog):
+        def table(self, stream: str, columns: Sequence[str]) -> pa.Table:
+            read[stream] += 1
+            return super().table(stream, columns)
+
+    found = []
+    for turn, factor in enumerate((1.0, 2.0), start=1):
+        log = Counting(flight_of(CMD=table(T50, u=factor * U50), STATE=table(T50, y=Y50)))
+        found.append(align([log], recipe(), "c").dataset)
+        assert read == {"CMD": turn, "STATE": turn}
+        segments_of(log, recipe(), "c", 0.02)
+        assert read == {"CMD": turn + 1, "STATE": turn + 1}
+        read.subtract(["CMD", "STATE"])
+    (one,), (other,) = (data.segments for data in found)
+    assert np.array_equal(other.u, 2.0 * one.u)
+    assert np.array_equal(other.y, one.y)
