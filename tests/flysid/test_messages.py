@@ -26,8 +26,8 @@ from flysid.store import create_data_folder
 from flysid.validate.runs.fitone import nothing_done
 
 SOURCES = Path(__file__).parents[2]
-OF_OTHERS = {"--upgrade", "--nthreads", "--no-nanny", "--help"}
-"""Options of pip and of Dask's programs, and the one that every verb has."""
+OF_OTHERS = {"--upgrade", "--nthreads", "--no-nanny", "--help", "--raw"}
+"""Options of pip, of Dask's programs and of InfluxDB, and the one that every verb has."""
 NAMED = re.compile(r"(?<![\w-])--[a-z][a-z0-9-]*")
 COMMAND = re.compile(r"flysid ((?:fleet )?[a-z]+)((?: +[^\s;:,']+)*)")
 
