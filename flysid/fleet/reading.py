@@ -275,10 +275,7 @@ class _Reader:
         for path in paths:
             self._archives.append(path)
             _, found = next(self._looks)
-            if isinstance(found, Lost):
-                every.fail(path, found.reason)
-            else:
-                every.add(found)
+            every.take(path, found)
         return every
 
     def hash(self, path: Path) -> Job | Result:

@@ -148,6 +148,13 @@ class Found:
         self.unread |= other.unread
         self.passed_over |= other.passed_over
 
+    def take(self, path: Path, look: Found | Lost) -> None:
+        """What a look into a file found, or why it could not."""
+        if isinstance(look, Lost):
+            self.fail(path, look.reason)
+        else:
+            self.add(look)
+
     def fail(self, path: Path, reason: str) -> None:
         self.unread[path] = Unread(path, reason)
 
@@ -193,10 +200,7 @@ class _LogSearch:
         """What a file is by its bytes."""
         self._tasks.append(path)
         _, inside = next(self._outcomes)
-        if isinstance(inside, Lost):
-            found.fail(path, inside.reason)
-        else:
-            found.add(inside)
+        found.take(path, inside)
 
     def _parts_beside(self, path: Path) -> frozenset[str]:
         """What may be parts of recordings where a file lies; nothing where that cannot be listed."""
