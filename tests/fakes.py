@@ -12,6 +12,7 @@ import numpy as np
 
 from flysid.dataset import Dataset, FloatArray, Segment, Signal
 from flysid.model.base import Rule
+from flysid.model.frequency.response import MeasuredResponse
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,6 +128,24 @@ def fields_of(document: Mapping[str, Any]) -> dict[str, Any]:
         name: fields_of(value) if isinstance(value, Mapping) else isinstance(value, list)
         for name, value in document.items()
     }
+
+
+def flat_response(count: int) -> MeasuredResponse:
+    """1 from two inputs to one output, measured without error at `count` points an octave apart."""
+    one = np.ones((count, 2))
+    return MeasuredResponse(
+        omega=np.exp2(np.arange(float(count))),
+        response=one.astype(np.complex128),
+        coherence=one,
+        error=0.0 * one,
+        averages=one,
+        freedom=np.ones(count),
+        correlation=np.repeat(np.eye(count)[None], 2, axis=0),
+        shared=0.0,
+        dt_s=0.01,
+        inputs=(Signal("u"), Signal("v")),
+        output=Signal("y"),
+    )
 
 
 def smooth_input(n: int, rng: np.random.Generator, hold: int = 25) -> FloatArray:

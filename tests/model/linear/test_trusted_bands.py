@@ -7,26 +7,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from flysid.dataset import FloatArray, Signal
+from flysid.dataset import FloatArray
 from flysid.model.frequency.response import MeasuredResponse
+from tests.fakes import flat_response
 
 
 def measured(coherence: FloatArray, averages: float = 60.0) -> MeasuredResponse:
     """Two inputs, F points an octave apart; the first input coheres as told, the second nowhere."""
     count = len(coherence)
-    both = np.column_stack([coherence, np.zeros(count)])
-    return MeasuredResponse(
-        omega=np.exp2(np.arange(float(count))),
-        response=np.ones((count, 2), dtype=np.complex128),
-        coherence=both,
+    return replace(
+        flat_response(count),
+        coherence=np.column_stack([coherence, np.zeros(count)]),
         error=np.full((count, 2), 0.1) * [1.0, 2.0],
         averages=np.full((count, 2), averages),
         freedom=np.full(count, 10.0),
-        correlation=np.repeat(np.eye(count)[None], 2, axis=0),
-        shared=0.0,
-        dt_s=0.01,
-        inputs=(Signal("u"), Signal("v")),
-        output=Signal("y"),
     )
 
 

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import e, pi
 from typing import cast
 
 import numpy as np
 import pytest
 
-from flysid.dataset import FloatArray, Signal
+from flysid.dataset import FloatArray
 from flysid.model.frequency.continuous_transfer import Band, ContinuousTransfer
 from flysid.model.frequency.response import MeasuredResponse
 from flysid.model.polynomials import ComplexArray
@@ -21,6 +21,7 @@ from flysid.validate.transfers.agreement import (
     response_caution,
     transfer_figures,
 )
+from tests.fakes import flat_response
 
 EPS = 0.05
 HALF = 1.959964 * EPS
@@ -30,18 +31,14 @@ HALF = 1.959964 * EPS
 def measured(count: int, ratio: float = 2.0, late_s: float = 0.0) -> MeasuredResponse:
     """One, as measured from two inputs; the second doubles it. All points count."""
     one = np.ones((count, 2))
-    return MeasuredResponse(
+    return replace(
+        flat_response(count),
         omega=np.power(ratio, np.arange(float(count))),
         response=one * np.array([1.0 + 0.0j, 2.0]),
         coherence=0.99 * one,
         error=EPS * one,
         averages=100.0 * one,
         freedom=np.full(count, 1e9),
-        correlation=np.repeat(np.eye(count)[None], 2, axis=0),
-        shared=0.0,
-        dt_s=0.01,
-        inputs=(Signal("u"), Signal("v")),
-        output=Signal("y"),
         late_s=late_s,
     )
 
