@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 import numpy.typing as npt
 
+from flysid.ingest.align.resample import lowpass
 from flysid.showing import counted
 from flysid.stretch import FloatArray
 
@@ -22,8 +24,6 @@ LINE = 1e-5
 """Of a signal's spread: a second difference below it is what writing in decimals leaves of a line."""
 ROUNDS = 1e-3
 """Of a signal's spread: a motor at its stop moves by less, as commands are rounded and filtered."""
-RINGS = 0.09
-"""Of full scale: the low-pass that brings a command onto the grid overshoots a step by no more."""
 WINDOW_S = 4.0
 """Over which two clocks are compared."""
 LATEST_S = 0.12
@@ -156,7 +156,14 @@ def runs(mask: BoolArray) -> list[tuple[int, int]]:
 
 def beyond_full_scale(commands: FloatArray) -> BoolArray:
     """(N,) samples with a command above full scale or below zero, by more than the low-pass rings."""
-    return np.asarray(((commands > 1.0 + RINGS) | (commands < -RINGS)).any(axis=1))
+    rings = ringing()
+    return np.asarray(((commands > 1.0 + rings) | (commands < -rings)).any(axis=1))
+
+
+@cache
+def ringing() -> float:
+    """Share of a step by which the low-pass that brings commands onto the grid overshoots it at most."""
+    return float(np.cumsum(lowpass(2)).max()) - 1.0  # of the ratios that there are, 2 rings most
 
 
 def clock_offsets(
